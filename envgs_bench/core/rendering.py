@@ -1,0 +1,39 @@
+"""Rendering: what rasterize and trace return."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from torch import Tensor
+
+
+@dataclass
+class Statistics:
+    """What one pass learned of each primitive. Without gradients; densification and pruning read it.
+
+    `position_gradients` is filled by the backward pass (None before): Σ over hits of t·∂L/∂mean, world frame, where t
+    is the hit's distance along its ray. A methods' densification criterion is its norm times a constant: W/(2·f) gives
+    3DGS's gradient of the projected centre, ½ gives the EnvGS paper's (Sec. 5.1).
+    """
+
+    weights: Tensor  # [N] Σ over hits of the blending weight T·α; > 0 where the primitive was seen
+    position_gradients: Tensor | None = None  # [N, 3]
+
+
+@dataclass
+class Rendering:
+    """An image ([H, W, …], from rasterize) or a bundle of rays ([…], from trace), blended front to back.
+
+    With weights wᵢ = αᵢ·Πⱼ<ᵢ(1 − αⱼ): color = Σ wᵢcᵢ + (1 − Σ wᵢ)·background; alpha = Σ wᵢ; depth = Σ wᵢtᵢ / Σ wᵢ
+    (0 where nothing is hit), t along the ray, so camera-frame z for an image; normal = Σ wᵢnᵢ, world frame, each nᵢ
+    facing the ray's origin, the sum not normalised; extras = Σ wᵢeᵢ.
+    """
+
+    color: Tensor  # [..., 3]
+    alpha: Tensor  # [...]
+    depth: Tensor  # [...]
+    normal: Tensor  # [..., 3]
+    extras: Tensor  # [..., E]
+    hits: Tensor  # [...] int32, blended primitives of each pixel or ray
+    statistics: Statistics
+    layers: dict[str, Tensor] = field(default_factory=dict)  # a method's named parts: "base", "reflection", "beta"

@@ -1,0 +1,44 @@
+"""Scene and View: what a data source hands to a method. Plain containers, on the CPU until a method moves them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from .camera import Camera
+
+
+@dataclass(frozen=True)
+class View:
+    """One posed photograph and what is known about it."""
+
+    name: str  # unique within the scene: the image's stem
+    camera: Camera
+    image: Tensor  # [H, W, 3] uint8, sRGB
+    masks: dict[str, Tensor] = field(default_factory=dict)  # region name -> [H, W] bool, True inside
+    normal: Tensor | None = None  # [H, W, 3] unit, world frame, facing the camera; 0 where unknown
+    depth: Tensor | None = None  # [H, W] camera-frame z; 0 where unknown
+
+    def rgb(self, device: torch.device | str = "cpu") -> Tensor:
+        """The image as [H, W, 3] float32 in [0, 1], sRGB."""
+        return self.image.to(device).float() / 255
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Training and test views of one scene, with the sparse points that structure from motion left."""
+
+    name: str
+    train: list[View]
+    test: list[View]
+    points: Tensor  # [P, 3] world frame
+    point_colors: Tensor  # [P, 3] in [0, 1], sRGB
+    background: Tensor = field(default_factory=lambda: torch.zeros(3))  # [3] in [0, 1], behind everything
+
+    @property
+    def radius(self) -> float:
+        """1.1 × the largest distance of a training camera from their mean centre (3DGS's scene scale), world units."""
+        centres = torch.stack([view.camera.centre for view in self.train])
+        return 1.1 * float((centres - centres.mean(0)).norm(dim=1).max())
