@@ -1,0 +1,23 @@
+"""The shared core: two calls, `rasterize` and `trace`, and the plain types they take and return."""
+
+from .backends import available_backends
+from .camera import Camera
+from .gaussians import GaussianSet
+from .rasterize import rasterize
+from .rendering import Rendering, Statistics
+from .scene import Scene, View
+from .trace import Bvh, build_bvh, trace
+
+__all__ = [
+    "Bvh",
+    "Camera",
+    "GaussianSet",
+    "Rendering",
+    "Scene",
+    "Statistics",
+    "View",
+    "available_backends",
+    "build_bvh",
+    "rasterize",
+    "trace",
+]

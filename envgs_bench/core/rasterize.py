@@ -1,0 +1,67 @@
+"""rasterize(): Gaussians to an image."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from .backends import RasterizeOptions, load_backend
+from .camera import Camera
+from .gaussians import GaussianSet
+from .rendering import Rendering
+
+
+def rasterize(
+    gaussians: GaussianSet,
+    camera: Camera,
+    *,
+    background: Tensor | None = None,
+    near: float = 0.2,
+    low_pass: bool = True,
+    transmittance_min: float = 1e-4,
+    backend: str = "auto",
+) -> Rendering:
+    """Draw surfels or 3D Gaussians as `camera` sees them, differentiable in every field of the set.
+
+    Primitives are blended in the order of their centres' camera-frame depth (ties by index). Colour is the primitive's
+    SH towards its centre. A surfel is met where the pixel's ray crosses its plane (2D Gaussian Splatting, exact); a 3D
+    Gaussian is projected with the local affine approximation (EWA, 3D Gaussian Splatting), its depth is its centre's
+    and its normal its shortest axis.
+
+    Args:
+        gaussians: N primitives, world frame.
+        camera: the view, on the same device.
+        background: [3] colour behind everything, in [0, 1]; black where None. Receives no gradient.
+        near: hits nearer than this camera-frame depth are not drawn, world units.
+        low_pass: anti-aliasing as in the originals: a surfel's squared distance is the smaller of its own and of a
+            screen-space Gaussian of √2/2 px; a 3D Gaussian's projected covariance grows by 0.3 px².
+        transmittance_min: a pixel is finished by the hit that takes its transmittance below this.
+        backend: "auto" (by device), "cpu", "cuda" or "torch".
+
+    Returns:
+        Rendering with [H, W, …] fields. `statistics` covers this call; its position gradients appear after backward().
+
+    Raises:
+        ValueError: camera and set are on different devices, a bad background, or an unknown backend.
+        RuntimeError: the backend does not work on this machine.
+    """
+    if camera.device != gaussians.device:
+        raise ValueError(f"camera is on {camera.device}, gaussians on {gaussians.device}: move one with .to()")
+    options = RasterizeOptions(
+        background=checked_background(background, gaussians),
+        near=near,
+        low_pass=low_pass,
+        transmittance_min=transmittance_min,
+    )
+    module = load_backend(backend, gaussians.device, gaussians.means.dtype)
+    if not hasattr(module, "rasterize"):
+        raise ValueError(f"backend {backend!r} traces rays only, it cannot rasterize")
+    return module.rasterize(gaussians, camera, options)
+
+
+def checked_background(background: Tensor | None, gaussians: GaussianSet) -> Tensor:
+    if background is None:
+        return torch.zeros(3, dtype=gaussians.means.dtype, device=gaussians.device)
+    if tuple(background.shape) != (3,):
+        raise ValueError(f"background has shape {tuple(background.shape)}, expected (3,)")
+    return background.detach().to(gaussians.means)
