@@ -1,0 +1,81 @@
+// What rasterizing a surfel and rasterizing a 3D Gaussian have in common: the view, the pixels that a primitive may
+// touch, and the colour that it shows to the camera.
+#pragma once
+#include "blend.h"
+#include "sh.h"
+
+namespace envgs {
+
+struct View {
+    Mat3<float> rotation;            // world to camera
+    Vec3<float> translation;
+    Mat3<float> intrinsics;
+    Mat3<float> pixel_to_direction;  // (x, y, 1) -> world direction with camera z = 1
+    Vec3<float> centre;              // world
+    int width, height;
+    float near;
+    bool low_pass;
+};
+
+// Pixel positions that may respond; empty where x0 > x1.
+struct PixelBox {
+    float x0, y0, x1, y1;
+};
+
+ENVGS_FN PixelBox united(PixelBox a, PixelBox b) {
+    return {minimum(a.x0, b.x0), minimum(a.y0, b.y0), maximum(a.x1, b.x1), maximum(a.y1, b.y1)};
+}
+
+// A pinhole projection of one point, and what turns pixel gradients into world ones.
+struct Projection {
+    Vec3<float> in_camera;
+    float x, y;                      // pixels
+    Mat3<float> world_to_pixel;      // K·R: homogeneous
+};
+
+ENVGS_FN Projection project(const View& view, Vec3<float> point) {
+    Projection out;
+    out.in_camera = view.rotation * point + view.translation;
+    Vec3<float> h = view.intrinsics * out.in_camera;
+    out.x = h.x / h.z;
+    out.y = h.y / h.z;
+    out.world_to_pixel = view.intrinsics * view.rotation;
+    return out;
+}
+
+// dL/dpoint from the gradient of the projected position and of the camera-frame depth.
+ENVGS_FN Vec3<float> project_backward(const Projection& p, float g_x, float g_y, float g_depth) {
+    float inverse = 1.0f / p.in_camera.z;
+    Vec3<float> dx = inverse * (p.world_to_pixel.row0 - p.x * p.world_to_pixel.row2);
+    Vec3<float> dy = inverse * (p.world_to_pixel.row1 - p.y * p.world_to_pixel.row2);
+    return g_x * dx + g_y * dy + g_depth * p.world_to_pixel.row2;
+}
+
+// The colour of SH coefficients seen along v = mean − origin. `sh` is [K][3].
+template <int Degree>
+ENVGS_FN Vec3<float> sh_color(const float* sh, Vec3<float> v) {
+    constexpr int K = (Degree + 1) * (Degree + 1);
+    float basis[K];
+    sh_basis<Degree>((1.0f / length(v)) * v, basis);
+    Vec3<float> c = {0.5f, 0.5f, 0.5f};
+    for (int k = 0; k < K; ++k) c = c + basis[k] * load3(sh + 3 * k);
+    return {maximum(c.x, 0.0f), maximum(c.y, 0.0f), maximum(c.z, 0.0f)};
+}
+
+// Adds dL/dsh to g_sh and returns dL/dv; `color` is what sh_color returned.
+template <int Degree>
+ENVGS_FN Vec3<float> sh_color_backward(const float* sh, Vec3<float> v, Vec3<float> color, Vec3<float> g, float* g_sh) {
+    constexpr int K = (Degree + 1) * (Degree + 1);
+    float inverse = 1.0f / length(v);
+    Vec3<float> d = inverse * v;
+    g = {color.x > 0.0f ? g.x : 0.0f, color.y > 0.0f ? g.y : 0.0f, color.z > 0.0f ? g.z : 0.0f};
+    float basis[K], g_basis[K];
+    sh_basis<Degree>(d, basis);
+    for (int k = 0; k < K; ++k) {
+        g_basis[k] = dot(g, load3(sh + 3 * k));
+        store3(g_sh + 3 * k, load3(g_sh + 3 * k) + basis[k] * g);
+    }
+    return normalize_backward(d, inverse, sh_basis_backward<Degree>(d, g_basis));
+}
+
+}  // namespace envgs
