@@ -1,0 +1,39 @@
+"""The independent oracle of `trace`: Embree finds which surfels a ray meets, the torch oracle blends them."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from ..backends import TraceOptions
+from ..gaussians import GaussianSet
+from ..rendering import Rendering
+from ..torch.blending import shade
+from ..torch.search import blended_hits
+from ..torch.surfels import TracedSurfels
+from ..trace import Bvh
+
+__all__ = ["build_bvh", "trace", "why_unavailable"]
+
+
+def why_unavailable() -> str | None:
+    try:
+        import embreex.rtcore_scene  # noqa: F401
+    except ImportError as error:
+        return f"embreex cannot be imported ({error}): pip install embreex"
+    return None
+
+
+def trace(
+    gaussians: GaussianSet, origins: Tensor, directions: Tensor, bvh: Bvh | None, options: TraceOptions
+) -> Rendering:
+    from .search import candidate_pairs
+
+    rays, primitives = candidate_pairs(gaussians, origins, directions, options.t_min)
+    drawing = TracedSurfels(gaussians, origins, directions, options.t_min)
+    hits = blended_hits(drawing, rays, primitives, options.transmittance_min)
+    return shade(drawing, hits, options.background)
+
+
+def build_bvh(gaussians: GaussianSet) -> Bvh:
+    """Nothing to keep: the search builds Embree's scenes as it goes."""
+    return Bvh("embree", len(gaussians), None)

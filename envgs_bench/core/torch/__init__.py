@@ -1,0 +1,46 @@
+"""The oracle: rasterize and trace in plain PyTorch, differentiated by autograd, in any floating-point dtype.
+
+It is written to be read. Every pixel or ray is tested against every primitive; the few pairs that are blended are then
+computed once more with gradients. What the faster backends draw is what this one says, see docs/core.md.
+"""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from ..backends import RasterizeOptions, TraceOptions
+from ..camera import Camera
+from ..gaussians import GaussianSet
+from ..rendering import Rendering
+from ..trace import Bvh
+from .blending import shade
+from .drawing import Drawing
+from .search import all_blended_hits
+from .surfels import RasterizedSurfels, TracedSurfels
+from .volumes import RasterizedVolumes
+
+__all__ = ["build_bvh", "rasterize", "trace", "why_unavailable"]
+
+
+def why_unavailable() -> str | None:
+    return None
+
+
+def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> Rendering:
+    kind = RasterizedSurfels if gaussians.is_surfels else RasterizedVolumes
+    drawing: Drawing = kind(gaussians, camera, near=options.near, low_pass=options.low_pass)
+    hits = all_blended_hits(drawing, options.transmittance_min)
+    return shade(drawing, hits, options.background)
+
+
+def trace(
+    gaussians: GaussianSet, origins: Tensor, directions: Tensor, bvh: Bvh | None, options: TraceOptions
+) -> Rendering:
+    drawing = TracedSurfels(gaussians, origins, directions, options.t_min)
+    hits = all_blended_hits(drawing, options.transmittance_min)
+    return shade(drawing, hits, options.background)
+
+
+def build_bvh(gaussians: GaussianSet) -> Bvh:
+    """Nothing: the oracle tests every primitive."""
+    return Bvh("torch", len(gaussians), None)

@@ -1,0 +1,58 @@
+"""Blending: colour, alpha, depth, normal and extras of each ray from its hits, with gradients."""
+
+from __future__ import annotations
+
+from math import prod
+
+import torch
+from torch import Tensor
+
+from ..rendering import Rendering, Statistics
+from .drawing import Drawing, alphas
+from .search import BlendedHits, transmittances
+
+
+def shade(drawing: Drawing, hits: BlendedHits, background: Tensor) -> Rendering:
+    """Blend the hits of each ray front to back; the rendering's fields are of the drawing's shape."""
+    gaussians, rays, primitives = drawing.gaussians, hits.rays, hits.primitives
+    means = gaussians.means[primitives]  # a copy for each hit, so that a backward pass leaves the gradient of each
+    meeting = drawing.meet(rays, primitives, means)
+    alpha = alphas(gaussians.opacities[primitives], meeting.rho)
+    weights = transmittances(rays, alpha) * alpha
+
+    def blend(values: Tensor) -> Tensor:
+        """Σ w·value of each ray, from one value [P, …] a hit."""
+        weighted = weights.reshape(-1, *[1] * (values.ndim - 1)) * values
+        sums = values.new_zeros(prod(drawing.shape), *values.shape[1:]).index_add(0, rays, weighted)
+        return sums.reshape(*drawing.shape, *values.shape[1:])
+
+    total = blend(torch.ones_like(weights))
+    extras = gaussians.means.new_zeros(len(gaussians), 0) if gaussians.extras is None else gaussians.extras
+    counts = torch.bincount(rays, minlength=prod(drawing.shape))
+    weight_sums = weights.new_zeros(len(gaussians)).index_add(0, primitives, weights.detach())
+    rendering = Rendering(
+        color=blend(drawing.colors(rays, primitives)) + (1 - total)[..., None] * background,
+        alpha=total,
+        depth=blend(meeting.t) / torch.where(total > 0, total, 1),
+        normal=blend(drawing.axes[primitives] * meeting.facing[:, None]),
+        extras=blend(extras[primitives]),
+        hits=counts.reshape(drawing.shape).to(torch.int32),
+        statistics=Statistics(weights=weight_sums),
+    )
+    if means.requires_grad:
+        record_position_gradients(rendering.statistics, means, primitives, meeting.t.detach(), len(gaussians))
+    return rendering
+
+
+def record_position_gradients(statistics: Statistics, means: Tensor, primitives: Tensor, t: Tensor, count: int) -> None:
+    """Have the backward pass leave Σ over hits of t·∂L/∂mean in the statistics.
+
+    The hits' means feed their geometry alone (where they are met, at which depth); the direction that SH colour is
+    looked up in takes the set's own means and has no part in it.
+    """
+
+    def leave(gradient: Tensor) -> None:
+        weighted = t[:, None] * gradient
+        statistics.position_gradients = gradient.new_zeros(count, 3).index_add(0, primitives, weighted)
+
+    means.register_hook(leave)

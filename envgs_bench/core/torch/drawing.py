@@ -1,0 +1,54 @@
+"""What the kinds of drawing (rasterized surfels, traced surfels, rasterized volumes) have in common."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ..gaussians import GaussianSet
+
+MAX_RHO = 9.0  # a support never reaches beyond three standard deviations
+MIN_ALPHA = 1 / 255  # nor to where a response falls below this
+MAX_ALPHA = 0.99
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Where rays meet primitives. All fields have one shape, that of the rays and primitives asked about."""
+
+    t: Tensor  # distance along the ray, in units of its direction's length; for a camera's rays, camera-frame depth
+    rho: Tensor  # squared distance from the primitive's centre, in standard deviations
+    order: Tensor  # hits of a ray are blended in ascending order of this, equal ones by index
+    facing: Tensor  # ±1: what turns the primitive's normal towards the viewer
+    possible: Tensor  # bool: false where the ray misses whatever rho says (edge-on, behind the near plane)
+
+
+class Drawing(ABC):
+    """One call's input: primitives, and the rays they are seen along."""
+
+    gaussians: GaussianSet
+    shape: tuple[int, ...]  # of the rays: [H, W] or [R]; a ray's index counts row by row
+    axes: Tensor  # [N, 3] unit normals, sign arbitrary
+
+    @abstractmethod
+    def meet(self, rays: Tensor, primitives: Tensor, means: Tensor) -> Meeting:
+        """Rays and primitives, given by index, of shapes that broadcast; `means` are those primitives' [..., 3]."""
+
+    @abstractmethod
+    def colors(self, rays: Tensor, primitives: Tensor) -> Tensor:
+        """Colours [P, 3] of the primitives [P] seen along the rays [P]."""
+
+
+def cutoffs(opacities: Tensor) -> Tensor:
+    """The largest ρ at which primitives of these opacities are drawn, min(3², 2·ln(255·opacity)); −1 where nowhere."""
+    visible = opacities > MIN_ALPHA
+    response = torch.where(visible, opacities / MIN_ALPHA, 1)
+    return torch.where(visible, (2 * response.log()).clamp_max(MAX_RHO), -1).detach()
+
+
+def alphas(opacities: Tensor, rho: Tensor) -> Tensor:
+    """min(0.99, opacity·exp(−ρ/2)); the clamp passes no gradient."""
+    return (opacities * (-rho / 2).exp()).clamp_max(MAX_ALPHA)

@@ -1,0 +1,74 @@
+"""Volumes: 3D Gaussians, projected by the local affine approximation (EWA splatting, 3D Gaussian Splatting)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..camera import Camera
+from ..gaussians import GaussianSet
+from .drawing import Drawing, Meeting
+from .pixels import Pixels
+from .rotation import rotation_matrices
+from .sh import sh_color
+
+LOW_PASS_VARIANCE = 0.3  # px², added to a projected covariance
+FRUSTUM_MARGIN = 0.3  # of the half width (height): how far outside the image the projection is linearised
+
+
+class RasterizedVolumes(Drawing):
+    """3D Gaussians as a camera sees them, in the order of their centres' depth."""
+
+    def __init__(self, gaussians: GaussianSet, camera: Camera, near: float, low_pass: bool) -> None:
+        self.gaussians, self.near, self.low_pass = gaussians, near, low_pass
+        self.pixels = Pixels(camera, gaussians.means.dtype)
+        self.shape = (camera.height, camera.width)
+        frames = rotation_matrices(gaussians.quaternions)
+        shortest = gaussians.scales.argmin(dim=1)
+        self.axes = frames.gather(2, shortest[:, None, None].expand(-1, 3, 1))[..., 0]
+        factors = frames * gaussians.scales[:, None, :]
+        self.covariances = factors @ factors.mT
+        offsets = gaussians.means - self.pixels.centre
+        self.color_of = sh_color(gaussians.sh, offsets)
+        self.facing = torch.where((self.axes * offsets).sum(-1) > 0, -1, 1).to(offsets)
+
+    def meet(self, rays: Tensor, primitives: Tensor, means: Tensor) -> Meeting:
+        depths = self.pixels.depths(means)
+        ahead = (depths >= self.near) & (depths > 0)
+        jacobian = self.jacobian(means, ahead) @ self.pixels.camera.world_to_camera[:3, :3]
+        covariance = jacobian @ self.covariances[primitives] @ jacobian.mT
+        if self.low_pass:
+            covariance = covariance + LOW_PASS_VARIANCE * torch.eye(2).to(covariance)
+        a, b, c = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+        determinant = a * c - b * b
+        possible = ahead & (determinant > 0)
+        x, y = self.pixels.offsets(rays, means, ahead).unbind(-1)
+        rho = (c * x * x - 2 * b * x * y + a * y * y) / torch.where(possible, determinant, 1)
+        depths = depths.expand_as(rho)
+        return Meeting(
+            depths, rho, order=depths, facing=self.facing[primitives].expand_as(rho), possible=possible.expand_as(rho)
+        )
+
+    def jacobian(self, means: Tensor, ahead: Tensor) -> Tensor:
+        """d(pixel position) / d(camera-frame position) at the centres [..., 3], [..., 2, 3].
+
+        The position where it is taken is held within the image and a margin: further out the approximation explodes.
+        """
+        x, y, z = self.pixels.in_camera(means).unbind(-1)
+        z = torch.where(ahead, z, 1)
+        camera = self.pixels.camera
+        k = camera.intrinsics
+        slope_x = held(x / z, k[0, 0], k[0, 2], camera.width)
+        slope_y = held(y / z, k[1, 1], k[1, 2], camera.height)
+        zero, inverse = torch.zeros_like(z), 1 / z
+        of_slopes = torch.stack([inverse, zero, -slope_x * inverse, zero, inverse, -slope_y * inverse], dim=-1)
+        return k[:2, :2] @ of_slopes.unflatten(-1, (2, 3))
+
+    def colors(self, rays: Tensor, primitives: Tensor) -> Tensor:
+        return self.color_of[primitives]
+
+
+def held(slope: Tensor, focal: Tensor, centre: Tensor, size: int) -> Tensor:
+    """x/z (or y/z) clamped to the image's extent and FRUSTUM_MARGIN of its half size on either side."""
+    margin = FRUSTUM_MARGIN * size / 2
+    return slope.clamp(float(-(centre + margin) / focal), float((size - centre + margin) / focal))
