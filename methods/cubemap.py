@@ -1,0 +1,120 @@
+"""A cube map and its differentiable bilinear lookup, without seams between faces.
+
+Face order and orientation are OpenGL's: +x, −x, +y, −y, +z, −z; on each, column and row grow along the signed axes of
+the table below, and texel centres lie at half-integers of the face's size.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+# face -> (axis of the face, its sign), (axis of columns, sign), (axis of rows, sign)
+FACES = (
+    ((0, 1), (2, -1), (1, -1)),
+    ((0, -1), (2, 1), (1, -1)),
+    ((1, 1), (0, 1), (2, 1)),
+    ((1, -1), (0, 1), (2, -1)),
+    ((2, 1), (0, 1), (1, -1)),
+    ((2, -1), (0, -1), (1, -1)),
+)
+
+
+def texel_directions(size: int) -> Tensor:
+    """Directions [6, size, size, 3] through the texel centres; the largest component is ±1."""
+    centre = (2 * torch.arange(size) + 1) / size - 1
+    return _face_points(centre, centre)
+
+
+def sample_cubemap(texels: Tensor, directions: Tensor, border: Tensor) -> Tensor:
+    """Bilinear lookup, differentiable in texels and directions.
+
+    Args:
+        texels: [6, S, S, C].
+        directions: [R, 3], any non-zero length.
+        border: [6, S + 2, S + 2] of `border_index(S)`.
+
+    Returns:
+        [R, C], continuous over the whole sphere: across an edge the four texels around a point come from both faces,
+        and at the cube's corners, where three texels meet, the missing fourth is their mean.
+    """
+    size, channels = texels.shape[1], texels.shape[-1]
+    flat = texels.reshape(-1, channels)
+    flat = torch.cat([flat, flat[_corner_texels(size).to(flat.device)].mean(1)])
+
+    face, column, row = _face_coordinates(directions)
+    x = (column + 1) * (size / 2) + 0.5  # in the padded face, whose texel i has its centre at i
+    y = (row + 1) * (size / 2) + 0.5
+    x0 = x.detach().floor().clamp(0, size)
+    y0 = y.detach().floor().clamp(0, size)
+    fx, fy = (x - x0)[:, None], (y - y0)[:, None]
+
+    corner = (face * (size + 2) + y0.long()) * (size + 2) + x0.long()
+    index = torch.stack([corner, corner + 1, corner + size + 2, corner + size + 3])
+    around = flat.index_select(0, border.reshape(-1)[index].reshape(-1)).reshape(4, -1, channels)
+    top = torch.lerp(around[0], around[1], fx)
+    bottom = torch.lerp(around[2], around[3], fx)
+    return torch.lerp(top, bottom, fy)
+
+
+def border_index(size: int) -> Tensor:
+    """[6, size + 2, size + 2] flat texel numbers of each face and of the ring of neighbours around it.
+
+    A ring texel is the neighbouring face's texel beyond the edge; at the face's four corners there is none, and the
+    number is 6·size² plus that of the cube's corner (see `sample_cubemap`).
+    """
+    position = (2 * torch.arange(size + 2, dtype=torch.float64) - 1) / size - 1
+    inside = position.clamp(-1 + 1 / size, 1 - 1 / size)
+    own = torch.arange(6 * size * size).reshape(6, size, size)
+    index = torch.zeros(6, size + 2, size + 2, dtype=torch.long)
+    index[:, 1:-1, 1:-1] = own
+    # Just beyond an edge, a point of the face's plane belongs to the neighbouring face, in its outermost texel.
+    beyond = position.clamp(-1 - 1e-3 / size, 1 + 1e-3 / size)
+    for part in ((slice(None), [0, -1]), ([0, -1], slice(None))):
+        columns = beyond if part[0] == slice(None) else inside
+        rows = inside if part[0] == slice(None) else beyond
+        face, column, row = _face_coordinates(_face_points(columns, rows).reshape(-1, 3))
+        texel = (face * size + _texel(row, size)) * size + _texel(column, size)
+        texel = texel.reshape(6, size + 2, size + 2)
+        index[:, part[0], part[1]] = texel[:, part[0], part[1]]
+    ends = torch.tensor([-1.0, 1.0])
+    corners = _corner_number(_face_points(ends, ends))
+    index[:, :: size + 1, :: size + 1] = 6 * size * size + corners
+    return index
+
+
+def _face_points(columns: Tensor, rows: Tensor) -> Tensor:
+    """Points [6, len(rows), len(columns), 3] of the faces at coordinates in [−1, 1]."""
+    points = torch.zeros(6, len(rows), len(columns), 3, dtype=columns.dtype)
+    for face, ((axis, sign), (across, across_sign), (down, down_sign)) in enumerate(FACES):
+        points[face, ..., axis] = sign
+        points[face, ..., across] = across_sign * columns[None, :]
+        points[face, ..., down] = down_sign * rows[:, None]
+    return points
+
+
+def _face_coordinates(directions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Face [R], and column and row on it, [R] in [−1, 1], differentiable."""
+    axis = directions.detach().abs().argmax(dim=1)
+    major = directions.gather(1, axis[:, None])[:, 0]
+    face = 2 * axis + (major.detach() < 0)
+    table = torch.tensor(FACES, device=directions.device)[face]  # [R, 3, 2]
+    signs = table[..., 1].to(directions.dtype)
+    scaled = directions.gather(1, table[:, 1:, 0]) * signs[:, 1:] / major.abs()[:, None]
+    return face, scaled[:, 0], scaled[:, 1]
+
+
+def _texel(coordinate: Tensor, size: int) -> Tensor:
+    return ((coordinate + 1) * (size / 2)).floor().long().clamp(0, size - 1)
+
+
+def _corner_number(directions: Tensor) -> Tensor:
+    """0 to 7 for the octant a direction points into."""
+    return (directions > 0).long() @ torch.tensor([1, 2, 4])
+
+
+def _corner_texels(size: int) -> Tensor:
+    """[8, 3] flat numbers of the three texels that meet at each corner of the cube."""
+    numbers = torch.arange(6 * size * size).reshape(6, size, size)[:, :: max(size - 1, 1), :: max(size - 1, 1)]
+    corner = _corner_number(texel_directions(size)[:, :: max(size - 1, 1), :: max(size - 1, 1)])
+    return torch.stack([numbers[corner == number] for number in range(8)])

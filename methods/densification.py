@@ -1,0 +1,147 @@
+"""Adaptive density control: clone, split, prune, cap (3D Gaussian Splatting Sec. 5.2, EnvGS paper Sec. 5.1, App. C)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from envgs_bench.core import Camera, Statistics
+
+from .parameters import GaussianParameters, normalised
+
+SPLIT_IN = 2
+OVERSIZED_SPLIT_IN = 5
+LEAST_WEIGHTED = 0.1  # an oversized primitive in this least-weighted share is removed and not split
+
+
+@dataclass(frozen=True)
+class DensificationRule:
+    """When a primitive is split or removed. Sizes are shares of the scene radius."""
+
+    gradient_threshold: float  # mean criterion above which a primitive is cloned or split
+    min_opacity: float  # pruned below
+    max_primitives: int  # the least-weighted above this count are pruned
+    clone_below: float = 0.01  # largest scale up to which a primitive is cloned; above it is split
+    oversized_above: float = 0.1  # largest scale above which a primitive is split in five or pruned
+
+
+class DensificationRecord:
+    """What training steps since the last densification learned of each primitive."""
+
+    def __init__(self, primitives: int, device: torch.device) -> None:
+        self.gradients = torch.zeros(primitives, device=device)  # Σ of the criterion
+        self.views = torch.zeros(primitives, device=device)  # steps in which the primitive was seen
+        self.weights = torch.zeros(primitives, device=device)  # Σ of the blending weight
+
+    def add(self, criterion: Tensor, weights: Tensor) -> None:
+        """Add one step: the gradient criterion [N] and the blending weights [N] of its pass."""
+        self.gradients += criterion
+        self.views += weights > 0
+        self.weights += weights
+
+    def mean_gradient(self) -> Tensor:
+        return self.gradients / self.views.clamp_min(1)
+
+    def mean_weight(self) -> Tensor:
+        return self.weights / self.views.clamp_min(1)
+
+
+def screen_criterion(statistics: Statistics, camera: Camera) -> Tensor:
+    """3DGS's criterion, [N]: the gradient of the projected centre in half image widths and heights.
+
+    A centre at depth t moves by f/t pixels a unit, so ∂L/∂x_ndc = W/(2f)·t·∂L/∂x, and alike for y.
+    """
+    assert statistics.position_gradients is not None
+    in_camera = statistics.position_gradients @ camera.world_to_camera[:2, :3].T
+    half_size = camera.intrinsics.new_tensor([camera.width / 2, camera.height / 2])
+    return (in_camera * (half_size / camera.intrinsics.diagonal()[:2])).norm(dim=1)
+
+
+def spatial_criterion(statistics: Statistics) -> Tensor:
+    """The traced set's criterion, [N]: the norm of ½·t·∂L/∂mean summed over hits (EnvGS paper, Sec. 5.1)."""
+    assert statistics.position_gradients is not None
+    return 0.5 * statistics.position_gradients.norm(dim=1)
+
+
+def densify(
+    parameters: GaussianParameters,
+    record: DensificationRecord,
+    rule: DensificationRule,
+    radius: float,
+    generator: torch.Generator,
+) -> DensificationRecord:
+    """Clone, split, prune and cap the set in place; returns the empty record of the new set.
+
+    In this order: small primitives with a large gradient are cloned, large ones split in two (scales ÷ 1.6); those
+    below `min_opacity` are pruned; oversized ones are pruned if among the least-weighted tenth, otherwise split in
+    five (scales ÷ 4); and above `max_primitives` those with the least mean blending weight go. A new primitive counts
+    with its parent's weight.
+    """
+    weights = record.mean_weight()
+    grows = record.mean_gradient() >= rule.gradient_threshold
+    small = _largest_scale(parameters) <= rule.clone_below * radius
+
+    clones = torch.nonzero(grows & small)[:, 0]
+    parameters.append(parameters.rows(clones))
+    weights = torch.cat([weights, weights[clones]])
+    splits = functional.pad(grows & ~small, (0, len(clones)))
+    weights = _split(parameters, weights, splits, SPLIT_IN, generator)
+
+    weights = _keep(
+        parameters, weights, parameters.tensors["opacity_logits"] >= math.log(rule.min_opacity / (1 - rule.min_opacity))
+    )
+
+    oversized = _largest_scale(parameters) > rule.oversized_above * radius
+    if bool(oversized.any()):
+        unimportant = oversized & (weights <= _quantile(weights, LEAST_WEIGHTED))
+        weights = _keep(parameters, weights, ~unimportant)
+        weights = _split(parameters, weights, oversized[~unimportant], OVERSIZED_SPLIT_IN, generator)
+
+    if len(parameters) > rule.max_primitives:
+        top = torch.topk(weights, rule.max_primitives).indices.sort().values
+        _keep(parameters, weights, top)
+    return DensificationRecord(len(parameters), weights.device)
+
+
+def _largest_scale(parameters: GaussianParameters) -> Tensor:
+    return parameters.tensors["log_scales"].detach().amax(dim=1).exp()
+
+
+def _quantile(values: Tensor, share: float) -> Tensor:
+    rank = max(1, math.ceil(share * len(values)))
+    return values.kthvalue(rank).values
+
+
+def _keep(parameters: GaussianParameters, weights: Tensor, rows: Tensor) -> Tensor:
+    parameters.keep(rows)
+    return weights[rows]
+
+
+def _split(
+    parameters: GaussianParameters, weights: Tensor, rows: Tensor, parts: int, generator: torch.Generator
+) -> Tensor:
+    """Replace the masked rows by `parts` smaller ones, drawn from each one's own Gaussian; returns the weights."""
+    index = torch.nonzero(rows)[:, 0].repeat(parts)
+    if not len(index):
+        return weights
+    new = parameters.rows(index)
+    scales = new["log_scales"].exp()
+    offsets = torch.randn(scales.shape, generator=generator).to(scales) * scales
+    offsets = functional.pad(offsets, (0, 3 - offsets.shape[1]))
+    new["means"] += _rotated(new["quaternions"], offsets)
+    new["log_scales"] -= math.log(0.8 * parts)
+    parameters.append(new)
+    weights = torch.cat([weights, weights[index]])
+    return _keep(parameters, weights, ~functional.pad(rows, (0, len(index))))
+
+
+def _rotated(quaternions: Tensor, vectors: Tensor) -> Tensor:
+    """Vectors [N, 3] turned by quaternions [N, 4] (wxyz): v + 2w(q × v) + 2q × (q × v)."""
+    q = normalised(quaternions)
+    w, xyz = q[:, :1], q[:, 1:]
+    cross = torch.linalg.cross(xyz, vectors)
+    return vectors + 2 * (w * cross + torch.linalg.cross(xyz, cross))

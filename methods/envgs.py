@@ -1,0 +1,85 @@
+"""EnvGS: the reflected colour comes from a second set of surfels, traced along the reflected rays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from envgs_bench.core import Bvh, Camera, Scene, Statistics, build_bvh, trace
+
+from .densification import DensificationRule, spatial_criterion
+from .initialization import quantile_box, random_points_in_grid
+from .reflection import ReflectionSettings, ReflectiveMethod
+
+
+@dataclass(frozen=True)
+class EnvGSSettings(ReflectionSettings):
+    env_grid: int = 32  # N: the box is divided into N³ cells (paper, Sec. 4.3)
+    env_per_cell: int = 5  # K: random primitives in each
+    env_box_quantile: float = 0.995  # share of the points' range, on each axis, that the box covers
+    env_densify_every: int = 500
+    env_densify_threshold: float = 1e-4  # of ½·t·∂L/∂mean
+    env_max_primitives: int = 630_000
+    env_opacity_reset_every: int = 6_000  # 0: never
+
+
+class EnvGS(ReflectiveMethod):
+    """EnvGS (paper, Sec. 4)."""
+
+    Settings: ClassVar[type] = EnvGSSettings
+    settings: EnvGSSettings
+
+    def __init__(self, settings: EnvGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
+        super().__init__(settings, device, seed)
+        self._box = (torch.zeros(3), torch.ones(3))
+        self._bvh: Bvh | None = None
+
+    def initialize(self, scene: Scene, steps: int) -> None:
+        super().initialize(scene, steps)
+        self.sets.pop("env", None)
+        self._box = quantile_box(scene.points.float(), self.settings.env_box_quantile)
+
+    def prepare(self) -> None:
+        super().prepare()
+        self._bvh = build_bvh(self._prepared["env"], backend=self.settings.backend) if "env" in self.sets else None
+
+    def _start_reflection(self) -> None:
+        s = self.settings
+        points = random_points_in_grid(*self._box, s.env_grid, s.env_per_cell, self.generator)
+        colors = torch.rand(points.shape, generator=self.generator)
+        self.sets["env"] = self._new_set(points, colors, self._rule("env"), beta=None)
+
+    def _reflected_color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict]:
+        rendering = trace(
+            self._gaussians("env", step),
+            origins,
+            directions,
+            background=self.background,
+            bvh=self._bvh if step is None else None,
+            backend=self.settings.backend,
+        )
+        return rendering.color, {"env": rendering.statistics}
+
+    def _criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
+        return spatial_criterion(statistics) if name == "env" else super()._criterion(name, statistics, camera)
+
+    def _after_step(self, step: int) -> None:
+        super()._after_step(step)
+        if "env" not in self.sets:
+            return
+        s, env = self.settings, self.sets["env"]
+        if self.schedule.densifies(step, start=s.bootstrap, stop=s.densify_until, interval=s.env_densify_every):
+            env.densify(self.radius, self.generator)
+        if s.env_opacity_reset_every and self.schedule.resets(
+            step, stop=s.densify_until, interval=s.env_opacity_reset_every
+        ):
+            env.reset_opacity()
+
+    def _rule(self, name: str) -> DensificationRule:
+        if name != "env":
+            return super()._rule(name)
+        s = self.settings
+        return DensificationRule(s.env_densify_threshold, s.min_opacity, s.env_max_primitives)

@@ -1,0 +1,63 @@
+"""The environment-map variant: the reflected colour comes from a cube map, as if everything were far away."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from .cubemap import border_index, sample_cubemap
+from .parameters import ADAM_EPSILON
+from .reflection import ReflectionSettings, ReflectiveMethod
+
+
+@dataclass(frozen=True)
+class EnvMapSettings(ReflectionSettings):
+    envmap_size: int = 128  # texels along a face's edge (EnvGS paper, App. B.1: 128 and 256)
+    envmap_lr: float = 5e-2  # of the texels' logits
+
+
+class EnvMap(ReflectiveMethod):
+    """EnvGS "w/ environment map" (paper, Sec. 5.4 and App. B.1): texels hold logits of colours in [0, 1]."""
+
+    Settings: ClassVar[type] = EnvMapSettings
+    settings: EnvMapSettings
+
+    def __init__(self, settings: EnvMapSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
+        super().__init__(settings, device, seed)
+        if settings.envmap_size < 2:
+            raise ValueError(f"envmap_size is {settings.envmap_size}, expected at least 2")
+        self._border = border_index(settings.envmap_size).to(self.device)
+        self._set_texels(torch.zeros(6, settings.envmap_size, settings.envmap_size, 3))
+
+    def _start_reflection(self) -> None:
+        self._set_texels(torch.zeros_like(self.texels))
+
+    def _reflected_color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict]:
+        return sample_cubemap(self.texels, directions, self._border).sigmoid(), {}
+
+    def model_bytes(self) -> dict[str, int]:
+        return super().model_bytes() | {"env": 4 * self.texels.numel()}
+
+    def _set_texels(self, texels: Tensor) -> None:
+        self.texels = texels.detach().to(self.device).requires_grad_()
+        self._texel_optimizer = torch.optim.Adam(
+            [self.texels], lr=self.settings.envmap_lr, eps=ADAM_EPSILON, fused=True
+        )
+
+    def _optimizers(self) -> list[torch.optim.Optimizer]:
+        return [*super()._optimizers(), self._texel_optimizer]
+
+    def _state(self) -> dict:
+        return super()._state() | {"texels": self.texels.detach()}
+
+    def _restore(self, state: dict) -> None:
+        super()._restore(state)
+        size = state["texels"].shape[1]
+        if size != self.settings.envmap_size:
+            raise ValueError(
+                f"the checkpoint's cube map has {size} texels an edge, envmap_size is {self.settings.envmap_size}"
+            )
+        self._set_texels(state["texels"])

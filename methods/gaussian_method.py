@@ -1,0 +1,255 @@
+"""GaussianMethod: what every method that rasterizes a trained base set shares; 2DGS and 3DGS are no more than this."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, View, rasterize
+
+from .checkpoint import read_checkpoint, write_checkpoint
+from .densification import DensificationRule, screen_criterion
+from .initialization import initial_tensors
+from .losses import depth_normals, nearness, normal_loss, photometric_loss, psnr
+from .method import Method
+from .parameters import GaussianParameters, LearningRates
+from .schedule import Schedule
+from .trained_set import TrainedSet
+
+
+@dataclass(frozen=True)
+class GaussianSettings:
+    """Settings that all Gaussian methods share. Steps are those of a run of 30,000 (see `Schedule`)."""
+
+    backend: str = "auto"  # of the core: auto, cpu, cuda, torch
+    near: float = 0.2  # hits nearer to the camera are not drawn, world units
+    sh_degree: int = 2  # of the view-dependent colour, 0 to 3
+    sh_every: int = 0  # steps after which another SH degree is added; 0: all from the start
+
+    position_lr: float = 1.6e-4  # × scene radius, at the start; log-linear to
+    position_lr_final: float = 1.6e-6  # × scene radius, at the end
+    sh_lr: float = 2.5e-3  # of the constant term; 1/20 of it for the rest
+    opacity_lr: float = 5e-2
+    scale_lr: float = 5e-3
+    rotation_lr: float = 1e-3
+
+    initial_opacity: float = 0.1
+    densify_from: int = 500
+    densify_until: int = 15_000
+    densify_every: int = 100
+    densify_threshold: float = 2e-4  # gradient of the projected centre, in half images
+    min_opacity: float = 0.05  # pruned below
+    max_primitives: int = 1_800_000
+    opacity_reset_every: int = 3_000  # 0: never
+
+    normal_weight: float = 0.04  # of L_norm, rendered normals against those of the depth map
+    mono_weight: float = 0.01  # of L_mono, against the view's own normals where it has any
+    normal_weighting: str = "none"  # of both normal losses' pixels: none, depth (near ones count more), alpha
+    perceptual_weight: float = 0.01  # of L_perc, where the harness provides it
+    perceptual_from: int = 0
+
+
+class GaussianMethod(Method):
+    """Trains a base set on whole images, one a step.
+
+    Attributes:
+        sets: the trained sets by name; always "base".
+        perceptual: the perceptual loss, (image, target) -> scalar, or None; the harness sets it.
+    """
+
+    Settings: ClassVar[type] = GaussianSettings
+    settings: GaussianSettings
+    axes: ClassVar[int]  # 2: surfels, 3: 3D Gaussians
+
+    def __init__(self, settings: GaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
+        super().__init__(settings, device, seed)
+        if settings.normal_weighting not in ("none", "depth", "alpha"):
+            raise ValueError(f"normal_weighting is {settings.normal_weighting!r}, expected none, depth or alpha")
+        self.sets: dict[str, TrainedSet] = {}
+        self.perceptual: Callable[[Tensor, Tensor], Tensor] | None = None
+        self.schedule = Schedule(1)
+        self.radius = 1.0
+        self.background = torch.zeros(3, device=self.device)
+        self._prepared: dict[str, GaussianSet] = {}
+
+    def initialize(self, scene: Scene, steps: int) -> None:
+        if not len(scene.points):
+            raise ValueError(f"scene {scene.name} has no points to start from")
+        self.schedule = Schedule(steps)
+        self.radius = scene.radius or _extent(scene.points)
+        self.background = scene.background.to(self.device)
+        self.sets["base"] = self._new_set(scene.points, scene.point_colors, self._rule("base"), self._initial_beta())
+        self._prepared.clear()
+
+    def training_step(self, view: View, step: int) -> dict[str, float]:
+        camera = view.camera if view.camera.device == self.device else view.camera.to(self.device)
+        target = view.rgb(self.device)
+        self._prepared.clear()
+        self._set_rates(step)
+        rendering, statistics = self._draw(camera, step)
+        terms = self._losses(rendering, target, view, step)
+        loss = torch.stack(list(terms.values())).sum()
+        loss.backward()
+
+        values = torch.stack([loss.detach(), psnr(rendering.color, target), *(t.detach() for t in terms.values())])
+        losses = dict(zip(["loss", "psnr", *terms], values.tolist(), strict=True))
+        if self._is_finite(values):
+            for optimizer in self._optimizers():
+                optimizer.step()
+            for name, seen in statistics.items():
+                self.sets[name].record.add(self._criterion(name, seen, camera), seen.weights)
+        else:
+            self.skipped_steps += 1
+        for optimizer in self._optimizers():
+            optimizer.zero_grad(set_to_none=True)
+        with torch.no_grad():
+            self._after_step(step)
+        return losses
+
+    @torch.no_grad()
+    def render(self, camera: Camera) -> Rendering:
+        if not self._prepared:
+            self.prepare()
+        return self._draw(camera.to(self.device), None)[0]
+
+    @torch.no_grad()
+    def prepare(self) -> None:
+        self._prepared = {name: trained.parameters.gaussians() for name, trained in self.sets.items()}
+
+    def primitives(self) -> dict[str, int]:
+        return {name: len(self.sets[name].parameters) if name in self.sets else 0 for name in ("base", "env")}
+
+    def model_bytes(self) -> dict[str, int]:
+        sets = self.sets
+        return {name: sets[name].parameters.size_bytes if name in sets else 0 for name in ("base", "env")}
+
+    def save(self, folder: Path) -> None:
+        write_checkpoint(folder, type(self).__name__, self._state())
+
+    def load(self, folder: Path) -> None:
+        self._restore(read_checkpoint(folder, type(self).__name__, self.device))
+        self._prepared.clear()
+
+    # What a method may say otherwise
+
+    def _draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
+        """The picture and, by set, what its passes learned; without gradients where `step` is None."""
+        rendering = self._rasterize_base(camera, step)
+        return rendering, {"base": rendering.statistics}
+
+    def _losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
+        """The weighted terms of the loss (Eq. 11)."""
+        settings = self.settings
+        terms = {"rgb": photometric_loss(rendering.color, target)}
+        weight = self._normal_weights(rendering)
+        if settings.normal_weight > 0:
+            reference = depth_normals(rendering.depth, self._directions(view))
+            terms["normal"] = settings.normal_weight * normal_loss(rendering.normal, reference, weight)
+        if settings.mono_weight > 0 and view.normal is not None:
+            reference = view.normal.to(rendering.normal)
+            terms["mono"] = settings.mono_weight * normal_loss(rendering.normal, reference, weight)
+        if self.perceptual and settings.perceptual_weight > 0 and step > self.schedule.at(settings.perceptual_from):
+            terms["perceptual"] = settings.perceptual_weight * self.perceptual(rendering.color, target)
+        return terms
+
+    def _criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
+        return screen_criterion(statistics, camera)
+
+    def _after_step(self, step: int) -> None:
+        """Densification and opacity resets, after Adam's step."""
+        base, s = self.sets["base"], self.settings
+        if self.schedule.densifies(step, start=s.densify_from, stop=s.densify_until, interval=s.densify_every):
+            base.densify(self.radius, self.generator)
+        if self._resets_opacity(step):
+            base.reset_opacity()
+
+    def _set_rates(self, step: int) -> None:
+        rate = self.schedule.position_rate(step, self.settings.position_lr, self.settings.position_lr_final)
+        for trained in self.sets.values():
+            trained.parameters.set_learning_rate("means", rate * self.radius)
+
+    def _optimizers(self) -> list[torch.optim.Optimizer]:
+        return [trained.parameters.optimizer for trained in self.sets.values()]
+
+    def _initial_beta(self) -> float | None:
+        return None
+
+    def _state(self) -> dict:
+        sets = {name: trained.parameters.detached() for name, trained in self.sets.items()}
+        return {"sets": sets, "radius": self.radius, "background": self.background}
+
+    def _restore(self, state: dict) -> None:
+        self.radius, self.background = state["radius"], state["background"]
+        for name, tensors in state["sets"].items():
+            parameters = GaussianParameters(tensors, self._rates(), self.radius)
+            self.sets[name] = TrainedSet(parameters, self._rule(name))
+
+    # Parts
+
+    def _rasterize_base(self, camera: Camera, step: int | None) -> Rendering:
+        return rasterize(
+            self._gaussians("base", step),
+            camera,
+            background=self.background,
+            near=self.settings.near,
+            backend=self.settings.backend,
+        )
+
+    def _gaussians(self, name: str, step: int | None) -> GaussianSet:
+        """The set as it is drawn at a training step, or for an image where `step` is None."""
+        if step is None:
+            return self._prepared[name]
+        every = self.schedule.at(self.settings.sh_every)
+        degree = min(self.settings.sh_degree, step // every) if every else None
+        return self.sets[name].parameters.gaussians(degree)
+
+    def _directions(self, view: View) -> Tensor:
+        return view.camera.rays()[1].to(self.device)
+
+    def _normal_weights(self, rendering: Rendering) -> Tensor | None:
+        if self.settings.normal_weighting == "depth":
+            return nearness(rendering.depth)
+        return rendering.alpha.detach() if self.settings.normal_weighting == "alpha" else None
+
+    def _resets_opacity(self, step: int) -> bool:
+        s = self.settings
+        return s.opacity_reset_every > 0 and self.schedule.resets(
+            step, stop=s.densify_until, interval=s.opacity_reset_every
+        )
+
+    def _is_finite(self, values: Tensor) -> bool:
+        gradients = [p.grad for o in self._optimizers() for g in o.param_groups for p in g["params"]]
+        present = [gradient for gradient in gradients if gradient is not None and gradient.numel()]
+        largest = torch.nn.utils.get_total_norm(present, norm_type=float("inf"))
+        return bool(torch.isfinite(largest) & torch.isfinite(values).all())
+
+    def _new_set(self, points: Tensor, colors: Tensor, rule: DensificationRule, beta: float | None) -> TrainedSet:
+        tensors = initial_tensors(
+            points.to(self.device, torch.float32),
+            colors.to(self.device, torch.float32),
+            axes=self.axes,
+            sh_degree=self.settings.sh_degree,
+            opacity=self.settings.initial_opacity,
+            beta=beta,
+            radius=self.radius,
+            generator=self.generator,
+        )
+        return TrainedSet(GaussianParameters(tensors, self._rates(), self.radius), rule)
+
+    def _rule(self, name: str) -> DensificationRule:
+        s = self.settings
+        return DensificationRule(s.densify_threshold, s.min_opacity, s.max_primitives)
+
+    def _rates(self) -> LearningRates:
+        s = self.settings
+        return LearningRates(s.position_lr, s.sh_lr, s.sh_lr / 20, s.opacity_lr, s.scale_lr, s.rotation_lr)
+
+
+def _extent(points: Tensor) -> float:
+    """Half the diagonal of the points' box, at least a hair: the scene scale where all cameras share one centre."""
+    return max(0.5 * float((points.amax(0) - points.amin(0)).norm()), 1e-3)

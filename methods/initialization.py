@@ -1,0 +1,83 @@
+"""Where Gaussians start: at structure-from-motion points, or at random in a box around them."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from .parameters import inverse_sigmoid, sh_from_rgb
+
+NEIGHBOURS = 3
+SMALLEST_SCALE = 1e-5  # of the scene radius: coincident points still need an extent
+
+
+def neighbour_distance(points: Tensor, radius: float) -> Tensor:
+    """RMS distance of each of the points [N, 3] to its 3 nearest neighbours, [N], at least 1e-5 of `radius`.
+
+    A point with fewer neighbours uses those it has; a lone point gets 1 % of `radius`.
+    """
+    count = min(NEIGHBOURS, len(points) - 1)
+    if count < 1:
+        return torch.full((len(points),), 0.01 * radius, dtype=points.dtype, device=points.device)
+    positions = points.detach().cpu().double().numpy()
+    distances = cKDTree(positions).query(positions, k=count + 1, workers=-1)[0][:, 1:]
+    rms = torch.from_numpy(np.sqrt((distances**2).mean(axis=1)))
+    return rms.clamp_min(SMALLEST_SCALE * radius).to(points)
+
+
+def initial_tensors(
+    points: Tensor,  # [N, 3]
+    colors: Tensor,  # [N, 3] in [0, 1]
+    *,
+    axes: int,
+    sh_degree: int,
+    opacity: float,
+    beta: float | None,
+    radius: float,
+    generator: torch.Generator,
+) -> dict[str, Tensor]:
+    """`GaussianParameters`' tensors for one primitive at each point.
+
+    Isotropic, with the neighbour distance as scale on its `axes` (2: surfels, 3: 3D Gaussians), a random orientation,
+    one opacity, the point's colour from every side, and, where `beta` is given, that blending weight.
+    """
+    n = len(points)
+    dc, rest = sh_from_rgb(colors, sh_degree)
+    tensors = {
+        "means": points.clone(),
+        "quaternions": torch.randn(n, 4, generator=generator).to(points),
+        "log_scales": neighbour_distance(points, radius).log()[:, None].repeat(1, axes),
+        "opacity_logits": inverse_sigmoid(torch.full_like(points[:, 0], opacity)),
+        "sh_dc": dc,
+        "sh_rest": rest,
+    }
+    if beta is not None:
+        tensors["beta_logits"] = inverse_sigmoid(torch.full_like(points[:, :1], beta))
+    return tensors
+
+
+def quantile_box(points: Tensor, quantile: float) -> tuple[Tensor, Tensor]:
+    """Corners [3], [3] of the axis-aligned box that holds the central `quantile` of the points' range on each axis.
+
+    EnvGS paper, Sec. 4.3: with 0.995 the box reaches from the 0.25 % to the 99.75 % quantile. An axis on which the
+    points have no extent is widened to a thousandth of the longest.
+    """
+    positions = points.detach().cpu().double().numpy()
+    tail = (1 - quantile) / 2
+    low, high = np.quantile(positions, [tail, 1 - tail], axis=0)
+    extent = (high - low).max()
+    flat = (high - low) < 1e-3 * extent
+    centre = (low + high) / 2
+    low = np.where(flat, centre - 5e-4 * extent, low)
+    high = np.where(flat, centre + 5e-4 * extent, high)
+    return torch.from_numpy(low).to(points), torch.from_numpy(high).to(points)
+
+
+def random_points_in_grid(low: Tensor, high: Tensor, grid: int, per_cell: int, generator: torch.Generator) -> Tensor:
+    """`per_cell` uniform random points in each of the grid³ equal cells of the box, [grid³ · per_cell, 3]."""
+    axis = torch.arange(grid)
+    cells = torch.cartesian_prod(axis, axis, axis).repeat_interleave(per_cell, dim=0)
+    unit = (cells + torch.rand(cells.shape, generator=generator)) / grid
+    return low + unit.to(low) * (high - low)

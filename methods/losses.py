@@ -1,0 +1,68 @@
+"""The loss terms of EnvGS (paper Sec. 4.3, Eqs. 7 to 11). Images are [H, W, 3] in [0, 1]; every loss is a scalar."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from envgs_bench.core.ssim import ssim
+
+SSIM_SHARE = 0.2  # of the photometric loss, as 3DGS
+
+
+def photometric_loss(image: Tensor, target: Tensor) -> Tensor:
+    """L_rgb = 0.8·mean |I − I_gt| + 0.2·(1 − SSIM)."""
+    difference = (image - target).abs().mean()
+    return (1 - SSIM_SHARE) * difference + SSIM_SHARE * (1 - ssim(image, target))
+
+
+def normal_loss(normal: Tensor, reference: Tensor, weight: Tensor | None = None) -> Tensor:
+    """Mean over pixels of 1 − n·N (Eqs. 7 and 9).
+
+    Args:
+        normal: [H, W, 3] blended normals as rendered, Σ wᵢnᵢ: where a surface is not opaque they are shorter than 1.
+        reference: [H, W, 3] unit normals in the same frame; zero where unknown: such pixels count as no error.
+        weight: [H, W] weight of a pixel's error, 1 where None.
+    """
+    known = (reference.detach().abs().sum(-1) > 0).to(normal)
+    error = known - (normal * reference).sum(-1)
+    return (error if weight is None else error * weight).mean()
+
+
+def depth_normals(depth: Tensor, directions: Tensor) -> Tensor:
+    """Normals of the surface that a depth map shows, by central differences (Eq. 8).
+
+    Args:
+        depth: [H, W] distance along each pixel's ray, 0 where nothing is hit.
+        directions: [H, W, 3] the pixels' rays as `Camera.rays()` gives them (through the pixel centres).
+
+    Returns:
+        [H, W, 3] unit normals in the frame of `directions`, facing the viewer; 0 on the border and wherever one of the
+        four neighbours has no depth.
+    """
+    points = depth[..., None] * directions  # relative to the camera's centre, which differences do not see
+    down = points[2:, 1:-1] - points[:-2, 1:-1]
+    right = points[1:-1, 2:] - points[1:-1, :-2]
+    hit = depth.detach() > 0
+    complete = hit[2:, 1:-1] & hit[:-2, 1:-1] & hit[1:-1, 2:] & hit[1:-1, :-2]
+    normals = functional.normalize(torch.linalg.cross(down, right), dim=-1) * complete[..., None]
+    return functional.pad(normals, (0, 0, 1, 1, 1, 1))
+
+
+def nearness(depth: Tensor) -> Tensor:
+    """clip(1 − normalised depth, 0, 1), [H, W]: 1 at the nearest hit, 0 at the farthest; 1 everywhere on a flat map.
+
+    A weight for the normal losses that spares far surfaces. Depth is normalised to the range of the pixels with a hit.
+    """
+    depth = depth.detach()
+    hits = depth[depth > 0]
+    if not len(hits):
+        return torch.ones_like(depth)
+    low, high = hits.min(), hits.max()
+    return (1 - (depth - low) / (high - low).clamp_min(1e-6 * high)).clamp(0, 1)
+
+
+def psnr(image: Tensor, target: Tensor) -> Tensor:
+    """−10·log10 of the mean squared error of the clamped image, for progress displays only."""
+    return -10 * torch.log10(functional.mse_loss(image.detach().clamp(0, 1), target).clamp_min(1e-12))

@@ -1,0 +1,148 @@
+"""GaussianParameters: the trained form of a set of Gaussians, with an Adam group a field and rows that come and go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from envgs_bench.core import GaussianSet
+
+ADAM_EPSILON = 1e-15  # as 3DGS: gradients of a mean over pixels are tiny
+SH_DC = 0.28209479177387814  # the constant spherical harmonic, 1 / (2·√π)
+
+
+@dataclass(frozen=True)
+class LearningRates:
+    """Adam's step sizes, one a field (EnvGS paper Sec. 5.1, values of 2DGS). The positions' is × scene radius."""
+
+    position: float = 1.6e-4
+    sh_dc: float = 2.5e-3
+    sh_rest: float = 1.25e-4
+    opacity: float = 5e-2
+    scale: float = 5e-3
+    rotation: float = 1e-3
+    beta: float = 1e-2
+
+
+class GaussianParameters:
+    """N Gaussians as unconstrained tensors: what Adam moves, from which `gaussians()` makes a `GaussianSet`.
+
+    | field | shape | activation |
+    |---|---|---|
+    | means | [N, 3] | none |
+    | quaternions | [N, 4] | none (the core normalises) |
+    | log_scales | [N, 2] or [N, 3] | exp |
+    | opacity_logits | [N] | sigmoid |
+    | sh_dc, sh_rest | [N, 1, 3], [N, K − 1, 3] | none |
+    | beta_logits (optional) | [N, 1] | sigmoid; the set's `extras` |
+
+    Rows are added and removed together with Adam's moments: a row that stays keeps its own, a new row starts at zero.
+    """
+
+    def __init__(self, tensors: Mapping[str, Tensor], rates: LearningRates, radius: float) -> None:
+        self.tensors = {name: value.detach().clone().requires_grad_() for name, value in tensors.items()}
+        by_field = {
+            "means": rates.position * radius,
+            "quaternions": rates.rotation,
+            "log_scales": rates.scale,
+            "opacity_logits": rates.opacity,
+            "sh_dc": rates.sh_dc,
+            "sh_rest": rates.sh_rest,
+            "beta_logits": rates.beta,
+        }
+        groups = [{"params": [value], "lr": by_field[name], "name": name} for name, value in self.tensors.items()]
+        self.optimizer = torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
+
+    def __len__(self) -> int:
+        return self.tensors["means"].shape[0]
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes of the stored parameters as float32."""
+        return 4 * sum(value.numel() for value in self.tensors.values())
+
+    def gaussians(self, sh_degree: int | None = None) -> GaussianSet:
+        """The activated set, differentiable; with `sh_degree` its colour is cut to that many SH bands."""
+        t = self.tensors
+        sh = torch.cat([t["sh_dc"], t["sh_rest"]], dim=1)
+        if sh_degree is not None:
+            sh = sh[:, : (sh_degree + 1) ** 2]
+        return GaussianSet(
+            means=t["means"],
+            quaternions=t["quaternions"],
+            scales=t["log_scales"].exp(),
+            opacities=t["opacity_logits"].sigmoid(),
+            sh=sh,
+            extras=t["beta_logits"].sigmoid() if "beta_logits" in t else None,
+        )
+
+    def gradients(self) -> list[Tensor]:
+        return [value.grad for value in self.tensors.values() if value.grad is not None]
+
+    def set_learning_rate(self, name: str, rate: float) -> None:
+        self._group(name)["lr"] = rate
+
+    def replace(self, name: str, values: Tensor) -> None:
+        """Overwrite one field, same shape, and forget its moments."""
+        old = self.tensors[name]
+        state = self.optimizer.state.get(old, {})
+        for moment in ("exp_avg", "exp_avg_sq"):
+            if moment in state:
+                state[moment].zero_()
+        with torch.no_grad():
+            old.copy_(values)
+
+    def keep(self, rows: Tensor) -> None:
+        """Keep only the rows that a mask [N] or an index names, in that order."""
+        for name, old in list(self.tensors.items()):
+            self._swap(name, old.detach()[rows], lambda moment: moment[rows])
+
+    def append(self, rows: Mapping[str, Tensor]) -> None:
+        """Add rows behind the present ones; `rows` holds every field."""
+
+        def padded(moment: Tensor, new: Tensor) -> Tensor:
+            return torch.cat([moment, torch.zeros_like(new)])
+
+        for name, old in list(self.tensors.items()):
+            new = rows[name].detach().to(old)
+            self._swap(name, torch.cat([old.detach(), new]), lambda moment, new=new: padded(moment, new))
+
+    def detached(self) -> dict[str, Tensor]:
+        """The present values without gradients, not copied."""
+        return {name: value.detach() for name, value in self.tensors.items()}
+
+    def rows(self, index: Tensor) -> dict[str, Tensor]:
+        """Copies of the rows that a mask [N] or an index names, every field, without gradients."""
+        return {name: value.detach()[index].clone() for name, value in self.tensors.items()}
+
+    def _group(self, name: str) -> dict:
+        return next(group for group in self.optimizer.param_groups if group["name"] == name)
+
+    def _swap(self, name: str, values: Tensor, carry) -> None:
+        """Put `values` in the field's place, with Adam's moments passed through `carry`."""
+        old, new = self.tensors[name], values.contiguous().requires_grad_()
+        state = self.optimizer.state.pop(old, None)
+        if state:
+            moments = {key: carry(state[key]).contiguous() for key in ("exp_avg", "exp_avg_sq")}
+            self.optimizer.state[new] = {"step": state["step"], **moments}
+        self._group(name)["params"] = [new]
+        self.tensors[name] = new
+
+
+def inverse_sigmoid(values: Tensor) -> Tensor:
+    """log(p / (1 − p)), with p clamped to [1e-6, 1 − 1e-6]."""
+    return torch.logit(values, eps=1e-6)
+
+
+def sh_from_rgb(rgb: Tensor, degree: int) -> tuple[Tensor, Tensor]:
+    """SH that shows `rgb` [N, 3] from every direction: the constant [N, 1, 3] and zeros [N, (degree+1)² − 1, 3]."""
+    dc = ((rgb - 0.5) / SH_DC)[:, None]
+    return dc, dc.new_zeros(len(rgb), (degree + 1) ** 2 - 1, 3)
+
+
+def normalised(quaternions: Tensor) -> Tensor:
+    return functional.normalize(quaternions, dim=-1)

@@ -1,0 +1,208 @@
+"""ReflectiveMethod: what EnvGS and the environment map share, all but where the reflected colour comes from.
+
+A rasterized base set gives each pixel's surface point, normal, base colour and blending weight β; the reflected ray's
+colour is blended over the base (EnvGS paper, Sec. 4.1).
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from envgs_bench.core import Camera, Rendering, Scene, Statistics
+
+from .gaussian_method import GaussianMethod, GaussianSettings
+from .parameters import LearningRates, inverse_sigmoid
+from .schedule import DISTURB_FLOOR
+
+MIN_ALPHA = 1e-2  # a pixel with less alpha, or a shorter blended normal, has no surface to reflect at
+SABOTAGE_BELOW = 0.05  # β up to which a base colour is disturbed
+SABOTAGE_RANGE = 0.4
+PROPAGATE_ABOVE = 0.02  # β from which a primitive is enlarged
+PROPAGATE_SCALE = 1.5
+
+
+@dataclass(frozen=True)
+class ReflectionSettings(GaussianSettings):
+    """Settings of a base set with reflections. Steps are those of a run of 30,000."""
+
+    densify_until: int = 21_000
+    densify_slowly_every: int = 500  # the base set's interval while the reflections settle
+
+    bootstrap: int = 3_000  # steps with the base set alone
+    joint: bool = True  # reflected rays pass gradients on to the base set's normals and positions
+    initial_beta: float = 1e-3
+    beta_lr: float = 1e-2
+    beta_threshold: float = 1 / 255  # an image traces no ray whose β is below; in training every surface reflects
+    ray_offset: float = 1e-3  # a reflected ray starts this far above the surface, × scene radius
+
+    disturb_every: int = 1_000  # colour sabotage and normal propagation; 0: never
+    disturb_until: int = 18_000
+    sabotage: bool = True
+    propagate: bool = True
+    propagate_hold: int = 200  # steps after a propagation in which opacities rest
+    beta_reset: str = "min"  # with an opacity reset, β to at most its start (min), to at least it (max), or none
+    beta_reset_from: int = 6_000
+
+
+class ReflectiveMethod(GaussianMethod):
+    """A base set of surfels with β, and reflected rays."""
+
+    Settings: ClassVar[type] = ReflectionSettings
+    settings: ReflectionSettings
+    axes = 2
+
+    def __init__(self, settings: ReflectionSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
+        super().__init__(settings, device, seed)
+        if settings.beta_reset not in ("min", "max", "none"):
+            raise ValueError(f"beta_reset is {settings.beta_reset!r}, expected min, max or none")
+        self.reflects = False  # once the bootstrapping is over
+        self._hold_until = 0
+
+    @abstractmethod
+    def _start_reflection(self) -> None:
+        """Make what the reflected colour comes from, at the end of the bootstrapping."""
+
+    @abstractmethod
+    def _reflected_color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict]:
+        """Colour [R, 3] that the rays [R, 3], [R, 3] (unit directions) meet, and statistics by set."""
+
+    def initialize(self, scene: Scene, steps: int) -> None:
+        super().initialize(scene, steps)
+        self.reflects, self._hold_until = False, 0
+
+    def _set_rates(self, step: int) -> None:
+        if not self.reflects and step > self.schedule.at(self.settings.bootstrap):
+            self._start_reflection()
+            self.reflects = True
+        super()._set_rates(step)
+        opacity_rate = 0.0 if step <= self._hold_until else self.settings.opacity_lr
+        self.sets["base"].parameters.set_learning_rate("opacity_logits", opacity_rate)
+
+    def _draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
+        base = self._rasterize_base(camera, step)
+        statistics = {"base": base.statistics}
+        if not self.reflects:
+            return base, statistics
+        beta = base.extras
+        seen, origins, directions = reflected_rays(
+            base,
+            camera,
+            offset=self.settings.ray_offset * self.radius,
+            beta_min=None if step is not None else self.settings.beta_threshold,
+            joint=self.settings.joint,
+        )
+        color, of_rays = self._reflected_color(origins, directions, step)
+        statistics |= of_rays
+        height, width = base.alpha.shape
+        if len(seen) < height * width:
+            color = color.new_zeros(height * width, 3).index_copy(0, seen, color)
+            beta = beta * torch.zeros_like(base.alpha).reshape(-1).index_fill(0, seen, 1.0).reshape(height, width, 1)
+        reflection = color.reshape(height, width, 3)
+        blended = torch.lerp(base.color, reflection, beta)  # Eq. 5
+        layers = {"base": base.color, "reflection": reflection, "beta": base.extras}
+        return replace(base, color=blended, layers=layers), statistics
+
+    def _after_step(self, step: int) -> None:
+        s, schedule, base = self.settings, self.schedule, self.sets["base"]
+        if schedule.densifies(step, start=s.densify_from, stop=s.densify_until, interval=self._densify_interval(step)):
+            base.densify(self.radius, self.generator)
+        if s.disturb_every and schedule.disturbs(
+            step,
+            start=s.bootstrap,
+            stop=s.disturb_until,
+            interval=s.disturb_every,
+            reset_interval=s.opacity_reset_every,
+        ):
+            self._disturb(step)
+        if self._resets_opacity(step):
+            base.reset_opacity()
+            if step >= schedule.at(s.beta_reset_from):
+                self._reset_beta()
+
+    def _densify_interval(self, step: int) -> int:
+        s = self.settings
+        slow = self.schedule.at(s.bootstrap) < step <= self.schedule.at(s.disturb_until)
+        return s.densify_slowly_every if slow else s.densify_every
+
+    def _disturb(self, step: int) -> None:
+        """3DGS-DR's colour sabotage and normal propagation, which push reflections out of the base set's colour.
+
+        Where the base does not reflect its colour is disturbed, so that reflecting gets its chance to explain the
+        picture; and primitives that do reflect grow over their neighbours, so that good normals spread.
+        """
+        parameters = self.sets["base"].parameters
+        beta = parameters.tensors["beta_logits"].detach().sigmoid()
+        if self.settings.sabotage:
+            dc = parameters.tensors["sh_dc"].detach()
+            noise = (2 * torch.rand(dc.shape, generator=self.generator) - 1).to(dc) * SABOTAGE_RANGE
+            parameters.replace("sh_dc", dc + noise * (beta <= SABOTAGE_BELOW)[:, None])
+        if self.settings.propagate:
+            log_scales = parameters.tensors["log_scales"].detach()
+            parameters.replace("log_scales", log_scales + math.log(PROPAGATE_SCALE) * (beta >= PROPAGATE_ABOVE))
+            self.sets["base"].raise_opacity()
+            hold = self.settings.propagate_hold
+            self._hold_until = step + min(self.schedule.every(hold, DISTURB_FLOOR // 5), hold)
+
+    def _reset_beta(self) -> None:
+        parameters = self.sets["base"].parameters
+        logits = parameters.tensors["beta_logits"].detach()
+        start = inverse_sigmoid(torch.full_like(logits, self.settings.initial_beta))
+        if self.settings.beta_reset == "min":
+            parameters.replace("beta_logits", torch.minimum(logits, start))
+        elif self.settings.beta_reset == "max":
+            parameters.replace("beta_logits", torch.maximum(logits, start))
+
+    def _initial_beta(self) -> float | None:
+        return self.settings.initial_beta
+
+    def _rates(self) -> LearningRates:
+        return replace(super()._rates(), beta=self.settings.beta_lr)
+
+    def _state(self) -> dict:
+        return super()._state() | {"reflects": self.reflects}
+
+    def _restore(self, state: dict) -> None:
+        super()._restore(state)
+        self.reflects = state["reflects"]
+
+
+def reflected_rays(
+    base: Rendering, camera: Camera, *, offset: float, beta_min: float | None, joint: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The rays that a rendered surface reflects (Eqs. 3 and 4).
+
+    d_ref = d − 2(d·n)n of the unit camera ray d at the normalised blended normal n, from the camera ray's point at the
+    expected depth, moved by `offset` (world units) along n.
+
+    Args:
+        base: a rendering with [H, W, …] fields; `extras[..., 0]` is β.
+        beta_min: leave out pixels whose blended β is not above it; None: none.
+        joint: whether gradients flow back through points and normals.
+
+    Returns:
+        Flat pixel numbers [R] of the pixels that reflect, origins [R, 3], unit directions [R, 3]. Pixels without a
+        surface (alpha or |n| near 0) do not reflect.
+    """
+    with torch.no_grad():
+        reflects = (base.alpha > MIN_ALPHA) & (base.normal.square().sum(-1) > MIN_ALPHA**2)
+        if beta_min is not None:
+            reflects &= base.extras[..., 0] > beta_min
+        pixels = torch.nonzero(reflects.reshape(-1))[:, 0]
+    directions = camera.rays()[1].reshape(-1, 3)
+    normal, depth = base.normal.reshape(-1, 3), base.depth.reshape(-1, 1)
+    if not joint:
+        normal, depth = normal.detach(), depth.detach()
+    if len(pixels) < len(directions):
+        directions, normal, depth = (values.index_select(0, pixels) for values in (directions, normal, depth))
+    normal = functional.normalize(normal, dim=-1)
+    origins = torch.addcmul(camera.centre + offset * normal, depth, directions)
+    unit = functional.normalize(directions, dim=-1)
+    reflected = unit - 2 * (unit * normal).sum(-1, keepdim=True) * normal
+    return pixels, origins, reflected

@@ -1,0 +1,62 @@
+"""Which methods there are, and how one is made by name."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from typing import Any
+
+import torch
+
+from .method import Method, make_settings
+
+ENTRY_POINT_GROUP = "envgs_bench.methods"
+
+BUILT_IN = {
+    "2dgs": "envgs_bench.methods.two_d_gs:TwoDGS",
+    "3dgs": "envgs_bench.methods.three_d_gs:ThreeDGS",
+    "envmap": "envgs_bench.methods.envmap:EnvMap",
+    "envgs": "envgs_bench.methods.envgs:EnvGS",
+}
+
+
+def method_names() -> list[str]:
+    """The kinds that `create_method` knows by name: built in, and registered by installed packages."""
+    return sorted({*BUILT_IN, *(point.name for point in entry_points(group=ENTRY_POINT_GROUP))})
+
+
+def create_method(
+    kind: str, settings: Mapping[str, Any] | None = None, device: torch.device | str = "cpu", seed: int = 0
+) -> Method:
+    """A new method.
+
+    Args:
+        kind: a name of `method_names()` or an import path "package.module:Class".
+        settings: overrides of the method's `Settings`, by field name.
+        device: where it trains and renders.
+        seed: of everything random in it.
+
+    Raises:
+        ValueError: no such method, not a `Method`, or a setting it does not have.
+    """
+    method_class = _method_class(kind)
+    return method_class(make_settings(method_class.Settings, settings or {}, f"method {kind}"), device, seed)
+
+
+def _method_class(kind: str) -> type[Method]:
+    paths = {point.name: point.value for point in entry_points(group=ENTRY_POINT_GROUP)} | BUILT_IN
+    path = paths.get(kind, kind)
+    if ":" not in path:
+        raise ValueError(
+            f"unknown method {kind!r}: the known ones are {', '.join(sorted(paths))}; "
+            "one of your own is given as an import path, package.module:Class"
+        )
+    module_name, _, class_name = path.partition(":")
+    try:
+        found = getattr(importlib.import_module(module_name), class_name)
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"method {kind!r} cannot be imported from {path}: {error}") from error
+    if not (isinstance(found, type) and issubclass(found, Method)):
+        raise ValueError(f"method {kind!r}: {path} is not a subclass of envgs_bench.methods.method.Method")
+    return found

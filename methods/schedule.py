@@ -1,0 +1,63 @@
+"""Schedule: what happens at which step, in a run of any length.
+
+The settings give steps of a run of 30,000, the length that 3DGS, 2DGS and EnvGS are tuned for. A run of another length
+stretches them: `at` maps a point of the reference run to this run, `every` maps an interval. An interval never falls
+below a floor, because some things take a number of steps and not a share of the run:
+
+| interval | floor | why |
+|---|---|---|
+| densification | 20 steps | its criterion is a mean over views |
+| colour sabotage, normal propagation | 50 steps | the picture has to come back in between |
+| opacity reset | 150 steps | an opacity climbs back from 0.01 at 0.05 a step |
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+REFERENCE_STEPS = 30_000
+DENSIFY_FLOOR = 20
+DISTURB_FLOOR = 50
+RESET_FLOOR = 150
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """The clock of one run. Steps count from 1 to `steps`."""
+
+    steps: int
+
+    def __post_init__(self) -> None:
+        if self.steps < 1:
+            raise ValueError(f"a run has {self.steps} steps, expected at least 1")
+
+    def at(self, reference_step: int) -> int:
+        """The step of this run that lies where `reference_step` lies in a run of 30,000."""
+        return round(reference_step * self.steps / REFERENCE_STEPS)
+
+    def every(self, reference_interval: int, floor: int) -> int:
+        """An interval of the reference run in steps of this run, at least `floor`."""
+        return max(self.at(reference_interval), floor)
+
+    def position_rate(self, step: int, first: float, last: float) -> float:
+        """3DGS's log-linear decay of the position learning rate, `first` at step 0 and `last` at the run's end."""
+        progress = min(step / self.steps, 1.0)
+        return math.exp((1 - progress) * math.log(first) + progress * math.log(last))
+
+    def densifies(self, step: int, *, start: int, stop: int, interval: int) -> bool:
+        """Whether a densification that runs every `interval` between `start` and `stop` (reference) falls on `step`."""
+        return self.at(start) < step < self.at(stop) and step % self.every(interval, DENSIFY_FLOOR) == 0
+
+    def resets(self, step: int, *, stop: int, interval: int) -> bool:
+        """Whether an opacity reset, every `interval` until before `stop` (reference), falls on `step`."""
+        return step < self.at(stop) and step % self.every(interval, RESET_FLOOR) == 0
+
+    def disturbs(self, step: int, *, start: int, stop: int, interval: int, reset_interval: int) -> bool:
+        """Whether colour sabotage and normal propagation, every `interval` in (start, stop], fall on `step`.
+
+        They leave out the steps of the base set's opacity reset (3DGS-DR's schedule).
+        """
+        on_grid = step % self.every(interval, DISTURB_FLOOR) == 0
+        on_reset = step % self.every(reset_interval, RESET_FLOOR) == 0
+        return self.at(start) < step <= self.at(stop) and on_grid and not on_reset

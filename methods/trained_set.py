@@ -1,0 +1,37 @@
+"""TrainedSet: one set of Gaussians in training, with what its steps learned and the rule it grows by."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from .densification import DensificationRecord, DensificationRule, densify
+from .parameters import GaussianParameters
+
+RESET_OPACITY = 0.01
+PROPAGATED_OPACITY = 0.9
+
+
+class TrainedSet:
+    def __init__(self, parameters: GaussianParameters, rule: DensificationRule) -> None:
+        self.parameters = parameters
+        self.rule = rule
+        self.record = DensificationRecord(len(parameters), parameters.tensors["means"].device)
+
+    def densify(self, radius: float, generator: torch.Generator) -> None:
+        self.record = densify(self.parameters, self.record, self.rule, radius, generator)
+
+    def reset_opacity(self) -> None:
+        """Opacities down to at most 0.01 (3DGS), so that what no view needs can be pruned."""
+        logits = self.parameters.tensors["opacity_logits"].detach()
+        self.parameters.replace("opacity_logits", logits.clamp_max(_logit(RESET_OPACITY)))
+
+    def raise_opacity(self) -> None:
+        """Opacities up to at least 0.9 (3DGS-DR's normal propagation)."""
+        logits = self.parameters.tensors["opacity_logits"].detach()
+        self.parameters.replace("opacity_logits", logits.clamp_min(_logit(PROPAGATED_OPACITY)))
+
+
+def _logit(probability: float) -> float:
+    return math.log(probability / (1 - probability))
