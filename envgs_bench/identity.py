@@ -1,0 +1,87 @@
+"""Which run is this: a hash of what determines the result."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from .settings import PATH_KEYS, RunSettings
+
+# The parts of this package whose code can change a result, relative to the folder they are imported from.
+RESULT_CODE = ("core", "methods", "datasets", "metrics", "training.py", "evaluation.py", "timing.py", "worker.py")
+SOURCES = {".py", ".h", ".cpp", ".cu"}
+
+
+def run_id(settings: RunSettings, device: str) -> str:
+    """`seed<seed>-<hash8>`: equal where method, data, steps, seed, protocol, timing, device and code are equal.
+
+    Where data lie does not count, what lies there does (names and sizes of the files): a corrected data set is a new
+    run, a moved one is not. Neither do runs_dir, cache_dir, force, retry_failed and timeout_minutes.
+    """
+    determining = {
+        "method": _with_fingerprints(settings.method),
+        "dataset": _with_fingerprints(settings.dataset),
+        "steps": settings.steps,
+        "seed": settings.seed,
+        "protocol": settings.protocol,
+        "timing": settings.timing.model_dump(),
+        "device": device,
+        "code": code_version(),
+        "extensions": [_module_hash(node["kind"]) for node in (settings.method, settings.dataset)],
+    }
+    digest = hashlib.sha256(json.dumps(determining, sort_keys=True, default=str).encode()).hexdigest()
+    return f"seed{settings.seed}-{digest[:8]}"
+
+
+@cache
+def code_version() -> str:
+    """A hash of the sources in RESULT_CODE. Finer than the commit: a change of a report or of a page is none here."""
+    digest = hashlib.sha256()
+    for part in RESULT_CODE:
+        root = _location(part)
+        files = sorted(path for path in root.rglob("*") if path.suffix in SOURCES) if root.is_dir() else [root]
+        for path in files:
+            digest.update(f"{part}/{path.relative_to(root)}\0".encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _location(part: str) -> Path:
+    """Methods, datasets and metrics may lie outside this folder in an editable install: ask the import system."""
+    if part.endswith(".py") or part == "core":
+        return Path(__file__).parent / part
+    spec = importlib.util.find_spec(f"{__package__}.{part}")
+    assert spec is not None
+    assert spec.origin is not None
+    return Path(spec.origin).parent
+
+
+def _module_hash(kind: str) -> str | None:
+    """The hash of the module's file where `kind` is an import path "package.module:Class", else None."""
+    module, colon, _ = kind.partition(":")
+    if not colon:
+        return None
+    try:
+        spec = importlib.util.find_spec(module)
+    except ImportError:
+        return None  # loading it will say so
+    if spec is None or spec.origin is None or not Path(spec.origin).is_file():
+        return None
+    return hashlib.sha256(Path(spec.origin).read_bytes()).hexdigest()
+
+
+def _with_fingerprints(node: dict[str, Any]) -> dict[str, Any]:
+    return {key: _fingerprint(Path(value)) if key in PATH_KEYS and value else value for key, value in node.items()}
+
+
+def _fingerprint(root: Path) -> list[tuple[str, int]] | str:
+    """Names and sizes of what lies at `root`, or the path itself where there is nothing."""
+    if root.is_file():
+        return [(root.name, root.stat().st_size)]
+    if not root.is_dir():
+        return str(root)
+    return [(str(path.relative_to(root)), path.stat().st_size) for path in sorted(root.rglob("*")) if path.is_file()]

@@ -1,0 +1,233 @@
+"""record.json: what one run was and how it ended. The only interface between running and reporting."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+SCHEMA_VERSION = 1
+RECORD_NAME = "record.json"
+
+Status = Literal["ok", "failed", "diverged", "out_of_memory", "timeout", "interrupted"]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Scores = dict[str, Finite | None]  # metric -> value; None where it could not be computed
+
+
+class RecordError(ValueError):
+    """A record that cannot be read or written; the message names the file and what is wrong with it."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Failure(_Part):
+    """Why a run has no status ok."""
+
+    type: str  # the exception's class, or the signal's name
+    message: str
+    log_tail: str  # the last lines of log.txt
+
+
+class ProtocolName(_Part):
+    name: str
+    hash: str
+    description: str
+
+
+class ViewScores(BaseModel):
+    """Scores of one view: its name, then one key a metric."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+    __pydantic_extra__: Scores
+
+    view: str
+
+    @property
+    def scores(self) -> Scores:
+        return dict(self.__pydantic_extra__)
+
+
+class Metrics(_Part):
+    """Scores over the full images of the test views; `mean` is unweighted over views."""
+
+    mean: Scores
+    per_view: list[ViewScores]
+    not_computed: dict[str, str]  # metric -> why it is None
+
+
+class MaskedScores(BaseModel):
+    """Scores inside one region: one key a metric, unweighted over the views that show the region."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+    __pydantic_extra__: Scores
+
+    fraction: Finite  # of the pixels of those views
+    per_view: list[ViewScores]
+
+    @property
+    def scores(self) -> Scores:
+        return dict(self.__pydantic_extra__)
+
+
+class ViewTimes(_Part):
+    view: str
+    times_ms: list[Finite]  # every timed frame
+
+
+class Timing(_Part):
+    """Frame time: the mean over views of each view's median. Comparable only on one device and at one size."""
+
+    frame_ms: Finite
+    frame_ms_p95: Finite
+    fps: Finite  # 1000 / frame_ms
+    prepare_ms: Finite  # once a model: acceleration structures
+    height: int
+    width: int
+    per_view: list[ViewTimes]
+    contract: str  # what was timed and how, in words
+
+
+class Cost(_Part):
+    primitives: dict[str, int]  # set -> count at the end
+    bytes: dict[str, int]  # set -> size of what rendering needs
+    model_bytes: int  # the sum of `bytes`
+    train_seconds: Finite  # without evaluation
+    peak_host_bytes: int
+    peak_device_bytes: int | None  # None on a CPU
+    skipped_steps: int  # steps whose loss or gradient was not finite
+    peak_primitives: int  # the most of all sets together, at any step
+
+
+class Provenance(BaseModel):
+    """Who computed this, with what, on what."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    version: str
+    commit: str | None
+    dirty: bool | None
+    python: str
+    packages: dict[str, str]
+    machine: dict[str, Any]
+    device: dict[str, Any] | str
+    threads: int
+    started: str  # ISO 8601, UTC
+    finished: str
+    command: str
+
+
+class Record(_Part):
+    """One run. Parts that a failed run did not reach are None; what it did compute is kept."""
+
+    schema_version: Literal[1] = SCHEMA_VERSION
+    status: Status
+    error: Failure | None
+    method: str
+    kind: str
+    dataset: str
+    seed: int
+    steps: int
+    run_id: str
+    overrides: list[str]
+    config: dict[str, Any]
+    protocol: ProtocolName
+    metrics: Metrics | None = None
+    masked: dict[str, MaskedScores] = {}
+    timing: Timing | None = None
+    cost: Cost | None = None
+    provenance: Provenance
+
+    @model_validator(mode="after")
+    def _complete(self) -> Record:
+        if self.status == "ok":
+            absent = [name for name in ("metrics", "timing", "cost") if getattr(self, name) is None]
+            if absent:
+                raise ValueError(f"status is ok but {', '.join(absent)} is null")
+        elif self.error is None:
+            raise ValueError(f"status is {self.status} but error is null")
+        return self
+
+
+def read_record(path: Path) -> Record:
+    """The validated record at `path` (record.json itself or the run's folder).
+
+    Raises:
+        RecordError: unreadable, truncated, of an unknown schema version, or with missing or wrong keys.
+    """
+    path = path / RECORD_NAME if path.is_dir() else path
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordError(f"{path}: cannot be read: {error}") from error
+    remedy = "Delete the file, or run the job again with force=true."
+    try:
+        content = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise RecordError(f"{path}: not valid JSON (truncated?): {error}. {remedy}") from error
+    if not isinstance(content, dict):
+        raise RecordError(f"{path}: expected a JSON object, found {type(content).__name__}. {remedy}")
+    version = content.get("schema_version")
+    if version != SCHEMA_VERSION:
+        raise RecordError(
+            f"{path}: schema_version is {version!r}, this version of envgs-bench reads {SCHEMA_VERSION}. "
+            "Read it with the version that wrote it, or run the job again with force=true."
+        )
+    try:
+        return Record.model_validate_json(text)
+    except ValidationError as error:
+        raise RecordError(f"{path}: {_problems(error)}. {remedy}") from error
+
+
+def write_record(folder: Path, content: Record) -> Path:
+    """Write `content` as `<folder>/record.json`: validated, and complete or not there at all.
+
+    Raises:
+        RecordError: the content does not validate; nothing is written.
+    """
+    path = folder / RECORD_NAME
+    text = content.model_dump_json(indent=1)
+    try:
+        Record.model_validate_json(text)
+    except ValidationError as error:
+        raise RecordError(f"{path}: not written: {_problems(error)}") from error
+    write_atomically(path, text + "\n")
+    return path
+
+
+def find_records(root: Path) -> Iterator[Path]:
+    """Paths of all record.json files under `root`, sorted.
+
+    Raises:
+        RecordError: `root` is no folder.
+    """
+    if not root.is_dir():
+        raise RecordError(f"{root}: no such folder; expected the runs_dir of an `envgs-bench run`")
+    yield from sorted(root.rglob(RECORD_NAME))
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write to a temporary file beside `path`, then rename: a reader sees the old file or the new one, never half."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def _problems(error: ValidationError, most: int = 5) -> str:
+    problems = [f"{'.'.join(map(str, item['loc'])) or 'record'}: {item['msg']}" for item in error.errors()]
+    more = f" and {len(problems) - most} more" if len(problems) > most else ""
+    return "; ".join(problems[:most]) + more

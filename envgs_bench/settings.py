@@ -1,0 +1,115 @@
+"""RunSettings: everything that one run was told, after Hydra composed it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+CONFIG_NAME = "config.yaml"
+
+# Keys of a method or a data set that name files; made absolute, so that a run does not depend on where it was started.
+PATH_KEYS = ("root", "path")
+
+
+class SettingsError(ValueError):
+    """A setting that cannot be used; the message names the key, what was given and what was expected."""
+
+
+class TimingSettings(BaseModel):
+    """How long each view is timed: until either is reached, after one warm-up frame."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    frames: Annotated[int, Field(ge=1)]
+    seconds: Annotated[float, Field(gt=0)]
+
+
+class RunSettings(BaseModel):
+    """One job, as composed; stored beside the record as config.yaml."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    method: dict[str, Any]  # name, kind and the method's own settings
+    dataset: dict[str, Any]  # name, kind and the data source's own settings
+    protocol: str
+    seed: Annotated[int, Field(ge=0, lt=2**32)]
+    steps: Annotated[int, Field(ge=1)]
+    device: Literal["auto", "cpu", "cuda"]
+    timing: TimingSettings
+    timeout_minutes: Annotated[float, Field(gt=0)] | None
+    runs_dir: Path
+    cache_dir: Path
+    force: bool
+    retry_failed: bool
+    overrides: list[str] = []  # what was given on the command line, for the record
+
+    @field_validator("runs_dir", mode="after")
+    @classmethod
+    def _absolute(cls, path: Path) -> Path:
+        return _resolved(path)
+
+    @field_validator("cache_dir", mode="before")
+    @classmethod
+    def _default_cache(cls, path: Any) -> Path:
+        return _resolved(Path(path)) if path else default_cache_dir()
+
+    @field_validator("method", "dataset", mode="after")
+    @classmethod
+    def _absolute_paths(cls, node: dict[str, Any]) -> dict[str, Any]:
+        if not isinstance(node.get("kind"), str):
+            raise ValueError("needs a key `kind` that names what to load")
+        paths = {key: str(_resolved(Path(node[key]))) for key in PATH_KEYS if isinstance(node.get(key), str)}
+        return {**node, **paths}
+
+    @property
+    def method_name(self) -> str:
+        return _slug(self.method.get("name") or self.method["kind"])
+
+    @property
+    def dataset_name(self) -> str:
+        """The configured name, or else the name of the folder that the data lie in."""
+        name = self.dataset.get("name") or (Path(self.dataset["root"]).name if self.dataset.get("root") else None)
+        return _slug(name or self.dataset["kind"])
+
+    @property
+    def method_settings(self) -> dict[str, Any]:
+        return {key: value for key, value in self.method.items() if key not in ("name", "kind")}
+
+
+def parse_settings(content: Any) -> RunSettings:
+    """The settings in `content`, a mapping as config.yaml holds it.
+
+    Raises:
+        SettingsError: a key is missing, unknown or of a wrong value; every such key is named.
+    """
+    try:
+        return RunSettings.model_validate(content)
+    except ValidationError as error:
+        problems = [
+            f"{'.'.join(map(str, item['loc']))}={item['input']!r}: {item['msg'].removeprefix('Value error, ')}"
+            for item in error.errors()
+        ]
+        raise SettingsError("\n".join(problems)) from error
+
+
+def read_settings(folder: Path) -> RunSettings:
+    return parse_settings(yaml.safe_load((folder / CONFIG_NAME).read_text(encoding="utf-8")))
+
+
+def default_cache_dir() -> Path:
+    """$ENVGS_BENCH_CACHE, or else ~/.cache/envgs-bench."""
+    return _resolved(Path(os.environ.get("ENVGS_BENCH_CACHE") or "~/.cache/envgs-bench"))
+
+
+def _resolved(path: Path) -> Path:
+    return Path(os.path.abspath(path.expanduser()))
+
+
+def _slug(name: str) -> str:
+    """`name` as one folder's name: whatever is no letter, digit, dot, dash or underscore becomes a dash."""
+    slug = "".join(character if character.isalnum() or character in "._-" else "-" for character in str(name))
+    return slug.strip(".") or "unnamed"
