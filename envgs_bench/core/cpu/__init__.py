@@ -1,0 +1,117 @@
+"""The native backend: C++ on all cores, SIMD. The default where there is no GPU."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from ..backends import RasterizeOptions, TraceOptions
+from ..camera import Camera
+from ..differentiable import Drawn, Gradients, Planes, SetTensors, draw
+from ..gaussians import GaussianSet
+from ..rendering import Rendering
+from ..trace import Bvh
+
+try:
+    from . import _native
+
+    _import_error = None
+except ImportError as error:
+    _import_error = error
+
+
+def why_unavailable() -> str | None:
+    if _import_error is not None:
+        return f"its extension did not load ({_import_error}); reinstall the package with a C++20 compiler present"
+    return None
+
+
+def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> Rendering:
+    flat = draw(_RasterPass(gaussians, camera, options), gaussians)
+    shape = (camera.height, camera.width)
+    names = ("color", "alpha", "depth", "normal", "extras", "hits")
+    return replace(flat, **{name: getattr(flat, name).unflatten(0, shape) for name in names})
+
+
+def build_bvh(gaussians: GaussianSet) -> Bvh:
+    return Bvh("cpu", len(gaussians), _native.Bvh(tuple(SetTensors.of(gaussians)), torch.get_num_threads()))
+
+
+def trace(
+    gaussians: GaussianSet, origins: Tensor, directions: Tensor, bvh: Bvh | None, options: TraceOptions
+) -> Rendering:
+    return draw(_TracePass(gaussians, origins, directions, bvh, options), gaussians, origins, directions)
+
+
+def _zero_gradients(tensors: SetTensors) -> tuple[SetTensors, Tensor]:
+    return SetTensors(*(torch.zeros_like(tensor) for tensor in tensors)), torch.zeros_like(tensors.means)
+
+
+class _RasterPass:
+    def __init__(self, gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> None:
+        self.tensors = SetTensors.of(gaussians)
+        self.pixels = camera.width * camera.height
+        self.native = _native.raster_pass(
+            tuple(self.tensors),
+            camera.world_to_camera.contiguous(),
+            camera.intrinsics.contiguous(),
+            camera.pixel_to_direction().contiguous(),
+            camera.centre.contiguous(),
+            camera.width,
+            camera.height,
+            options.near,
+            options.low_pass,
+            options.background,
+            options.transmittance_min,
+            torch.get_num_threads(),
+        )
+
+    def forward(self, keep: bool) -> Drawn:
+        planes = Planes.empty(self.tensors.means, self.pixels, self.tensors.extras.shape[1])
+        hits = torch.empty(self.pixels, dtype=torch.int32)
+        weights = torch.empty_like(self.tensors.opacities)
+        self.native.forward(tuple(planes), hits, weights)
+        return Drawn(planes, hits, weights)
+
+    def backward(self, planes: Planes, gradients: tuple[Tensor | None, ...]) -> Gradients:
+        result, position_gradients = _zero_gradients(self.tensors)
+        self.native.backward(tuple(planes), gradients, (*result, position_gradients))
+        return Gradients(result, position_gradients)
+
+
+class _TracePass:
+    def __init__(
+        self, gaussians: GaussianSet, origins: Tensor, directions: Tensor, bvh: Bvh | None, options: TraceOptions
+    ) -> None:
+        self.tensors = SetTensors.of(gaussians)
+        self.origins, self.directions = origins.detach().contiguous(), directions.detach().contiguous()
+        threads = torch.get_num_threads()
+        if bvh is not None and bvh.backend != "cpu":
+            raise ValueError(f"the BVH was built by backend {bvh.backend!r}, this is 'cpu': build it with backend='cpu'")
+        handle = _native.Bvh(tuple(self.tensors), threads) if bvh is None else bvh.handle
+        self.native = _native.TracePass(
+            handle,
+            tuple(self.tensors),
+            self.origins,
+            self.directions,
+            options.background,
+            options.t_min,
+            options.transmittance_min,
+            threads,
+        )
+
+    def forward(self, keep: bool) -> Drawn:
+        rays = self.origins.shape[0]
+        planes = Planes.empty(self.tensors.means, rays, self.tensors.extras.shape[1])
+        hits = torch.empty(rays, dtype=torch.int32)
+        weights = torch.empty_like(self.tensors.opacities)
+        self.native.forward(tuple(planes), hits, weights, keep)
+        return Drawn(planes, hits, weights)
+
+    def backward(self, planes: Planes, gradients: tuple[Tensor | None, ...]) -> Gradients:
+        result, position_gradients = _zero_gradients(self.tensors)
+        origins, directions = torch.empty_like(self.origins), torch.empty_like(self.directions)
+        self.native.backward(tuple(planes), gradients, (*result, position_gradients), origins, directions)
+        return Gradients(result, position_gradients, origins, directions)

@@ -1,0 +1,106 @@
+// What Python sees. Arrays are borrowed, never copied; the Python side keeps them alive as long as a pass is.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/tuple.h>
+
+#include <optional>
+#include <tuple>
+
+#include "rasterize.h"
+#include "trace.h"
+
+namespace nb = nanobind;
+
+namespace {
+
+using namespace envgs;
+
+using In = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
+using Out = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
+using OutInt = nb::ndarray<int32_t, nb::c_contig, nb::device::cpu>;
+using InSet = std::tuple<In, In, In, In, In, In>;          // means, quaternions, scales, opacities, sh, extras
+using OutSet = std::tuple<Out, Out, Out, Out, Out, Out, Out>;  // the same, and position gradients
+using OutPlanes = std::tuple<Out, Out, Out, Out, Out>;     // color, alpha, depth, normal, extras
+using InPlanes = std::tuple<In, In, In, In, In>;
+using GradientPlanes = std::tuple<std::optional<In>, std::optional<In>, std::optional<In>, std::optional<In>,
+                                  std::optional<In>>;
+
+Gaussians gaussians_of(const InSet& set) {
+    const auto& [means, quaternions, scales, opacities, sh, extras] = set;
+    return {means.data(), quaternions.data(), scales.data(), opacities.data(), sh.data(), extras.data(),
+            int(means.shape(0)), int(sh.shape(1)), int(extras.shape(1))};
+}
+
+GaussianGradients gradients_of(const OutSet& set) {
+    const auto& [means, quaternions, scales, opacities, sh, extras, position_gradients] = set;
+    return {means.data(), quaternions.data(), scales.data(), opacities.data(), sh.data(), extras.data(),
+            position_gradients.data()};
+}
+
+Planes<float> planes_of(const OutPlanes& p) {
+    return {std::get<0>(p).data(), std::get<1>(p).data(), std::get<2>(p).data(), std::get<3>(p).data(),
+            std::get<4>(p).data()};
+}
+Planes<const float> planes_of(const InPlanes& p) {
+    return {std::get<0>(p).data(), std::get<1>(p).data(), std::get<2>(p).data(), std::get<3>(p).data(),
+            std::get<4>(p).data()};
+}
+Planes<const float> planes_of(const GradientPlanes& p) {
+    auto data = [](const std::optional<In>& plane) { return plane ? plane->data() : nullptr; };
+    return {data(std::get<0>(p)), data(std::get<1>(p)), data(std::get<2>(p)), data(std::get<3>(p)),
+            data(std::get<4>(p))};
+}
+
+View view_of(const In& world_to_camera, const In& intrinsics, const In& pixel_to_direction, const In& centre, int width,
+             int height, float near, bool low_pass) {
+    const float* m = world_to_camera.data();
+    return {{load3(m), load3(m + 4), load3(m + 8)}, {m[3], m[7], m[11]}, load_mat3(intrinsics.data()),
+            load_mat3(pixel_to_direction.data()), load3(centre.data()), width, height, near, low_pass};
+}
+
+}  // namespace
+
+NB_MODULE(_native, m) {
+    m.doc() = "The core's CPU backend. Called through envgs_bench.core.rasterize and trace, which check their input.";
+    m.attr("pixel_lanes") = kPixelLanes;
+
+    nb::class_<RasterPass>(m, "RasterPass")
+        .def("forward", [](RasterPass& self, const OutPlanes& out, OutInt hits, Out weights) {
+            nb::gil_scoped_release unlocked;
+            self.forward(planes_of(out), hits.data(), weights.data());
+        })
+        .def("backward", [](RasterPass& self, const InPlanes& out, const GradientPlanes& gradient, const OutSet& result) {
+            nb::gil_scoped_release unlocked;
+            self.backward(planes_of(out), planes_of(gradient), gradients_of(result));
+        });
+    m.def("raster_pass", [](const InSet& set, In world_to_camera, In intrinsics, In pixel_to_direction, In centre,
+                            int width, int height, float near, bool low_pass, In background, float transmittance_min,
+                            int threads) {
+        bool surfels = std::get<2>(set).shape(1) == 2;
+        View view = view_of(world_to_camera, intrinsics, pixel_to_direction, centre, width, height, near, low_pass);
+        return make_raster_pass(gaussians_of(set), surfels, view, load3(background.data()), transmittance_min, threads);
+    });
+
+    nb::class_<Bvh>(m, "Bvh").def("__init__", [](Bvh* self, const InSet& set, int threads) {
+        nb::gil_scoped_release unlocked;
+        new (self) Bvh(gaussians_of(set), threads);
+    });
+    nb::class_<TracePass>(m, "TracePass")
+        .def("__init__", [](TracePass* self, std::shared_ptr<Bvh> bvh, const InSet& set, In origins, In directions,
+                            In background, float t_min, float transmittance_min, int threads) {
+            Rays rays = {origins.data(), directions.data(), int(origins.shape(0))};
+            new (self) TracePass(std::move(bvh), gaussians_of(set), rays, load3(background.data()), t_min,
+                                 transmittance_min, threads);
+        })
+        .def("forward", [](TracePass& self, const OutPlanes& out, OutInt hits, Out weights, bool keep_hits) {
+            nb::gil_scoped_release unlocked;
+            self.forward(planes_of(out), hits.data(), weights.data(), keep_hits);
+        })
+        .def("backward", [](TracePass& self, const InPlanes& out, const GradientPlanes& gradient, const OutSet& result,
+                            Out origins, Out directions) {
+            nb::gil_scoped_release unlocked;
+            self.backward(planes_of(out), planes_of(gradient), gradients_of(result), {origins.data(), directions.data()});
+        });
+}

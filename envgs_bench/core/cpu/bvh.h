@@ -1,0 +1,36 @@
+// A bounding volume hierarchy of surfels: eight children a node and eight surfels a leaf, one SIMD lane each.
+#pragma once
+#include <vector>
+
+#include "gaussians.h"
+
+namespace envgs {
+
+struct alignas(64) TracedSurfel {
+    SurfelFrame<float> frame;
+    Vec3<float> mean;
+    float support, opacity;
+};
+
+struct alignas(64) BvhNode {
+    float low[3][8], high[3][8];  // unused children: low > high, which no ray meets
+    int child[8];                 // a node, or ~leaf
+};
+
+struct alignas(64) BvhLeaf {
+    float u[3][8], v[3][8], n[3][8], mean[3][8];  // see SurfelFrame
+    float support[8], opacity[8];                 // unused lanes: support < 0, which nothing meets
+    int index[8];
+};
+
+class Bvh {
+public:
+    // Boxes are exact around each surfel's supporting disc. The tree depends on the set alone, not on `threads`.
+    Bvh(const Gaussians& gaussians, int threads);
+
+    std::vector<TracedSurfel> surfels;  // by primitive index; support < 0 where never visible
+    std::vector<BvhNode> nodes;         // the root first; empty where no surfel is visible
+    std::vector<BvhLeaf> leaves;
+};
+
+}  // namespace envgs

@@ -1,0 +1,54 @@
+// The arrays of a GaussianSet, row-major float32, as Python hands them over.
+#pragma once
+#include "lanes.h"  // first: the kernels find the lanes' overloads only if they precede them
+
+#include "kernels/gaussian_splat.h"
+#include "kernels/surfel_splat.h"
+
+namespace envgs {
+
+struct Gaussians {
+    const float *means, *quaternions, *scales, *opacities, *sh, *extras;
+    int count, sh_coefficients, extra_count;
+};
+
+// The same arrays to be filled with gradients; zeroed by the caller.
+struct GaussianGradients {
+    float *means, *quaternions, *scales, *opacities, *sh, *extras;
+    float* position_gradients;  // [N, 3] Σ t·dL/dmean
+};
+
+// One output or gradient plane a channel, planar: color [3][P], alpha [P], depth [P], normal [3][P], extras [E][P] over
+// P pixels or rays. In gradients a null pointer stands for zeros.
+template <class T>
+struct Planes {
+    T *color, *alpha, *depth, *normal, *extras;
+};
+
+inline Quaternion<float> quaternion_at(const Gaussians& g, int i) {
+    const float* q = g.quaternions + 4 * i;
+    return {q[0], q[1], q[2], q[3]};
+}
+inline Vec3<float> mean_at(const Gaussians& g, int i) { return load3(g.means + 3 * i); }
+
+inline Vec3<float> color_at(const Gaussians& g, int i, Vec3<float> v) {
+    const float* sh = g.sh + 3l * g.sh_coefficients * i;
+    switch (g.sh_coefficients) {
+        case 1: return sh_color<0>(sh, v);
+        case 4: return sh_color<1>(sh, v);
+        case 9: return sh_color<2>(sh, v);
+        default: return sh_color<3>(sh, v);
+    }
+}
+inline Vec3<float> color_backward_at(const Gaussians& g, int i, Vec3<float> v, Vec3<float> color, Vec3<float> gradient,
+                                     float* g_sh) {
+    const float* sh = g.sh + 3l * g.sh_coefficients * i;
+    switch (g.sh_coefficients) {
+        case 1: return sh_color_backward<0>(sh, v, color, gradient, g_sh);
+        case 4: return sh_color_backward<1>(sh, v, color, gradient, g_sh);
+        case 9: return sh_color_backward<2>(sh, v, color, gradient, g_sh);
+        default: return sh_color_backward<3>(sh, v, color, gradient, g_sh);
+    }
+}
+
+}  // namespace envgs

@@ -1,0 +1,118 @@
+// SIMD vectors of W floats, as the compiler's own vector types: they carry the arithmetic operators, run on whatever
+// the target has (AVX-512, AVX2, NEON, or scalars), and fill the R of the kernels.
+#pragma once
+#include <cstdint>
+#include <cstring>
+
+#if defined(__AVX2__)
+#include <immintrin.h>
+#endif
+
+#include "kernels/real.h"
+
+namespace envgs {
+
+template <int W>
+struct LaneTypes {
+    typedef float Float __attribute__((vector_size(4 * W)));
+    typedef int32_t Int __attribute__((vector_size(4 * W)));
+};
+
+// Eight lanes serve the tree's eight children and leaves of eight; pixels take as many as a register holds.
+using Float8 = LaneTypes<8>::Float;
+using Int8 = LaneTypes<8>::Int;
+#if defined(__AVX512F__)
+constexpr int kPixelLanes = 16;
+#else
+constexpr int kPixelLanes = 8;
+#endif
+using PixelFloat = LaneTypes<kPixelLanes>::Float;
+using PixelInt = LaneTypes<kPixelLanes>::Int;
+
+template <class F> struct LanesOf;
+template <> struct LanesOf<LaneTypes<8>::Float> { static constexpr int width = 8; using Int = LaneTypes<8>::Int; };
+template <> struct LanesOf<LaneTypes<16>::Float> { static constexpr int width = 16; using Int = LaneTypes<16>::Int; };
+
+template <class F, class I = typename LanesOf<F>::Int>
+inline F select(I mask, F a, F b) { return mask ? a : b; }
+template <class F, class = LanesOf<F>>
+inline F minimum(F a, F b) { return a < b ? a : b; }
+template <class F, class = LanesOf<F>>
+inline F maximum(F a, F b) { return a > b ? a : b; }
+template <class F, class I = typename LanesOf<F>::Int>
+inline F absolute(F a) { return (F)((I)a & 0x7fffffff); }
+
+template <class F>
+inline F load_lanes(const float* p) {
+    F out;
+    std::memcpy(&out, p, sizeof out);
+    return out;
+}
+template <class F>
+inline void store_lanes(float* p, F value) { std::memcpy(p, &value, sizeof value); }
+
+// Bit i is set where lane i of the mask is.
+inline unsigned mask_bits(Int8 mask) {
+#if defined(__AVX2__)
+    return unsigned(_mm256_movemask_ps((__m256)mask));
+#else
+    unsigned bits = 0;
+    for (int i = 0; i < 8; ++i) bits |= unsigned(mask[i] & 1) << i;
+    return bits;
+#endif
+}
+inline unsigned mask_bits(LaneTypes<16>::Int mask) {
+#if defined(__AVX512F__)
+    return _mm512_cmplt_epi32_mask((__m512i)mask, _mm512_setzero_si512());
+#else
+    unsigned bits = 0;
+    for (int i = 0; i < 16; ++i) bits |= unsigned(mask[i] & 1) << i;
+    return bits;
+#endif
+}
+
+inline Float8 square_root(Float8 a) {
+#if defined(__AVX2__)
+    return (Float8)_mm256_sqrt_ps((__m256)a);
+#else
+    for (int i = 0; i < 8; ++i) a[i] = sqrtf(a[i]);
+    return a;
+#endif
+}
+
+// Pairwise, in a fixed order: the same bits whatever the width of the machine's registers.
+template <class F, class = LanesOf<F>>
+inline float sum_lanes(F a) {
+    constexpr int W = LanesOf<F>::width;
+    if constexpr (W == 16) {
+        Float8 low, high;
+        std::memcpy(&low, &a, sizeof low);
+        std::memcpy(&high, reinterpret_cast<const char*>(&a) + sizeof low, sizeof high);
+        return sum_lanes(low + high);
+    } else {
+        typedef LaneTypes<4>::Float Float4;
+        Float4 low, high;
+        std::memcpy(&low, &a, sizeof low);
+        std::memcpy(&high, reinterpret_cast<const char*>(&a) + sizeof low, sizeof high);
+        Float4 sum = low + high;
+        return (sum[0] + sum[2]) + (sum[1] + sum[3]);
+    }
+}
+
+// e^x to about 2 ulp for x in [−87, 0]; below it, e^−87. Cody–Waite reduction and a polynomial on ±ln2/2.
+template <class F, class I = typename LanesOf<F>::Int>
+inline F exponential(F x) {
+    x = maximum(x, F{} - 87.0f);
+    F shifted = x * 1.44269504f + 12582912.0f;  // 1.5·2²³: rounds to an integer in the low bits
+    F n = shifted - 12582912.0f;
+    F r = x - n * 0.693359375f + n * 2.12194440e-4f;
+    F p = r * 1.3930436e-3f + 8.3610420e-3f;
+    p = p * r + 4.1666453e-2f;
+    p = p * r + 1.6666520e-1f;
+    p = p * r + 0.5f;
+    p = p * (r * r) + r + 1.0f;
+    I bits = ((I)shifted << 23) + (I)p;  // the shift drops the rounding constant's own bits
+    return (F)bits;
+}
+
+}  // namespace envgs

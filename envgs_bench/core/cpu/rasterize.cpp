@@ -1,0 +1,404 @@
+// Primitives are sorted by depth once; walking them in that order fills the tiles' lists, which so need no sort of
+// their own. A tile is drawn by one thread, primitive by primitive, W pixels of a row at a time, with all sums of its
+// pixels in the first-level cache. The backward pass walks the same lists in the same order.
+#include "rasterize.h"
+
+#include <algorithm>
+#include <vector>
+
+#include "lanes.h"
+#include "parallel.h"
+#include "radix_sort.h"
+
+namespace envgs {
+
+namespace {
+
+constexpr int kTile = 16;
+constexpr int kTilePixels = kTile * kTile;
+constexpr int kMaxExtras = 8;
+using F = PixelFloat;
+using I = PixelInt;
+constexpr int W = kPixelLanes;
+
+struct Surfels {
+    using Splat = SurfelSplat;
+    using Input = SurfelInput;
+    template <class R> using Sums = SurfelSums<R>;
+    static constexpr int scale_count = 2;
+    static Input input(const Gaussians& g, int i) {
+        return {mean_at(g, i), quaternion_at(g, i), g.scales[2 * i], g.scales[2 * i + 1]};
+    }
+    static Vec3<float> normal(const Input& in) {
+        float inverse;
+        return axes_of(normalized(in.quaternion, inverse)).n;
+    }
+};
+
+struct Gaussians3d {
+    using Splat = GaussianSplat;
+    using Input = GaussianInput;
+    template <class R> using Sums = GaussianSums<R>;
+    static constexpr int scale_count = 3;
+    static Input input(const Gaussians& g, int i) {
+        return {mean_at(g, i), quaternion_at(g, i), load3(g.scales + 3 * i)};
+    }
+    static Vec3<float> normal(const Input& in) {
+        float inverse;
+        return shortest_axis_of(axes_of(normalized(in.quaternion, inverse)), in.scales);
+    }
+};
+
+// A visible primitive, ready to draw. Columns and rows are inclusive.
+template <class Splat>
+struct Drawn {
+    Splat splat;
+    Vec3<float> color, normal;
+    int index;
+    int column0, column1, row0, row1;
+};
+
+// What a tile adds up for one primitive; every member is an R, so the whole is an array of R.
+template <class Sums, class R>
+struct PrimitiveSums {
+    Sums geometry;
+    Vec3<R> color, normal;
+    R opacity;
+    R extras[kMaxExtras];
+};
+
+inline F lane_positions() {
+    F x;
+    for (int i = 0; i < W; ++i) x[i] = i + 0.5f;
+    return x;
+}
+
+template <class Kind>
+class TileRasterizer final : public RasterPass {
+    using Splat = typename Kind::Splat;
+    using LaneSums = PrimitiveSums<typename Kind::template Sums<F>, F>;
+    using FloatSums = PrimitiveSums<typename Kind::template Sums<float>, float>;
+    static constexpr int kSums = sizeof(FloatSums) / sizeof(float);
+    static_assert(sizeof(LaneSums) == kSums * sizeof(F));
+
+public:
+    TileRasterizer(const Gaussians& gaussians, const View& view, Vec3<float> background, float transmittance_min,
+                   int threads)
+        : g_(gaussians), view_(view), background_(background), transmittance_min_(transmittance_min),
+          threads_(threads), tiles_x_((view.width + kTile - 1) / kTile), tiles_y_((view.height + kTile - 1) / kTile) {}
+
+    void forward(Planes<float> out, int* hits, float* weights) override;
+    void backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result) override;
+
+private:
+    struct alignas(64) Tile {
+        float transmittance[kTilePixels];
+        float color[3][kTilePixels], depth[kTilePixels], normal[3][kTilePixels], extras[kMaxExtras][kTilePixels];
+        int hits[kTilePixels];
+    };
+    struct alignas(64) GradientTile {
+        float transmittance[kTilePixels], remaining[kTilePixels];
+        float color[3][kTilePixels], depth[kTilePixels], normal[3][kTilePixels], weight[kTilePixels];
+        float extras[kMaxExtras][kTilePixels];
+    };
+    struct TileRect {
+        int x0, y0, width, height;
+    };
+
+    void prepare_primitives();
+    void fill_tiles();
+    TileRect rect_of(int tile) const {
+        int x0 = tile % tiles_x_ * kTile, y0 = tile / tiles_x_ * kTile;
+        return {x0, y0, std::min(kTile, view_.width - x0), std::min(kTile, view_.height - y0)};
+    }
+    void draw_tile(int tile, Planes<float> out, int* hits, float* weights);
+    void load_gradients(const TileRect& rect, Planes<const float> out, Planes<const float> gradient, GradientTile& t);
+    void differentiate_tile(int tile, Planes<const float> out, Planes<const float> gradient, FloatSums* sums);
+    void finish_primitive(int drawn, const std::vector<std::vector<FloatSums>>& sums, GaussianGradients result);
+
+    // Calls visit(offset into the tile's arrays, x of the lanes, y) for each run of W pixels that the primitive may
+    // touch and that `live` still marks.
+    template <class Visit>
+    void for_each_run(const Drawn<Splat>& p, const TileRect& rect, const uint8_t* live, const Visit& visit) const {
+        int row0 = std::max(p.row0 - rect.y0, 0), row1 = std::min(p.row1 - rect.y0, rect.height - 1);
+        int run0 = std::max(p.column0 - rect.x0, 0) / W, run1 = std::min(p.column1 - rect.x0, rect.width - 1) / W;
+        for (int row = row0; row <= row1; ++row)
+            for (int run = run0; run <= run1; ++run)
+                if (live[row * (kTile / W) + run])
+                    visit(row * kTile + run * W, lanes_ + float(rect.x0 + run * W), rect.y0 + row + 0.5f);
+    }
+
+    Gaussians g_;
+    View view_;
+    Vec3<float> background_;
+    float transmittance_min_;
+    int threads_, tiles_x_, tiles_y_;
+    F lanes_ = lane_positions();
+    std::vector<Drawn<Splat>> drawn_;      // visible primitives, front to back
+    std::vector<long> tile_begin_;         // tile -> its part of tile_items_
+    std::vector<int> tile_items_;          // indices into drawn_, front to back
+};
+
+template <class Kind>
+void TileRasterizer<Kind>::prepare_primitives() {
+    std::vector<std::vector<Drawn<Splat>>> found(threads_);
+    parallel_ranges(threads_, g_.count, [&](int begin, int end, int worker) {
+        for (int i = begin; i < end; ++i) {
+            Drawn<Splat> d;
+            typename Kind::Input input = Kind::input(g_, i);
+            PixelBox box = prepare(view_, input, g_.opacities[i], d.splat);
+            // Columns whose centres c + 0.5 lie in the box; the comparison also drops boxes that are not finite.
+            if (!(box.x1 >= 0.5f && box.y1 >= 0.5f && box.x0 <= view_.width - 0.5f && box.y0 <= view_.height - 0.5f &&
+                  box.x0 <= box.x1))
+                continue;
+            d.column0 = int(std::ceil(std::max(box.x0, 0.5f) - 0.5f));
+            d.row0 = int(std::ceil(std::max(box.y0, 0.5f) - 0.5f));
+            d.column1 = int(std::floor(std::min(box.x1, view_.width - 0.5f) - 0.5f));
+            d.row1 = int(std::floor(std::min(box.y1, view_.height - 0.5f) - 0.5f));
+            if (d.column0 > d.column1 || d.row0 > d.row1) continue;
+            d.index = i;
+            d.color = color_at(g_, i, input.mean - view_.centre);
+            d.normal = Kind::normal(input);
+            found[worker].push_back(d);
+        }
+    });
+    std::vector<SortItem> order;
+    std::vector<const Drawn<Splat>*> all;
+    for (const auto& part : found)
+        for (const Drawn<Splat>& d : part) {
+            order.push_back({sortable_bits(d.splat.depth), uint32_t(all.size())});
+            all.push_back(&d);
+        }
+    radix_sort(order);
+    drawn_.resize(order.size());
+    parallel_ranges(threads_, int(order.size()), [&](int begin, int end, int) {
+        for (int i = begin; i < end; ++i) drawn_[i] = *all[order[i].value];
+    });
+}
+
+template <class Kind>
+void TileRasterizer<Kind>::fill_tiles() {
+    int tiles = tiles_x_ * tiles_y_;
+    tile_begin_.assign(tiles + 1, 0);
+    auto for_each_tile = [&](const Drawn<Splat>& d, auto visit) {
+        for (int y = d.row0 / kTile; y <= d.row1 / kTile; ++y)
+            for (int x = d.column0 / kTile; x <= d.column1 / kTile; ++x) visit(y * tiles_x_ + x);
+    };
+    for (const Drawn<Splat>& d : drawn_) for_each_tile(d, [&](int tile) { ++tile_begin_[tile + 1]; });
+    for (int tile = 0; tile < tiles; ++tile) tile_begin_[tile + 1] += tile_begin_[tile];
+    tile_items_.resize(tile_begin_[tiles]);
+    std::vector<long> next(tile_begin_.begin(), tile_begin_.end() - 1);
+    for (int i = 0; i < int(drawn_.size()); ++i)
+        for_each_tile(drawn_[i], [&](int tile) { tile_items_[next[tile]++] = i; });
+}
+
+template <class Kind>
+void TileRasterizer<Kind>::forward(Planes<float> out, int* hits, float* weights) {
+    prepare_primitives();
+    fill_tiles();
+    std::vector<std::vector<float>> partial(threads_, std::vector<float>(drawn_.size(), 0.0f));
+    parallel_interleaved(threads_, tiles_x_ * tiles_y_, [&](int tile, int worker) {
+        draw_tile(tile, out, hits, partial[worker].data());
+    });
+    std::fill(weights, weights + g_.count, 0.0f);
+    for (size_t i = 0; i < drawn_.size(); ++i)
+        for (int worker = 0; worker < threads_; ++worker) weights[drawn_[i].index] += partial[worker][i];
+}
+
+template <class Kind>
+void TileRasterizer<Kind>::draw_tile(int tile_index, Planes<float> out, int* hits, float* weights) {
+    TileRect rect = rect_of(tile_index);
+    Tile tile;
+    std::memset(&tile, 0, sizeof tile);
+    uint8_t live[kTilePixels / W] = {};
+    int live_runs = 0;
+    for (int row = 0; row < rect.height; ++row) {
+        for (int x = 0; x < rect.width; ++x) tile.transmittance[row * kTile + x] = 1.0f;
+        for (int run = 0; run * W < rect.width; ++run) live[row * (kTile / W) + run] = 1, ++live_runs;
+    }
+    for (long item = tile_begin_[tile_index]; item < tile_begin_[tile_index + 1] && live_runs; ++item) {
+        const Drawn<Splat>& p = drawn_[tile_items_[item]];
+        const float* extras = g_.extras + long(p.index) * g_.extra_count;
+        F weight_sum = {};
+        for_each_run(p, rect, live, [&](int at, F x, float y) {
+            auto pixel = evaluate(p.splat, x, F{} + y, view_.near);
+            F transmittance = load_lanes<F>(tile.transmittance + at);
+            I hit = (pixel.rho <= p.splat.support) & (transmittance >= transmittance_min_);
+            if (!mask_bits(hit)) return;
+            F alpha = select(hit, response_alpha(F{} + p.splat.opacity, pixel.rho), F{});
+            F weight = transmittance * alpha;
+            transmittance = transmittance * (1.0f - alpha);
+            store_lanes(tile.transmittance + at, transmittance);
+            auto blend = [&](float* plane, F value) {
+                store_lanes(plane + at, load_lanes<F>(plane + at) + weight * value);
+            };
+            blend(tile.color[0], F{} + p.color.x);
+            blend(tile.color[1], F{} + p.color.y);
+            blend(tile.color[2], F{} + p.color.z);
+            blend(tile.depth, select(hit, pixel.t, F{}));
+            blend(tile.normal[0], pixel.side * p.normal.x);
+            blend(tile.normal[1], pixel.side * p.normal.y);
+            blend(tile.normal[2], pixel.side * p.normal.z);
+            for (int e = 0; e < g_.extra_count; ++e) blend(tile.extras[e], F{} + extras[e]);
+            weight_sum += weight;
+            I count;
+            std::memcpy(&count, tile.hits + at, sizeof count);
+            count -= hit;
+            std::memcpy(tile.hits + at, &count, sizeof count);
+            if (!mask_bits(transmittance >= transmittance_min_)) live[at / W] = 0, --live_runs;
+        });
+        weights[tile_items_[item]] += sum_lanes(weight_sum);
+    }
+    long pixels = long(view_.width) * view_.height;
+    const float background[3] = {background_.x, background_.y, background_.z};
+    for (int row = 0; row < rect.height; ++row) {
+        long to = long(rect.y0 + row) * view_.width + rect.x0;
+        for (int x = 0; x < rect.width; ++x) {
+            int at = row * kTile + x;
+            float alpha = 1.0f - tile.transmittance[at];
+            for (int c = 0; c < 3; ++c) {
+                out.color[c * pixels + to + x] = tile.color[c][at] + tile.transmittance[at] * background[c];
+                out.normal[c * pixels + to + x] = tile.normal[c][at];
+            }
+            out.alpha[to + x] = alpha;
+            out.depth[to + x] = alpha > 0.0f ? tile.depth[at] / alpha : 0.0f;
+            for (int e = 0; e < g_.extra_count; ++e) out.extras[e * pixels + to + x] = tile.extras[e][at];
+            hits[to + x] = tile.hits[at];
+        }
+    }
+}
+
+template <class Kind>
+void TileRasterizer<Kind>::load_gradients(const TileRect& rect, Planes<const float> out, Planes<const float> gradient,
+                                          GradientTile& t) {
+    long pixels = long(view_.width) * view_.height;
+    auto read = [](const float* plane, long at) { return plane ? plane[at] : 0.0f; };
+    auto read3 = [&](const float* plane, long at) -> Vec3<float> {
+        if (!plane) return {0.0f, 0.0f, 0.0f};
+        return {plane[at], plane[pixels + at], plane[2 * pixels + at]};
+    };
+    for (int row = 0; row < rect.height; ++row)
+        for (int x = 0; x < rect.width; ++x) {
+            int to = row * kTile + x;
+            long at = long(rect.y0 + row) * view_.width + rect.x0 + x;
+            float alpha = out.alpha[at], depth = out.depth[at];
+            SumGradient<float> g = sum_gradient(read3(gradient.color, at), read(gradient.alpha, at),
+                                                read(gradient.depth, at), read3(gradient.normal, at), alpha, depth,
+                                                background_);
+            float total = total_of(g, read3(out.color, at), alpha, depth, read3(out.normal, at), background_);
+            t.transmittance[to] = 1.0f;
+            t.color[0][to] = g.color.x, t.color[1][to] = g.color.y, t.color[2][to] = g.color.z;
+            t.normal[0][to] = g.normal.x, t.normal[1][to] = g.normal.y, t.normal[2][to] = g.normal.z;
+            t.depth[to] = g.depth, t.weight[to] = g.weight;
+            for (int e = 0; e < g_.extra_count; ++e) {
+                t.extras[e][to] = read(gradient.extras, e * pixels + at);
+                total += t.extras[e][to] * out.extras[e * pixels + at];
+            }
+            t.remaining[to] = total;
+        }
+}
+
+template <class Kind>
+void TileRasterizer<Kind>::differentiate_tile(int tile_index, Planes<const float> out, Planes<const float> gradient,
+                                              FloatSums* sums) {
+    TileRect rect = rect_of(tile_index);
+    GradientTile tile;
+    std::memset(&tile, 0, sizeof tile);
+    load_gradients(rect, out, gradient, tile);
+    uint8_t live[kTilePixels / W] = {};
+    int live_runs = 0;
+    for (int row = 0; row < rect.height; ++row)
+        for (int run = 0; run * W < rect.width; ++run) live[row * (kTile / W) + run] = 1, ++live_runs;
+    for (long item = tile_begin_[tile_index]; item < tile_begin_[tile_index + 1] && live_runs; ++item) {
+        const Drawn<Splat>& p = drawn_[tile_items_[item]];
+        const float* extras = g_.extras + long(p.index) * g_.extra_count;
+        LaneSums sum = {};
+        bool touched = false;
+        for_each_run(p, rect, live, [&](int at, F x, float y) {
+            auto pixel = evaluate(p.splat, x, F{} + y, view_.near);
+            F transmittance = load_lanes<F>(tile.transmittance + at);
+            I hit = (pixel.rho <= p.splat.support) & (transmittance >= transmittance_min_);
+            if (!mask_bits(hit)) return;
+            touched = true;
+            auto grad = [&](const float* plane) { return load_lanes<F>(plane + at); };
+            F alpha = select(hit, response_alpha(F{} + p.splat.opacity, pixel.rho), F{});
+            F weight = transmittance * alpha;
+            F along = grad(tile.normal[0]) * p.normal.x + grad(tile.normal[1]) * p.normal.y +
+                      grad(tile.normal[2]) * p.normal.z;
+            F t = select(hit, pixel.t, F{});
+            F value = grad(tile.color[0]) * p.color.x + grad(tile.color[1]) * p.color.y +
+                      grad(tile.color[2]) * p.color.z + grad(tile.depth) * t + pixel.side * along + grad(tile.weight);
+            for (int e = 0; e < g_.extra_count; ++e) {
+                value += grad(tile.extras[e]) * extras[e];
+                sum.extras[e] += weight * grad(tile.extras[e]);
+            }
+            F remaining = grad(tile.remaining);
+            F g_alpha = blend_backward(alpha, value, transmittance, remaining);
+            store_lanes(tile.transmittance + at, transmittance);
+            store_lanes(tile.remaining + at, remaining);
+            AlphaGradient<F> g = alpha_backward(F{} + p.splat.opacity, alpha, select(hit, g_alpha, F{}));
+            sum.opacity += g.opacity;
+            sum.color.x += weight * grad(tile.color[0]);
+            sum.color.y += weight * grad(tile.color[1]);
+            sum.color.z += weight * grad(tile.color[2]);
+            F facing = weight * pixel.side;
+            sum.normal.x += facing * grad(tile.normal[0]);
+            sum.normal.y += facing * grad(tile.normal[1]);
+            sum.normal.z += facing * grad(tile.normal[2]);
+            add_pixel(sum.geometry, pixel, hit, g.rho, weight * grad(tile.depth));
+            if (!mask_bits(transmittance >= transmittance_min_)) live[at / W] = 0, --live_runs;
+        });
+        if (!touched) continue;
+        float* total = reinterpret_cast<float*>(sums + tile_items_[item]);
+        const F* lanes = reinterpret_cast<const F*>(&sum);
+        int used = kSums - kMaxExtras + g_.extra_count;
+        for (int k = 0; k < used; ++k) total[k] += sum_lanes(lanes[k]);
+    }
+}
+
+template <class Kind>
+void TileRasterizer<Kind>::finish_primitive(int drawn, const std::vector<std::vector<FloatSums>>& sums,
+                                            GaussianGradients result) {
+    FloatSums sum = sums[0][drawn];
+    for (int worker = 1; worker < threads_; ++worker) {
+        const float* other = reinterpret_cast<const float*>(&sums[worker][drawn]);
+        for (int k = 0; k < kSums; ++k) reinterpret_cast<float*>(&sum)[k] += other[k];
+    }
+    const Drawn<Splat>& p = drawn_[drawn];
+    long i = p.index;
+    typename Kind::Input input = Kind::input(g_, p.index);
+    SplatGradient g = finish(view_, input, sum.geometry, sum.normal);
+    Vec3<float> through_color = color_backward_at(g_, p.index, input.mean - view_.centre, p.color, sum.color,
+                                                  result.sh + 3 * g_.sh_coefficients * i);
+    store3(result.means + 3 * i, g.mean + through_color);
+    store3(result.position_gradients + 3 * i, g.position_statistic);
+    float* q = result.quaternions + 4 * i;
+    q[0] = g.quaternion.w, q[1] = g.quaternion.x, q[2] = g.quaternion.y, q[3] = g.quaternion.z;
+    const float scales[3] = {g.scales.x, g.scales.y, g.scales.z};
+    for (int k = 0; k < Kind::scale_count; ++k) result.scales[Kind::scale_count * i + k] = scales[k];
+    result.opacities[i] = sum.opacity;
+    for (int e = 0; e < g_.extra_count; ++e) result.extras[g_.extra_count * i + e] = sum.extras[e];
+}
+
+template <class Kind>
+void TileRasterizer<Kind>::backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result) {
+    std::vector<std::vector<FloatSums>> sums(threads_);
+    ThreadPool::shared().run(threads_, [&](int worker) { sums[worker].assign(drawn_.size(), FloatSums{}); });
+    parallel_interleaved(threads_, tiles_x_ * tiles_y_, [&](int tile, int worker) {
+        differentiate_tile(tile, out, gradient, sums[worker].data());
+    });
+    parallel_ranges(threads_, int(drawn_.size()), [&](int begin, int end, int) {
+        for (int i = begin; i < end; ++i) finish_primitive(i, sums, result);
+    });
+}
+
+}  // namespace
+
+std::unique_ptr<RasterPass> make_raster_pass(const Gaussians& gaussians, bool surfels, const View& view,
+                                             Vec3<float> background, float transmittance_min, int threads) {
+    if (surfels)
+        return std::make_unique<TileRasterizer<Surfels>>(gaussians, view, background, transmittance_min, threads);
+    return std::make_unique<TileRasterizer<Gaussians3d>>(gaussians, view, background, transmittance_min, threads);
+}
+
+}  // namespace envgs

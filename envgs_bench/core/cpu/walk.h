@@ -1,0 +1,151 @@
+// Finding a ray's hits, nearest first.
+//
+// The tree is walked depth first, nearer children first. Nothing that is still to be visited can hold a hit nearer than
+// the nearest box on the stack, so all hits found up to there are final: they are handed on as the walk goes, in the
+// order of (t, index), and the walk ends with the ray's transmittance. One walk a ray, however many hits it has; no
+// pass is ever restarted, so none can be lost or met twice.
+#pragma once
+#include <vector>
+
+#include "bvh.h"
+
+namespace envgs {
+
+struct Hit {
+    uint64_t key;  // t's bits above the primitive's index: sorts by t, then by index, since t >= 0
+    float alpha;
+
+    float t() const {
+        uint32_t bits = uint32_t(key >> 32);
+        float value;
+        std::memcpy(&value, &bits, sizeof value);
+        return value;
+    }
+    int index() const { return int(uint32_t(key)); }
+};
+
+class Walk {
+public:
+    explicit Walk(const Bvh& bvh) : bvh_(bvh) {}
+
+    // The hits that a ray blends, in order. Valid until the next call.
+    const std::vector<Hit>& hits(Vec3<float> origin, Vec3<float> direction, float t_min, float transmittance_min);
+
+private:
+    struct Pending {
+        float t;        // where the ray enters the box
+        float nearest;  // the smallest t of this entry and of those below it
+        int child;
+    };
+
+    void visit_node(const BvhNode& node);
+    void visit_leaf(const BvhLeaf& leaf);
+    bool settle(float safe);
+    void push(float t, int child) {
+        float below = stack_.empty() ? kInfinity : stack_.back().nearest;
+        stack_.push_back({t, minimum(t, below), child});
+    }
+
+    const Bvh& bvh_;
+    std::vector<Pending> stack_;
+    std::vector<Hit> found_;    // sorted; those before settled_ were handed on
+    size_t settled_ = 0;
+    std::vector<Hit> blended_;
+    Vec3<float> origin_, direction_, inverse_;
+    float t_min_, transmittance_, transmittance_min_;
+};
+
+inline void Walk::visit_node(const BvhNode& node) {
+    auto slab = [&](int axis, float origin, float inverse, Float8& enter, Float8& leave) {
+        Float8 a = (load_lanes<Float8>(node.low[axis]) - origin) * inverse;
+        Float8 b = (load_lanes<Float8>(node.high[axis]) - origin) * inverse;
+        enter = maximum(enter, minimum(a, b));
+        leave = minimum(leave, maximum(a, b));
+    };
+    Float8 enter = Float8{} + t_min_, leave = Float8{} + kInfinity;
+    slab(0, origin_.x, inverse_.x, enter, leave);
+    slab(1, origin_.y, inverse_.y, enter, leave);
+    slab(2, origin_.z, inverse_.z, enter, leave);
+    // Widened by the rounding of a few operations, so that no box is entered later than its content is hit.
+    enter = enter * (1.0f - 1e-6f);
+    leave = leave * (1.0f + 1e-6f);
+    unsigned bits = mask_bits((enter <= leave) & (load_lanes<Float8>(node.low[0]) <= load_lanes<Float8>(node.high[0])));
+    if (!bits) return;
+    float t[8];
+    store_lanes(t, enter);
+    // Sorted with the farthest first, so that the nearest ends on top of the stack.
+    int order[8], count = 0;
+    for (; bits; bits &= bits - 1) {
+        int lane = __builtin_ctz(bits), at = count++;
+        for (; at > 0 && t[order[at - 1]] < t[lane]; --at) order[at] = order[at - 1];
+        order[at] = lane;
+    }
+    for (int i = 0; i < count; ++i) push(t[order[i]], node.child[order[i]]);
+}
+
+inline void Walk::visit_leaf(const BvhLeaf& leaf) {
+    auto rows = [](const float (&m)[3][8]) -> Vec3<Float8> {
+        return {load_lanes<Float8>(m[0]), load_lanes<Float8>(m[1]), load_lanes<Float8>(m[2])};
+    };
+    Vec3<Float8> d = {Float8{} + direction_.x, Float8{} + direction_.y, Float8{} + direction_.z};
+    Vec3<Float8> o = {Float8{} + origin_.x, Float8{} + origin_.y, Float8{} + origin_.z};
+    PlaneHit<Float8> hit = intersect<Float8>({rows(leaf.u), rows(leaf.v), rows(leaf.n)}, o - rows(leaf.mean), d);
+    Float8 rho = hit.u * hit.u + hit.v * hit.v;
+    unsigned bits = mask_bits((rho <= load_lanes<Float8>(leaf.support)) & (hit.t >= t_min_) & (hit.t < kInfinity) &
+                              (absolute(hit.d_z) > kDirectionEpsilon));
+    if (!bits) return;
+    float alpha[8];
+    uint32_t t[8];
+    store_lanes(alpha, response_alpha(load_lanes<Float8>(leaf.opacity), rho));
+    std::memcpy(t, &hit.t, sizeof t);
+    for (; bits; bits &= bits - 1) {
+        int lane = __builtin_ctz(bits);
+        Hit entry = {uint64_t(t[lane] & 0x7fffffffu) << 32 | uint32_t(leaf.index[lane]), alpha[lane]};
+        found_.push_back(entry);
+        size_t at = found_.size() - 1;
+        for (; at > settled_ && found_[at - 1].key > entry.key; --at) found_[at] = found_[at - 1];
+        found_[at] = entry;
+    }
+}
+
+// Hands on what lies nearer than `safe`; true when the ray has ended.
+inline bool Walk::settle(float safe) {
+    while (settled_ < found_.size() && found_[settled_].t() < safe) {
+        const Hit& hit = found_[settled_++];
+        blended_.push_back(hit);
+        transmittance_ *= 1.0f - hit.alpha;
+        if (transmittance_ < transmittance_min_) return true;
+    }
+    return false;
+}
+
+inline const std::vector<Hit>& Walk::hits(Vec3<float> origin, Vec3<float> direction, float t_min,
+                                          float transmittance_min) {
+    // A component of 0 would make 0·∞ of a box that touches the ray; a tiny one only makes it very far away.
+    auto inverse = [](float x) { return 1.0f / (std::fabs(x) > 1e-20f ? x : std::copysign(1e-20f, x)); };
+    origin_ = origin;
+    direction_ = direction;
+    inverse_ = {inverse(direction.x), inverse(direction.y), inverse(direction.z)};
+    t_min_ = t_min;
+    transmittance_ = 1.0f;
+    transmittance_min_ = transmittance_min;
+    stack_.clear();
+    found_.clear();
+    blended_.clear();
+    settled_ = 0;
+    if (bvh_.nodes.empty()) return blended_;
+    push(t_min, 0);
+    while (!stack_.empty()) {
+        Pending next = stack_.back();
+        stack_.pop_back();
+        if (settle(next.nearest)) return blended_;
+        if (next.child >= 0)
+            visit_node(bvh_.nodes[next.child]);
+        else
+            visit_leaf(bvh_.leaves[~next.child]);
+    }
+    settle(kInfinity);
+    return blended_;
+}
+
+}  // namespace envgs
