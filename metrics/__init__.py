@@ -1,0 +1,14 @@
+"""Metrics: one file a metric, and the protocols that say how they are taken."""
+
+from .protocol import METRICS, PROTOCOLS, Protocol, get_protocol
+from .vgg16 import WeightsUnavailable, find_weights, make_perceptual_loss
+
+__all__ = [
+    "METRICS",
+    "PROTOCOLS",
+    "Protocol",
+    "WeightsUnavailable",
+    "find_weights",
+    "get_protocol",
+    "make_perceptual_loss",
+]

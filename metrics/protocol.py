@@ -1,0 +1,173 @@
+"""Protocol: every choice between two images and their scores, under one name and one hash.
+
+| | `envgs` | `strict` | `inria` | `nerfbaselines` |
+|---|---|---|---|---|
+| prediction | floats as rendered | 8 bits, rounded | 8 bits, rounded | 8 bits, truncated |
+| SSIM's border | zero padding | valid interior | zero padding | valid interior |
+| LPIPS-VGG's input | [0, 1] | [−1, 1] | [0, 1] | [−1, 1] |
+| masked | composited on white | normalised by the mask | composited on white | composited on white |
+
+`inria` follows the metrics.py of 3D Gaussian Splatting, which reads the PNGs that its render.py wrote; `nerfbaselines`
+follows NerfBaselines' protocol "nerf" (its LPIPS of the default protocol is AlexNet's, which is not offered here).
+Neither project masks, so both composite as the EnvGS paper does. FLIP is added to all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+
+import torch
+from torch import Tensor
+
+from envgs_bench.core.ssim import K1, K2, SIGMA, WINDOW
+
+from .flip import PIXELS_PER_DEGREE, flip
+from .lpips import load_heads, lpips
+from .psnr import CEILING_DB, psnr
+from .ssim import ssim
+from .vgg16 import MINIMUM_SIZE, WEIGHTS_SHA256, WeightsUnavailable, load_vgg16
+
+METRICS = ("psnr", "ssim", "flip", "lpips")
+
+_IN_WORDS = {
+    "none": "float renders, not clamped",
+    "round": "renders clamped to [0, 1] and rounded to 8 bits",
+    "truncate": "renders clamped to [0, 1] and truncated to 8 bits",
+    "zero": "zero padding",
+    "valid": "on the valid interior",
+    "white": "masked metrics of the region composited on white",
+    "normalised": "masked metrics normalised by the mask",
+}
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """How a prediction is scored. Numbers of protocols with different hashes do not belong in one table."""
+
+    name: str
+    quantization: str  # of the prediction: "none", "round" or "truncate" to 8 bits; the last two clamp first
+    ssim_padding: str  # "zero" or "valid"
+    lpips_input: str  # "[0, 1]" or "[-1, 1]"
+    masking: str  # "white": composite, then score the whole image; "normalised": average over the mask
+
+    @property
+    def hash(self) -> str:
+        """Eight hexadecimal digits of every choice, those that all protocols share included; not of the name."""
+        choices = asdict(self) | {
+            "name": None,
+            "psnr": CEILING_DB,
+            "ssim": [WINDOW, SIGMA, K1, K2],
+            "flip": ["LDR", round(PIXELS_PER_DEGREE, 3)],
+            "lpips": ["VGG-16", WEIGHTS_SHA256, "0.1"],
+        }
+        return hashlib.sha256(json.dumps(choices, sort_keys=True).encode()).hexdigest()[:8]
+
+    @property
+    def description(self) -> str:
+        """The choices in one sentence."""
+        return (
+            f"{_IN_WORDS[self.quantization]}; PSNR the mean of per-image values; SSIM 11×11 Gaussian σ 1.5, "
+            f"{_IN_WORDS[self.ssim_padding]}; LDR-FLIP at 67 pixels a degree, of clamped images; "
+            f"LPIPS-VGG v0.1 on {self.lpips_input} input; {_IN_WORDS[self.masking]}"
+        )
+
+    @property
+    def not_computed(self) -> dict[str, str]:
+        """Why, for every metric that cannot be had on this machine. May download weights, once a process."""
+        try:
+            load_heads()
+            load_vgg16()
+        except WeightsUnavailable as error:
+            return {"lpips": str(error)}
+        return {}
+
+    @torch.no_grad()
+    def score(self, prediction: Tensor, target: Tensor, mask: Tensor | None = None) -> dict[str, float | None]:
+        """All metrics of one image.
+
+        Args:
+            prediction: [H, W, 3] floats as rendered, sRGB, nominally in [0, 1].
+            target: [H, W, 3] floats in [0, 1]: the photograph's bytes / 255.
+            mask: [H, W] bool, the region to score; the full image where None.
+
+        Returns:
+            "psnr" (dB), "ssim", "flip", "lpips"; with a mask also "fraction", the mask's share of the pixels. None
+            stands for a metric named in `not_computed`, and for every metric of an empty region (fraction 0).
+
+        Raises:
+            TypeError: the images are not floating-point tensors, or the mask is not boolean.
+            ValueError: shapes disagree, a value is not finite, or the target lies outside [0, 1].
+        """
+        _check(prediction, target, mask)
+        prediction = _quantized(prediction, self.quantization)
+        if mask is None:
+            return self._scores(prediction, target, None)
+        if not mask.any():
+            return {**dict.fromkeys(METRICS), "fraction": 0.0}
+        fraction = float(mask.double().mean())
+        if self.masking == "white":
+            prediction, target = (image.where(mask[..., None], 1.0) for image in (prediction, target))
+            return {**self._scores(prediction, target, None), "fraction": fraction}
+        return {**self._scores(prediction, target, mask), "fraction": fraction}
+
+    def _scores(self, prediction: Tensor, target: Tensor, mask: Tensor | None) -> dict[str, float | None]:
+        return {
+            "psnr": psnr(prediction, target, mask),
+            "ssim": ssim(prediction, target, self.ssim_padding, mask),
+            "flip": flip(prediction, target, mask),
+            "lpips": None if self.not_computed else lpips(prediction, target, self.lpips_input, mask),
+        }
+
+
+PROTOCOLS = {
+    name: Protocol(name, quantization, ssim_padding, lpips_input, masking)
+    for name, quantization, ssim_padding, lpips_input, masking in (
+        ("envgs", "none", "zero", "[0, 1]", "white"),
+        ("strict", "round", "valid", "[-1, 1]", "normalised"),
+        ("inria", "round", "zero", "[0, 1]", "white"),
+        ("nerfbaselines", "truncate", "valid", "[-1, 1]", "white"),
+    )
+}
+
+
+def get_protocol(name: str = "envgs") -> Protocol:
+    """The protocol called `name`.
+
+    Raises:
+        ValueError: no such protocol; the message lists those there are.
+    """
+    if name not in PROTOCOLS:
+        raise ValueError(f"unknown protocol {name!r}, expected one of {', '.join(PROTOCOLS)}")
+    return PROTOCOLS[name]
+
+
+def _quantized(image: Tensor, quantization: str) -> Tensor:
+    """The image as a PNG would give it back. Truncation forgives the last bits of k / 255 · 255."""
+    if quantization == "none":
+        return image
+    levels = image.clamp(0, 1) * 255 + (0.5 if quantization == "round" else 1e-3)
+    return levels.floor() / 255
+
+
+def _check(prediction: Tensor, target: Tensor, mask: Tensor | None) -> None:
+    for name, image in (("prediction", prediction), ("target", target)):
+        if not isinstance(image, Tensor) or not image.is_floating_point():
+            given = image.dtype if isinstance(image, Tensor) else type(image).__name__
+            raise TypeError(f"{name} is {given}, expected a floating-point tensor in [0, 1]; divide bytes by 255")
+        if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < MINIMUM_SIZE:
+            raise ValueError(
+                f"{name} has shape {tuple(image.shape)}, expected [H, W, 3] of at least {MINIMUM_SIZE}×{MINIMUM_SIZE}"
+            )
+        bad = int((~image.isfinite()).sum())
+        if bad:
+            raise ValueError(f"{name} has {bad} values of {image.numel()} that are not finite: it cannot be scored")
+    if prediction.shape != target.shape:
+        raise ValueError(f"prediction is {tuple(prediction.shape)}, target {tuple(target.shape)}: sizes must agree")
+    if target.min() < 0 or target.max() > 1:
+        raise ValueError(f"target spans [{float(target.min()):g}, {float(target.max()):g}], expected values in [0, 1]")
+    if mask is not None and mask.dtype != torch.bool:
+        raise TypeError(f"mask is {mask.dtype}, expected torch.bool, True inside the region")
+    if mask is not None and mask.shape != target.shape[:2]:
+        raise ValueError(f"mask has shape {tuple(mask.shape)}, expected the image's {tuple(target.shape[:2])}")
