@@ -31,17 +31,23 @@ class Crossing:
 def cross(origins: Tensor, directions: Tensor, means: Tensor, frames: Tensor, scales: Tensor) -> Crossing:
     """Cross rays o + t·d with the planes of surfels; all arguments' leading shapes broadcast.
 
-    With A = diag(1/s_u, 1/s_v, 1)·Rᵀ, o' = A(o − p) and d' = A·d: t = −o'_z / d'_z, (u, v) = o'_xy + t·d'_xy.
+    t = −(o − p)·n / d·n;  u = (o + t·d − p)·t_u / s_u, v likewise;  ρ = u² + v².
     """
-    lengths = torch.cat([scales, torch.ones_like(scales[..., :1])], dim=-1)
-    o = ((origins - means)[..., None] * frames).sum(-2) / lengths
-    d = (directions[..., None] * frames).sum(-2) / lengths
-    exists = d[..., 2].abs() > EDGE_ON
-    t = -o[..., 2] / torch.where(exists, d[..., 2], 1)
-    uv = o[..., :2] + t[..., None] * d[..., :2]
-    rho = (uv * uv).sum(-1)
-    facing = torch.where(d[..., 2] > 0, -1, 1).to(t)
+    tangent_u, tangent_v, normal = frames.unbind(-1)
+    offsets = origins - means
+    slope = dot(directions, normal)
+    exists = slope.abs() > EDGE_ON
+    t = -dot(offsets, normal) / torch.where(exists, slope, 1)
+    u = (dot(offsets, tangent_u) + t * dot(directions, tangent_u)) / scales[..., 0]
+    v = (dot(offsets, tangent_v) + t * dot(directions, tangent_v)) / scales[..., 1]
+    rho = u * u + v * v
+    facing = torch.where(slope > 0, -1, 1).to(t)
     return Crossing(t, rho, facing, exists & t.isfinite() & rho.isfinite())
+
+
+def dot(a: Tensor, b: Tensor) -> Tensor:
+    """Dot products over the last axis; component by component is several times faster than a sum over an axis of 3."""
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 
 class TracedSurfels(Drawing):
