@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from .metrics import WeightsUnavailable, find_weights
 from .settings import PATH_KEYS, RunSettings
 
 # The parts of this package whose code can change a result, relative to the folder they are imported from.
@@ -20,18 +21,20 @@ def run_id(settings: RunSettings, device: str) -> str:
     """`seed<seed>-<hash8>`: equal where method, data, steps, seed, protocol, timing, device and code are equal.
 
     Where data lie does not count, what lies there does (names and sizes of the files): a corrected data set is a new
-    run, a moved one is not. Neither do runs_dir, cache_dir, force, retry_failed and timeout_minutes.
+    run, a moved one is not. VGG-16's weights count, which both a loss and a metric need: a run without them is run
+    again once they are there. What changes no result does not count: folders, force, retry_failed, timeout_minutes.
     """
     determining = {
-        "method": _with_fingerprints(settings.method),
+        "method": [settings.method.name, settings.method.kind, _with_fingerprints(settings.method.settings)],
         "dataset": _with_fingerprints(settings.dataset),
         "steps": settings.steps,
         "seed": settings.seed,
         "protocol": settings.protocol,
         "timing": settings.timing.model_dump(),
         "device": device,
+        "vgg16": _has_vgg16(),
         "code": code_version(),
-        "extensions": [_module_hash(node["kind"]) for node in (settings.method, settings.dataset)],
+        "extensions": [_module_hash(kind) for kind in (settings.method.kind, settings.dataset["kind"])],
     }
     digest = hashlib.sha256(json.dumps(determining, sort_keys=True, default=str).encode()).hexdigest()
     return f"seed{settings.seed}-{digest[:8]}"
@@ -48,6 +51,15 @@ def code_version() -> str:
             digest.update(f"{part}/{path.relative_to(root)}\0".encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+@cache
+def _has_vgg16() -> bool:
+    try:
+        find_weights()
+    except WeightsUnavailable:
+        return False
+    return True
 
 
 def _location(part: str) -> Path:

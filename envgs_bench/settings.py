@@ -28,13 +28,26 @@ class TimingSettings(BaseModel):
     seconds: Annotated[float, Field(gt=0)]
 
 
+class MethodChoice(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str  # in records and reports: an ablation has its own
+    kind: str  # what `create_method` makes: a registered name, or an import path "package.module:Class"
+    settings: dict[str, Any] = {}
+
+    @field_validator("settings", mode="after")
+    @classmethod
+    def _absolute(cls, node: dict[str, Any]) -> dict[str, Any]:
+        return _with_absolute_paths(node)
+
+
 class RunSettings(BaseModel):
     """One job, as composed; stored beside the record as config.yaml."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    method: dict[str, Any]  # name, kind and the method's own settings
-    dataset: dict[str, Any]  # name, kind and the data source's own settings
+    method: MethodChoice
+    dataset: dict[str, Any]  # name, kind and the data source's own settings: what `load_scene` takes
     protocol: str
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     steps: Annotated[int, Field(ge=1)]
@@ -57,27 +70,22 @@ class RunSettings(BaseModel):
     def _default_cache(cls, path: Any) -> Path:
         return _resolved(Path(path)) if path else default_cache_dir()
 
-    @field_validator("method", "dataset", mode="after")
+    @field_validator("dataset", mode="after")
     @classmethod
-    def _absolute_paths(cls, node: dict[str, Any]) -> dict[str, Any]:
+    def _with_kind(cls, node: dict[str, Any]) -> dict[str, Any]:
         if not isinstance(node.get("kind"), str):
-            raise ValueError("needs a key `kind` that names what to load")
-        paths = {key: str(_resolved(Path(node[key]))) for key in PATH_KEYS if isinstance(node.get(key), str)}
-        return {**node, **paths}
+            raise ValueError("needs a key `kind` that names the data source")
+        return _with_absolute_paths(node)
 
     @property
     def method_name(self) -> str:
-        return _slug(self.method.get("name") or self.method["kind"])
+        return _slug(self.method.name)
 
     @property
     def dataset_name(self) -> str:
         """The configured name, or else the name of the folder that the data lie in."""
         name = self.dataset.get("name") or (Path(self.dataset["root"]).name if self.dataset.get("root") else None)
         return _slug(name or self.dataset["kind"])
-
-    @property
-    def method_settings(self) -> dict[str, Any]:
-        return {key: value for key, value in self.method.items() if key not in ("name", "kind")}
 
 
 def parse_settings(content: Any) -> RunSettings:
@@ -103,6 +111,11 @@ def read_settings(folder: Path) -> RunSettings:
 def default_cache_dir() -> Path:
     """$ENVGS_BENCH_CACHE, or else ~/.cache/envgs-bench."""
     return _resolved(Path(os.environ.get("ENVGS_BENCH_CACHE") or "~/.cache/envgs-bench"))
+
+
+def _with_absolute_paths(node: dict[str, Any]) -> dict[str, Any]:
+    paths = {key: str(_resolved(Path(node[key]))) for key in PATH_KEYS if isinstance(node.get(key), str)}
+    return {**node, **paths}
 
 
 def _resolved(path: Path) -> Path:

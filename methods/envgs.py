@@ -66,17 +66,23 @@ class EnvGS(ReflectiveMethod):
     def _criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
         return spatial_criterion(statistics) if name == "env" else super()._criterion(name, statistics, camera)
 
-    def _after_step(self, step: int) -> None:
-        super()._after_step(step)
-        if "env" not in self.sets:
-            return
-        s, env = self.settings, self.sets["env"]
+    def events(self, step: int) -> set[str]:
+        s = self.settings
+        happens = super().events(step)
         if self.schedule.densifies(step, start=s.bootstrap, stop=s.densify_until, interval=s.env_densify_every):
-            env.densify(self.radius, self.generator)
-        if s.env_opacity_reset_every and self.schedule.resets(
+            happens.add("densify_env")
+        if step > self.schedule.at(s.bootstrap) and self.schedule.resets(
             step, stop=s.densify_until, interval=s.env_opacity_reset_every
         ):
-            env.reset_opacity()
+            happens.add("reset_env_opacity")
+        return happens
+
+    def _after_step(self, step: int, events: set[str]) -> None:
+        super()._after_step(step, events)
+        if "densify_env" in events:
+            self.sets["env"].densify(self.radius, self.generator)
+        if "reset_env_opacity" in events:
+            self.sets["env"].reset_opacity()
 
     def _rule(self, name: str) -> DensificationRule:
         if name != "env":

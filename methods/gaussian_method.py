@@ -108,8 +108,17 @@ class GaussianMethod(Method):
         for optimizer in self._optimizers():
             optimizer.zero_grad(set_to_none=True)
         with torch.no_grad():
-            self._after_step(step)
+            self._after_step(step, self.events(step))
         return losses
+
+    def events(self, step: int) -> set[str]:
+        """What this run does after Adam's step number `step`."""
+        s, happens = self.settings, set()
+        if self.schedule.densifies(step, start=s.densify_from, stop=s.densify_until, interval=s.densify_every):
+            happens.add("densify_base")
+        if self.schedule.resets(step, stop=s.densify_until, interval=s.opacity_reset_every):
+            happens.add("reset_base_opacity")
+        return happens
 
     @torch.no_grad()
     def render(self, camera: Camera) -> Rendering:
@@ -160,13 +169,12 @@ class GaussianMethod(Method):
     def _criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
         return screen_criterion(statistics, camera)
 
-    def _after_step(self, step: int) -> None:
+    def _after_step(self, step: int, events: set[str]) -> None:
         """Densification and opacity resets, after Adam's step."""
-        base, s = self.sets["base"], self.settings
-        if self.schedule.densifies(step, start=s.densify_from, stop=s.densify_until, interval=s.densify_every):
-            base.densify(self.radius, self.generator)
-        if self._resets_opacity(step):
-            base.reset_opacity()
+        if "densify_base" in events:
+            self.sets["base"].densify(self.radius, self.generator)
+        if "reset_base_opacity" in events:
+            self.sets["base"].reset_opacity()
 
     def _set_rates(self, step: int) -> None:
         rate = self.schedule.position_rate(step, self.settings.position_lr, self.settings.position_lr_final)
@@ -215,12 +223,6 @@ class GaussianMethod(Method):
         if self.settings.normal_weighting == "depth":
             return nearness(rendering.depth)
         return rendering.alpha.detach() if self.settings.normal_weighting == "alpha" else None
-
-    def _resets_opacity(self, step: int) -> bool:
-        s = self.settings
-        return s.opacity_reset_every > 0 and self.schedule.resets(
-            step, stop=s.densify_until, interval=s.opacity_reset_every
-        )
 
     def _is_finite(self, values: Tensor) -> bool:
         gradients = [p.grad for o in self._optimizers() for g in o.param_groups for p in g["params"]]

@@ -19,13 +19,13 @@ from envgs_bench.core import Camera, Rendering, Scene, Statistics
 
 from .gaussian_method import GaussianMethod, GaussianSettings
 from .parameters import LearningRates, inverse_sigmoid
-from .schedule import DISTURB_FLOOR
 
 MIN_ALPHA = 1e-2  # a pixel with less alpha, or a shorter blended normal, has no surface to reflect at
 SABOTAGE_BELOW = 0.05  # β up to which a base colour is disturbed
 SABOTAGE_RANGE = 0.4
 PROPAGATE_ABOVE = 0.02  # β from which a primitive is enlarged
 PROPAGATE_SCALE = 1.5
+HOLD_FLOOR = 10  # steps
 
 
 @dataclass(frozen=True)
@@ -109,46 +109,52 @@ class ReflectiveMethod(GaussianMethod):
         layers = {"base": base.color, "reflection": reflection, "beta": base.extras}
         return replace(base, color=blended, layers=layers), statistics
 
-    def _after_step(self, step: int) -> None:
-        s, schedule, base = self.settings, self.schedule, self.sets["base"]
-        if schedule.densifies(step, start=s.densify_from, stop=s.densify_until, interval=self._densify_interval(step)):
-            base.densify(self.radius, self.generator)
-        if s.disturb_every and schedule.disturbs(
+    def events(self, step: int) -> set[str]:
+        s, schedule = self.settings, self.schedule
+        happens = super().events(step)
+        settling = schedule.at(s.bootstrap) < step <= schedule.at(s.disturb_until)
+        if settling and not schedule.densifies(
+            step, start=s.densify_from, stop=s.densify_until, interval=s.densify_slowly_every
+        ):
+            happens.discard("densify_base")
+        if schedule.disturbs(
             step,
             start=s.bootstrap,
             stop=s.disturb_until,
             interval=s.disturb_every,
             reset_interval=s.opacity_reset_every,
         ):
-            self._disturb(step)
-        if self._resets_opacity(step):
-            base.reset_opacity()
-            if step >= schedule.at(s.beta_reset_from):
-                self._reset_beta()
+            happens |= {name for name, wanted in (("sabotage", s.sabotage), ("propagate", s.propagate)) if wanted}
+        if "reset_base_opacity" in happens and s.beta_reset != "none" and step >= schedule.at(s.beta_reset_from):
+            happens.add("reset_beta")
+        return happens
 
-    def _densify_interval(self, step: int) -> int:
-        s = self.settings
-        slow = self.schedule.at(s.bootstrap) < step <= self.schedule.at(s.disturb_until)
-        return s.densify_slowly_every if slow else s.densify_every
+    def _after_step(self, step: int, events: set[str]) -> None:
+        super()._after_step(step, events)
+        if "sabotage" in events:
+            self._sabotage()
+        if "propagate" in events:
+            self._propagate(step)
+        if "reset_beta" in events:
+            self._reset_beta()
 
-    def _disturb(self, step: int) -> None:
-        """3DGS-DR's colour sabotage and normal propagation, which push reflections out of the base set's colour.
+    def _sabotage(self) -> None:
+        """Disturb the base colour where the base does not reflect (3DGS-DR), so that a reflection may explain it."""
+        parameters = self.sets["base"].parameters
+        dc = parameters.tensors["sh_dc"].detach()
+        noise = (2 * torch.rand(dc.shape, generator=self.generator) - 1).to(dc) * SABOTAGE_RANGE
+        parameters.replace("sh_dc", dc + noise * (self._beta() <= SABOTAGE_BELOW)[:, None])
 
-        Where the base does not reflect its colour is disturbed, so that reflecting gets its chance to explain the
-        picture; and primitives that do reflect grow over their neighbours, so that good normals spread.
+    def _propagate(self, step: int) -> None:
+        """Grow primitives that reflect over their neighbours, so that good normals spread (3DGS-DR).
+
+        All become nearly opaque, and opacities then rest for a while.
         """
         parameters = self.sets["base"].parameters
-        beta = parameters.tensors["beta_logits"].detach().sigmoid()
-        if self.settings.sabotage:
-            dc = parameters.tensors["sh_dc"].detach()
-            noise = (2 * torch.rand(dc.shape, generator=self.generator) - 1).to(dc) * SABOTAGE_RANGE
-            parameters.replace("sh_dc", dc + noise * (beta <= SABOTAGE_BELOW)[:, None])
-        if self.settings.propagate:
-            log_scales = parameters.tensors["log_scales"].detach()
-            parameters.replace("log_scales", log_scales + math.log(PROPAGATE_SCALE) * (beta >= PROPAGATE_ABOVE))
-            self.sets["base"].raise_opacity()
-            hold = self.settings.propagate_hold
-            self._hold_until = step + min(self.schedule.every(hold, DISTURB_FLOOR // 5), hold)
+        log_scales = parameters.tensors["log_scales"].detach()
+        parameters.replace("log_scales", log_scales + math.log(PROPAGATE_SCALE) * (self._beta() >= PROPAGATE_ABOVE))
+        self.sets["base"].raise_opacity()
+        self._hold_until = step + self.schedule.every(self.settings.propagate_hold, HOLD_FLOOR)
 
     def _reset_beta(self) -> None:
         parameters = self.sets["base"].parameters
@@ -156,8 +162,11 @@ class ReflectiveMethod(GaussianMethod):
         start = inverse_sigmoid(torch.full_like(logits, self.settings.initial_beta))
         if self.settings.beta_reset == "min":
             parameters.replace("beta_logits", torch.minimum(logits, start))
-        elif self.settings.beta_reset == "max":
+        else:
             parameters.replace("beta_logits", torch.maximum(logits, start))
+
+    def _beta(self) -> Tensor:
+        return self.sets["base"].parameters.tensors["beta_logits"].detach().sigmoid()
 
     def _initial_beta(self) -> float | None:
         return self.settings.initial_beta

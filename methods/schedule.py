@@ -47,17 +47,21 @@ class Schedule:
 
     def densifies(self, step: int, *, start: int, stop: int, interval: int) -> bool:
         """Whether a densification that runs every `interval` between `start` and `stop` (reference) falls on `step`."""
-        return self.at(start) < step < self.at(stop) and step % self.every(interval, DENSIFY_FLOOR) == 0
+        return self.at(start) < step < self.at(stop) and self._falls_on(step, interval, DENSIFY_FLOOR)
 
     def resets(self, step: int, *, stop: int, interval: int) -> bool:
         """Whether an opacity reset, every `interval` until before `stop` (reference), falls on `step`."""
-        return step < self.at(stop) and step % self.every(interval, RESET_FLOOR) == 0
+        return step < self.at(stop) and self._falls_on(step, interval, RESET_FLOOR)
 
     def disturbs(self, step: int, *, start: int, stop: int, interval: int, reset_interval: int) -> bool:
         """Whether colour sabotage and normal propagation, every `interval` in (start, stop], fall on `step`.
 
         They leave out the steps of the base set's opacity reset (3DGS-DR's schedule).
         """
-        on_grid = step % self.every(interval, DISTURB_FLOOR) == 0
-        on_reset = step % self.every(reset_interval, RESET_FLOOR) == 0
-        return self.at(start) < step <= self.at(stop) and on_grid and not on_reset
+        in_time = self.at(start) < step <= self.at(stop)
+        on_reset = self._falls_on(step, reset_interval, RESET_FLOOR)
+        return in_time and self._falls_on(step, interval, DISTURB_FLOOR) and not on_reset
+
+    def _falls_on(self, step: int, interval: int, floor: int) -> bool:
+        """Whether `step` is a multiple of the reference interval; never where that is 0."""
+        return interval > 0 and step % self.every(interval, floor) == 0
