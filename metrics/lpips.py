@@ -35,17 +35,14 @@ def lpips(prediction: Tensor, target: Tensor, input_range: str, mask: Tensor | N
     if input_range not in INPUT_RANGES:
         raise ValueError(f"unknown input range {input_range!r}, expected one of {', '.join(INPUT_RANGES)}")
     network = load_vgg16(prediction.device)
-    images = torch.stack([prediction, target]).float().permute(0, 3, 1, 2)
-    if input_range == "[-1, 1]":
-        images = 2 * images - 1
-    mean, deviation = (images.new_tensor(values)[:, None, None] for values in (_MEAN, _DEVIATION))
+    # One image at a time: half the memory, and equal images get equal features to the last bit.
+    features = [network(_network_input(image, input_range)) for image in (prediction, target)]
     distance = 0.0
-    for features, head in zip(network((images - mean) / deviation), load_heads(), strict=True):
-        unit = features / (features.square().sum(1, keepdim=True).sqrt() + 1e-10)
-        squared = (unit[0] - unit[1]).square()
-        stage = torch.einsum("c,chw->hw", head.to(squared.device), squared)
+    for first, second, head in zip(*features, load_heads(), strict=True):
+        squared = (_unit(first) - _unit(second)).square()
+        stage = torch.einsum("c,bchw->bhw", head.to(squared.device), squared)
         if mask is not None:
-            stage = functional.interpolate(stage[None, None], mask.shape, mode="bilinear")[0, 0][mask]
+            stage = functional.interpolate(stage[None], mask.shape, mode="bilinear")[0, 0][mask]
         distance += float(stage.double().mean())
     return distance
 
@@ -65,3 +62,14 @@ def load_heads() -> tuple[Tensor, ...]:
         raise WeightsUnavailable(f"LPIPS's linear heads are not at {path}: install torchmetrics 1.4 or newer")
     state = torch.load(path, map_location="cpu", weights_only=True)
     return tuple(state[f"lin{stage}.model.1.weight"].flatten() for stage in range(5))
+
+
+def _network_input(image: Tensor, input_range: str) -> Tensor:
+    """[1, 3, H, W] of about zero mean and unit deviation, were the image in [−1, 1]."""
+    image = image.float() if input_range == "[0, 1]" else 2 * image.float() - 1
+    return ((image - image.new_tensor(_MEAN)) / image.new_tensor(_DEVIATION)).permute(2, 0, 1)[None]
+
+
+def _unit(features: Tensor) -> Tensor:
+    """[B, C, H, W] scaled to unit length over the channels."""
+    return features / (features.square().sum(1, keepdim=True).sqrt() + 1e-10)
