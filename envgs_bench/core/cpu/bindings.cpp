@@ -65,6 +65,7 @@ View view_of(const In& world_to_camera, const In& intrinsics, const In& pixel_to
 
 NB_MODULE(_native, m) {
     m.doc() = "The core's CPU backend. Called through envgs_bench.core.rasterize and trace, which check their input.";
+    nb::set_leak_warnings(false);  // objects that outlive the interpreter at exit are no fault of the user's
     m.attr("pixel_lanes") = kPixelLanes;
 
     nb::class_<RasterPass>(m, "RasterPass")

@@ -383,7 +383,7 @@ void TileRasterizer<Kind>::finish_primitive(int drawn, const std::vector<std::ve
 template <class Kind>
 void TileRasterizer<Kind>::backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result) {
     std::vector<std::vector<FloatSums>> sums(threads_);
-    ThreadPool::shared().run(threads_, [&](int worker) { sums[worker].assign(drawn_.size(), FloatSums{}); });
+    parallel(threads_, [&](int worker) { sums[worker].assign(drawn_.size(), FloatSums{}); });
     parallel_interleaved(threads_, tiles_x_ * tiles_y_, [&](int tile, int worker) {
         differentiate_tile(tile, out, gradient, sums[worker].data());
     });

@@ -41,7 +41,7 @@ void TracePass::forward(Planes<float> out, int* hits, float* weights, bool keep_
     hit_counts_.assign(keep_hits ? rays_.count : 0, 0);
     long n = rays_.count;
     std::vector<std::vector<float>> partial(threads_);
-    ThreadPool::shared().run(threads_, [&](int worker) {
+    parallel(threads_, [&](int worker) {
         partial[worker].assign(g_.count, 0.0f);
         Walk walk(*bvh_);
         for (int chunk = worker; chunk < chunks(); chunk += threads_)
@@ -166,7 +166,7 @@ void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<co
 void TracePass::backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result,
                          RayGradients rays) {
     std::vector<Worker> workers(threads_);
-    ThreadPool::shared().run(threads_, [&](int w) {
+    parallel(threads_, [&](int w) {
         Worker& worker = workers[w];
         worker.sums.assign(g_.count, SurfelSums{});
         worker.sh.assign(3l * g_.sh_coefficients * g_.count, 0.0f);
