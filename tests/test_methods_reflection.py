@@ -1,0 +1,202 @@
+"""Reflected rays at a planar mirror and a sphere, and how a reflection is blended, in closed form."""
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from envgs_bench.core import Camera, Rendering, Statistics, View
+from envgs_bench.methods.envmap import EnvMap, EnvMapSettings
+from envgs_bench.methods.reflection import reflected_rays
+from envgs_bench.methods.registry import create_method
+
+WIDTH, HEIGHT = 20, 16
+
+
+def make_camera() -> Camera:
+    angle = 0.3
+    pose = torch.eye(4)
+    pose[:3, :3] = torch.tensor(
+        [[math.cos(angle), 0, -math.sin(angle)], [0, 1, 0], [math.sin(angle), 0, math.cos(angle)]]
+    )
+    pose[:3, 3] = torch.tensor([0.2, 0.1, 0.5])
+    return Camera(pose, torch.tensor([[18.0, 0, 9], [0, 17, 8.5], [0, 0, 1]]), WIDTH, HEIGHT)
+
+
+def make_rendering(depth: Tensor, normal: Tensor, alpha: Tensor, beta: Tensor) -> Rendering:
+    return Rendering(
+        color=torch.full((HEIGHT, WIDTH, 3), 0.25),
+        alpha=alpha,
+        depth=depth,
+        normal=normal,
+        extras=beta[..., None],
+        hits=torch.ones(HEIGHT, WIDTH, dtype=torch.int32),
+        statistics=Statistics(torch.zeros(0)),
+    )
+
+
+def mirror(camera: Camera, normal: Tensor, distance: float) -> Rendering:
+    """The plane x·normal = distance as seen by the camera; blended normals are half as long as unit ones."""
+    origins, directions = camera.rays()
+    depth = (distance - origins @ normal) / (directions @ normal)
+    full = torch.ones(HEIGHT, WIDTH)
+    return make_rendering(depth, 0.5 * normal.expand(HEIGHT, WIDTH, 3), full, 0.5 * full)
+
+
+def test_a_planar_mirror_shows_the_virtual_camera():
+    """Every reflected ray, prolonged backwards, passes through the camera's mirror image."""
+    camera = make_camera()
+    normal = torch.nn.functional.normalize(torch.tensor([0.3, -0.2, -1.0]), dim=0)
+    distance = float(normal @ (camera.centre + 3 * camera.rays()[1][8, 10]))
+    pixels, origins, directions = reflected_rays(
+        mirror(camera, normal, distance), camera, offset=0.0, beta_min=None, joint=True
+    )
+    image_centre = camera.centre - 2 * (camera.centre @ normal - distance) * normal
+    expected = torch.nn.functional.normalize(origins - image_centre, dim=1)
+    assert pixels.tolist() == list(range(WIDTH * HEIGHT))
+    torch.testing.assert_close(origins @ normal, torch.full((WIDTH * HEIGHT,), distance))
+    torch.testing.assert_close(directions, expected, atol=1e-5, rtol=0)
+
+
+def test_rays_start_above_the_surface():
+    camera = make_camera()
+    normal = torch.tensor([0.0, 0.0, -1.0])
+    rendering = mirror(camera, normal, -4.0)
+    _, on, _ = reflected_rays(rendering, camera, offset=0.0, beta_min=None, joint=True)
+    _, above, _ = reflected_rays(rendering, camera, offset=0.25, beta_min=None, joint=True)
+    torch.testing.assert_close(above - on, 0.25 * normal.expand(WIDTH * HEIGHT, 3))
+
+
+def test_only_surfaces_reflect():
+    camera = make_camera()
+    rendering = mirror(camera, torch.tensor([0.0, 0.0, -1.0]), -4.0)
+    rendering.alpha[0, 1] = 0.0
+    rendering.normal = rendering.normal.clone()
+    rendering.normal[0, 2] = 1e-4
+    rendering.extras[0, 3] = 0.003
+    everywhere = reflected_rays(rendering, camera, offset=0.0, beta_min=None, joint=True)[0].tolist()
+    visible = reflected_rays(rendering, camera, offset=0.0, beta_min=1 / 255, joint=True)[0].tolist()
+    assert everywhere == [0, *range(3, WIDTH * HEIGHT)]
+    assert visible == [0, *range(4, WIDTH * HEIGHT)]
+
+
+@pytest.mark.parametrize("joint", [True, False])
+def test_joint_optimisation_lets_gradients_through(joint):
+    camera = make_camera()
+    rendering = mirror(camera, torch.tensor([0.0, 0.0, -1.0]), -4.0)
+    rendering.depth.requires_grad_()
+    rendering.normal = rendering.normal.clone().requires_grad_()
+    _, origins, directions = reflected_rays(rendering, camera, offset=0.0, beta_min=None, joint=joint)
+    assert origins.requires_grad == directions.requires_grad == joint
+    if joint:
+        depth, normal = rendering.depth, rendering.normal
+        (origins.sum() + directions.sum()).backward()
+        assert depth.grad is not None
+        assert depth.grad.abs().sum() > 0
+        assert normal.grad is not None
+        assert normal.grad.abs().sum() > 0
+
+
+def test_gradients_of_the_reflected_rays_against_finite_differences():
+    camera = make_camera()
+    camera = Camera(camera.world_to_camera.double(), camera.intrinsics.double(), WIDTH, HEIGHT)
+    shown = mirror(camera, torch.tensor([0.1, 0.0, -1.0], dtype=torch.float64), -4.0)
+
+    def rays(depth: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
+        full = torch.ones(HEIGHT, WIDTH, dtype=torch.float64)
+        rendering = make_rendering(depth, normal, full, full)
+        return reflected_rays(rendering, camera, offset=0.1, beta_min=None, joint=True)[1:]
+
+    inputs = (shown.depth.detach().requires_grad_(), shown.normal.clone().requires_grad_())
+    assert torch.autograd.gradcheck(rays, inputs, fast_mode=True)
+
+
+def test_base_and_reflection_are_blended_by_beta(monkeypatch):
+    """Equation 5, pixel by pixel, with a cube map of one colour; pixels without a surface keep the base colour."""
+    camera = make_camera()
+    beta = torch.rand(HEIGHT, WIDTH, generator=torch.Generator().manual_seed(0))
+    shown = mirror(camera, torch.tensor([0.0, 0.0, -1.0]), -4.0)
+    alpha = shown.alpha.clone()
+    alpha[3] = 0
+    rendering = make_rendering(shown.depth, shown.normal, alpha, beta)
+    method = EnvMap(EnvMapSettings(envmap_size=4, beta_threshold=0.2))
+    method._set_texels(torch.logit(torch.tensor([0.9, 0.5, 0.2])).expand(6, 4, 4, 3).clone())
+    method.reflects = True
+    monkeypatch.setattr(method, "_rasterize_base", lambda camera, step: rendering)
+    image = method._draw(camera, None)[0]
+
+    expected = (1 - beta[..., None]) * 0.25 + beta[..., None] * torch.tensor([0.9, 0.5, 0.2])
+    expected[beta <= 0.2] = 0.25
+    expected[3] = 0.25
+    torch.testing.assert_close(image.color.detach(), expected)
+    assert set(image.layers) == {"base", "reflection", "beta"}
+    assert torch.equal(image.layers["beta"][..., 0], beta)
+
+
+def test_envgs_and_envmap_differ_in_the_reflected_colour_only():
+    """The shared settings have one default, and the shared class decides everything but that colour."""
+    envgs, envmap = create_method("envgs"), create_method("envmap")
+    shared = set(vars(envgs.settings)) & set(vars(envmap.settings))
+    assert {name: getattr(envgs.settings, name) for name in shared} == {
+        name: getattr(envmap.settings, name) for name in shared
+    }
+    for name in ("_draw", "_losses", "_rasterize_base", "training_step", "_sabotage", "_propagate", "_reset_beta"):
+        assert getattr(type(envgs), name) is getattr(type(envmap), name), name
+
+
+def trained_base(**settings) -> EnvMap:
+    """An environment-map method after `initialize` over three points with β 0.01, 0.03 and 0.2."""
+    from envgs_bench.core import Scene
+
+    method = create_method("envmap", {"envmap_size": 4, **settings})
+    view = View("a", make_camera(), torch.zeros(HEIGHT, WIDTH, 3, dtype=torch.uint8))
+    method.initialize(Scene("three", [view], [view], torch.eye(3), torch.full((3, 3), 0.5)), 3000)
+    method.sets["base"].parameters.replace("beta_logits", torch.logit(torch.tensor([[0.01], [0.03], [0.2]])))
+    return method
+
+
+def test_sabotage_disturbs_what_does_not_reflect():
+    method = trained_base()
+    before = method.sets["base"].parameters.tensors["sh_dc"].detach().clone()
+    method._after_step(1, {"sabotage"})
+    change = (method.sets["base"].parameters.tensors["sh_dc"].detach() - before).abs().amax(dim=(1, 2))
+    assert (change[:2] > 0).all()
+    assert change.max() <= 0.4
+    assert change[2] == 0
+
+
+def test_propagation_grows_what_reflects_and_holds_opacities():
+    method = trained_base()
+    parameters = method.sets["base"].parameters
+    before = parameters.tensors["log_scales"].detach().exp().clone()
+    method._after_step(100, {"propagate"})
+    growth = parameters.tensors["log_scales"].detach().exp() / before
+    torch.testing.assert_close(growth, torch.tensor([[1.0, 1.0], [1.5, 1.5], [1.5, 1.5]]))
+    torch.testing.assert_close(parameters.tensors["opacity_logits"].sigmoid().detach(), torch.full((3,), 0.9))
+    rates = []
+    for step in (101, 120, 121):  # 200 of 30,000 steps are 20 of 3,000
+        method._set_rates(step)
+        rates.append({g["name"]: g["lr"] for g in parameters.optimizer.param_groups}["opacity_logits"])
+    assert rates == [0.0, 0.0, 0.05]
+
+
+@pytest.mark.parametrize(
+    ("mode", "expected"), [("min", [0.01, 0.02, 0.02]), ("max", [0.02, 0.03, 0.2]), ("none", [0.01, 0.03, 0.2])]
+)
+def test_beta_resets(mode, expected):
+    method = trained_base(beta_reset=mode, initial_beta=0.02)
+    step = 600  # 6,000 of 30,000
+    method._after_step(step, method.events(step) & {"reset_beta"})
+    found = method.sets["base"].parameters.tensors["beta_logits"].detach().sigmoid()[:, 0]
+    torch.testing.assert_close(found, torch.tensor(expected))
+
+
+def test_the_opacity_reset_leaves_what_is_below():
+    method = trained_base()
+    parameters = method.sets["base"].parameters
+    parameters.replace("opacity_logits", torch.logit(torch.tensor([0.005, 0.01, 0.8])))
+    method._after_step(1, {"reset_base_opacity"})
+    torch.testing.assert_close(
+        parameters.tensors["opacity_logits"].detach().sigmoid(), torch.tensor([0.005, 0.01, 0.01])
+    )

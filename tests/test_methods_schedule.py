@@ -1,0 +1,76 @@
+"""The schedule of a reference run, number by number, and that a short run leaves nothing out."""
+
+import pytest
+
+from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.schedule import Schedule
+
+
+def events(kind: str, steps: int, **settings) -> dict[str, list[int]]:
+    """For each event the steps of a run in which it happens."""
+    method = create_method(kind, settings)
+    method.schedule = Schedule(steps)
+    found: dict[str, list[int]] = {}
+    for step in range(1, steps + 1):
+        for name in method.events(step):
+            found.setdefault(name, []).append(step)
+    return found
+
+
+def test_envgs_at_30000_steps_is_the_recipe():
+    found = events("envgs", 30_000)
+    assert found.pop("densify_base") == [*range(600, 3001, 100), *range(3500, 18_001, 500), *range(18_100, 21_000, 100)]
+    assert found.pop("densify_env") == list(range(3500, 21_000, 500))
+    thousands = [4, 5, 7, 8, 10, 11, 13, 14, 16, 17]
+    assert found.pop("sabotage") == found.pop("propagate") == [1000 * k for k in thousands]
+    assert found.pop("reset_base_opacity") == [3000, 6000, 9000, 12_000, 15_000, 18_000]
+    assert found.pop("reset_beta") == [6000, 9000, 12_000, 15_000, 18_000]
+    assert found.pop("reset_env_opacity") == [6000, 12_000, 18_000]
+    assert not found
+
+
+@pytest.mark.parametrize("kind", ["2dgs", "3dgs"])
+def test_the_baselines_at_30000_steps_are_the_originals(kind):
+    found = events(kind, 30_000)
+    assert found == {
+        "densify_base": list(range(600, 15_000, 100)),
+        "reset_base_opacity": [3000, 6000, 9000, 12_000],
+    }
+
+
+def test_twice_the_steps_stretch_the_schedule():
+    once, twice = events("envgs", 30_000), events("envgs", 60_000)
+    assert twice == {name: [2 * step for step in steps] for name, steps in once.items()}
+
+
+def test_a_run_of_300_steps_has_every_phase():
+    full, short = events("envgs", 30_000), events("envgs", 300)
+    assert set(short) == set(full)
+    assert min(len(short["densify_base"]), len(short["densify_env"])) >= 5
+    last = max(step for steps in short.values() for step in steps)
+    assert last <= 0.7 * 300  # and the last third is left to converge
+
+
+def test_what_is_switched_off_never_happens():
+    found = events(
+        "envgs",
+        3000,
+        sabotage=False,
+        propagate=False,
+        beta_reset="none",
+        opacity_reset_every=0,
+        env_opacity_reset_every=0,
+    )
+    assert set(found) == {"densify_base", "densify_env"}
+
+
+def test_positions_decay_log_linearly():
+    schedule = Schedule(1000)
+    assert schedule.position_rate(0, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-4)
+    assert schedule.position_rate(500, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-5)
+    assert schedule.position_rate(1000, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-6)
+
+
+def test_a_run_without_steps_is_refused():
+    with pytest.raises(ValueError, match="0 steps"):
+        Schedule(0)

@@ -1,0 +1,249 @@
+"""Every method end to end on a tiny scene: it learns, repeats, is saved, and survives a NaN."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+import envgs_bench
+from envgs_bench.core import Camera, Scene, View
+from envgs_bench.methods.method import Method
+from envgs_bench.methods.registry import create_method, method_names
+
+KINDS = ("2dgs", "3dgs", "envmap", "envgs")
+SMALL = {
+    "2dgs": {},
+    "3dgs": {},
+    "envmap": {"envmap_size": 8},
+    "envgs": {"env_grid": 3, "env_per_cell": 2},
+}
+STEPS = 60
+
+
+def look_at(eye: torch.Tensor) -> torch.Tensor:
+    """World-to-camera pose at `eye`, looking at the origin."""
+    forward = torch.nn.functional.normalize(-eye, dim=0)
+    right = torch.nn.functional.normalize(torch.linalg.cross(torch.tensor([0.0, 1, 0]), forward), dim=0)
+    pose = torch.eye(4)
+    pose[:3, :3] = torch.stack([right, torch.linalg.cross(forward, right), forward])
+    pose[:3, 3] = -pose[:3, :3] @ eye
+    return pose
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """A picture on the plane z = 0, seen by six cameras."""
+    width, height = 24, 18
+    generator = torch.Generator().manual_seed(3)
+    views = []
+    for k in range(6):
+        intrinsics = torch.tensor([[24.0, 0, 12], [0, 24, 9], [0, 0, 1]])
+        camera = Camera(look_at(torch.tensor([0.5 * (k - 2.5), 0.3, -2.5])), intrinsics, width, height)
+        origins, directions = camera.rays()
+        point = origins - (origins[..., 2:] / directions[..., 2:]) * directions
+        image = torch.stack([(3 * point[..., 0]).sin(), (3 * point[..., 1]).cos(), -point[..., 0]], dim=-1) / 2 + 0.5
+        normal = torch.tensor([0.0, 0, -1]).expand(height, width, 3).clone()
+        views.append(View(f"view{k}", camera, (255 * image.clamp(0, 1)).byte(), normal=normal))
+    points = torch.rand(250, 3, generator=generator) * torch.tensor([4.0, 3.0, 0.05]) - torch.tensor([2.0, 1.5, 0.0])
+    return Scene("picture", views[1:], views[:1], points, torch.rand(250, 3, generator=generator))
+
+
+def make_method(kind: str, seed: int = 0, **settings) -> Method:
+    return create_method(kind, {**SMALL[kind], **settings}, seed=seed)
+
+
+def train(method: Method, scene: Scene, steps: int = STEPS) -> list[dict[str, float]]:
+    method.initialize(scene, steps)
+    return [method.training_step(scene.train[step % len(scene.train)], step) for step in range(1, steps + 1)]
+
+
+@pytest.fixture(scope="module")
+def trained(scene) -> dict[str, tuple[Method, list[dict[str, float]]]]:
+    methods = {kind: make_method(kind) for kind in KINDS}
+    return {kind: (method, train(method, scene)) for kind, method in methods.items()}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_training_reduces_the_loss(trained, kind):
+    method, losses = trained[kind]
+    first, last = (sum(row["rgb"] for row in rows) / 5 for rows in (losses[:5], losses[-5:]))
+    assert last < 0.6 * first
+    assert losses[-1]["psnr"] > losses[0]["psnr"] + 4
+    assert method.skipped_steps == 0
+    assert losses[-1]["loss"] == pytest.approx(
+        sum(value for name, value in losses[-1].items() if name not in ("loss", "psnr")), rel=1e-5
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_render_is_an_image_with_its_layers(trained, scene, kind):
+    method, _ = trained[kind]
+    camera = scene.test[0].camera
+    method.prepare()
+    rendering = method.render(camera)
+    assert rendering.color.shape == (camera.height, camera.width, 3)
+    assert not rendering.color.requires_grad
+    assert torch.isfinite(rendering.color).all()
+    expected = {"base", "reflection", "beta"} if kind in ("envmap", "envgs") else set()
+    assert set(rendering.layers) == expected
+    assert all(layer.shape[:2] == rendering.color.shape[:2] for layer in rendering.layers.values())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_loaded_renders_what_was_saved(trained, scene, kind, tmp_path):
+    method, _ = trained[kind]
+    method.save(tmp_path / "checkpoint")
+    again = make_method(kind, seed=99)
+    again.load(tmp_path / "checkpoint")
+    again.prepare()
+    method.prepare()
+    camera = scene.test[0].camera
+    assert torch.equal(again.render(camera).color, method.render(camera).color)
+    assert again.primitives() == method.primitives()
+    assert again.model_bytes() == method.model_bytes()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_counts_and_bytes(trained, kind):
+    method, _ = trained[kind]
+    primitives, size = method.primitives(), method.model_bytes()
+    floats = {"2dgs": 37, "3dgs": 38, "envmap": 38, "envgs": 38}[kind]  # β is one more than a surfel's 37
+    assert set(primitives) == set(size) == {"base", "env"}
+    assert size["base"] == 4 * floats * primitives["base"]
+    expected = {"2dgs": 0, "3dgs": 0, "envmap": 4 * 6 * 8 * 8 * 3, "envgs": 4 * 37 * primitives["env"]}[kind]
+    assert size["env"] == expected
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_seed_determines_a_run(scene, kind):
+    first, second, other = make_method(kind, seed=1), make_method(kind, seed=1), make_method(kind, seed=2)
+    losses = [[row["loss"] for row in train(method, scene, 20)] for method in (first, second, other)]
+    assert losses[0] == losses[1]
+    assert losses[0] != losses[2]
+    camera = scene.test[0].camera
+    assert torch.equal(first.render(camera).color, second.render(camera).color)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_gradient_that_is_not_finite_never_reaches_adam(scene, kind):
+    method = make_method(kind)
+    train(method, scene, 10)
+    optimizers = method._optimizers()
+    before = [value.detach().clone() for o in optimizers for group in o.param_groups for value in group["params"]]
+    states = [{k: v.clone() for k, v in o.state[p].items()} for o in optimizers for p in o.state]
+    record = method.sets["base"].record.gradients.clone()
+
+    spoilt = dataclasses.replace(scene.train[0], normal=torch.full_like(scene.train[0].normal, float("nan")))
+    if kind == "3dgs":  # it has no normal loss: a target that is not finite
+        spoilt = NotFinite(**{f.name: getattr(spoilt, f.name) for f in dataclasses.fields(spoilt)})
+    losses = method.training_step(spoilt, 11)
+
+    after = [value.detach() for o in method._optimizers() for group in o.param_groups for value in group["params"]]
+    assert not torch.isfinite(torch.tensor(losses["loss"]))
+    assert method.skipped_steps == 1
+    assert all(torch.equal(a, b) for a, b in zip(before, after, strict=True))
+    kept = [o.state[p] for o in method._optimizers() for p in o.state]
+    assert all(torch.equal(a[k], b[k]) for a, b in zip(states, kept, strict=True) for k in a)
+    assert torch.equal(record, method.sets["base"].record.gradients)
+    assert torch.isfinite(torch.tensor(method.training_step(scene.train[0], 12)["loss"]))
+    assert method.skipped_steps == 1
+
+
+class NotFinite(View):
+    def rgb(self, device="cpu"):
+        return super().rgb(device) * float("nan")
+
+
+def test_a_perceptual_loss_counts_once_the_harness_sets_it(scene):
+    method = make_method("2dgs", perceptual_from=15_000)
+    method.perceptual = lambda image, target: (image - target).square().mean()
+    losses = train(method, scene, 10)
+    assert ["perceptual" in row for row in losses] == [False] * 5 + [True] * 5
+
+
+def test_sh_degrees_are_added_one_by_one(scene):
+    method = make_method("2dgs", sh_every=1000)
+    method.initialize(scene, 300)
+    assert [method._gaussians("base", step).sh_degree for step in (1, 9, 10, 19, 20, 300)] == [0, 0, 1, 1, 2, 2]
+
+
+def test_a_scene_without_points_is_refused(scene):
+    empty = dataclasses.replace(scene, points=torch.zeros(0, 3), point_colors=torch.zeros(0, 3))
+    with pytest.raises(ValueError, match="picture has no points"):
+        make_method("2dgs").initialize(empty, 10)
+
+
+def test_cameras_at_one_place_still_have_a_scale(scene):
+    lone = dataclasses.replace(scene, train=scene.train[:1])
+    method = make_method("envgs")
+    train(method, lone, 5)
+    assert method.radius > 0.1
+
+
+def test_unknown_settings_are_refused_with_the_known_ones():
+    with pytest.raises(ValueError, match=r"method envgs has no setting env_gird; its settings are .*env_grid"):
+        create_method("envgs", {"env_gird": 16})
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings", "message"),
+    [
+        ("2dgs", {"sh_degree": "two"}, "sh_degree is 'two', expected a value of type int"),
+        ("2dgs", {"near": True}, "near is True, expected a value of type float"),
+        ("2dgs", {"normal_weighting": "far"}, "expected none, depth or alpha"),
+        ("envgs", {"beta_reset": "mean"}, "expected min, max or none"),
+        ("envmap", {"envmap_size": 1}, "envmap_size is 1, expected at least 2"),
+    ],
+)
+def test_bad_settings_are_refused(kind, settings, message):
+    with pytest.raises(ValueError, match=message):
+        create_method(kind, settings)
+
+
+@pytest.mark.parametrize("kind", ["4dgs", "no.such.module:Method", "envgs_bench.methods.envgs:Nothing", "pathlib:Path"])
+def test_unknown_methods_are_refused(kind):
+    with pytest.raises(ValueError, match=kind.split(":")[0]):
+        create_method(kind)
+
+
+def test_a_method_by_import_path():
+    assert set(KINDS) <= set(method_names())
+    method = create_method("envgs_bench.methods.two_d_gs:TwoDGS", {"sh_degree": 1})
+    assert method.settings.sh_degree == 1
+
+
+def test_checkpoints_that_cannot_be_read_are_named(trained, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"model\.pt"):
+        make_method("2dgs").load(tmp_path)
+    trained["3dgs"][0].save(tmp_path)
+    with pytest.raises(ValueError, match="holds a model of ThreeDGS, expected one of TwoDGS"):
+        make_method("2dgs").load(tmp_path)
+    (tmp_path / "model.pt").write_bytes((tmp_path / "model.pt").read_bytes()[:100])
+    with pytest.raises(ValueError, match=r"model\.pt is not a readable checkpoint"):
+        make_method("3dgs").load(tmp_path)
+
+
+CONFIGURED = {
+    "2dgs": "2dgs",
+    "3dgs": "3dgs",
+    "envmap": "envmap",
+    "envmap128": "envmap",
+    "envmap256": "envmap",
+    "envgs": "envgs",
+}
+
+
+@pytest.mark.parametrize("name", CONFIGURED)
+def test_the_configuration_lists_every_setting_with_its_default(name):
+    with initialize_config_dir(str(Path(envgs_bench.__file__).parent / "conf"), version_base="1.3"):
+        config = OmegaConf.to_container(compose(f"method/{name}"))
+    assert isinstance(config, dict)
+    method = config["method"]
+    assert (method["name"], method["kind"]) == (name, CONFIGURED[name])
+    defaults = dataclasses.asdict(create_method(method["kind"]).settings)
+    overrides = {"envmap_size": 256} if name == "envmap256" else {}
+    assert method["settings"] == defaults | overrides
+    create_method(method["kind"], method["settings"])
