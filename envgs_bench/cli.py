@@ -1,0 +1,93 @@
+"""The command line. Parses here, imports where the work is: `--help` answers without waiting for PyTorch."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+RUN_HELP = """\
+Train, render, score and time methods on data sets; one folder and one record.json a run.
+
+  envgs-bench run method=envgs dataset=toy/chrome_room
+  envgs-bench run -m method=2dgs,3dgs,envmap,envgs seed=0,1,2      every combination, one after the other
+  envgs-bench run -m experiment=demo                               a prepared sweep
+  envgs-bench run dataset=colmap dataset.root=FOLDER steps=3000    a capture of your own
+
+Keys of every run:
+  method, dataset     see `envgs-bench list`; their settings are method.settings.<key>=, dataset.<key>=
+  protocol, seed, steps, device=auto|cpu|cuda
+  runs_dir=runs, cache_dir, timeout_minutes, timing.frames, timing.seconds
+  force=true          run again what is already there, replacing it
+  retry_failed=true   run again what ended with another status than ok
+
+Hydra's own options work too: -m, --cfg job (show the composed configuration), --config-dir DIR (more methods and
+data sets as YAML files), hydra/launcher=joblib (jobs in parallel).
+
+Exit status: 0 all runs ok, 1 some not, 2 wrong arguments, 130 interrupted.
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The `envgs-bench` command; returns its exit status."""
+    options, rest = _parser().parse_known_args(arguments)
+    if rest and options.command not in ("run", "bench"):
+        _parser().error(f"unrecognized arguments: {' '.join(rest)}")
+    if options.command == "run":
+        from .app import run
+
+        return run(rest)
+    if options.command == "report":
+        return _report(options.runs, options.out)
+    if options.command == "bench":
+        from .bench.core import main as bench_core
+
+        return bench_core(rest) or 0
+    if options.command == "list":
+        from .listing import print_listing
+
+        return print_listing()
+    from .doctor import examine
+
+    return examine()
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="envgs-bench",
+        description="Benchmark novel-view synthesis of reflective scenes: speed, accuracy, stability, size.",
+        allow_abbrev=False,
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    commands.add_parser(
+        "run",
+        help="train, render, score and time; `run --help` tells the keys",
+        description=RUN_HELP,
+        usage="envgs-bench run [-m] [KEY=VALUE ...]",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    report = commands.add_parser("report", help="tables, charts and pages from records")
+    report.add_argument("runs", type=Path, metavar="RUNS", help="a folder with runs: the runs_dir of `run`")
+    report.add_argument("--out", type=Path, metavar="DIR", help="where to write; RUNS/report by default")
+    commands.add_parser("list", help="methods, data sets, protocols, experiments, backends")
+    bench = commands.add_parser("bench", help="time the core itself", add_help=False, allow_abbrev=False)
+    bench.add_argument("subject", choices=["core"], help="what to time; `bench core --help` tells its options")
+    commands.add_parser("doctor", help="what works on this machine, and why not what does not")
+    return parser
+
+
+def _report(runs: Path, out: Path | None) -> int:
+    from .reports import build_report
+
+    try:
+        build_report(runs, out or runs / "report")
+    except (OSError, ValueError) as error:
+        print(f"envgs-bench report: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,103 @@
+"""Display: how far a run has come, as a progress bar on a terminal and as a few lines anywhere else."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any, Protocol, TextIO
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+LINES_A_STAGE = 10
+
+
+class Display(Protocol):
+    """Shows one run at a time; `update` takes the events that the run's process reports."""
+
+    def start(self, title: str) -> None: ...
+
+    def update(self, event: dict[str, Any]) -> None: ...
+
+    def stop(self) -> None: ...
+
+
+def make_display(alone: bool) -> Display:
+    """A bar where standard error is a terminal that no other run writes to at the same time, else lines."""
+    return Bar() if alone and sys.stderr.isatty() else Lines(sys.stderr)
+
+
+class Bar:
+    """One rich progress bar, gone when the run is."""
+
+    def __init__(self, console: Console | None = None) -> None:
+        self._console = console or Console(stderr=True)
+        self._progress: Progress | None = None
+
+    def start(self, title: str) -> None:
+        columns = (
+            TextColumn("{task.fields[title]}"),
+            TextColumn("[bold]{task.description}"),
+            BarColumn(bar_width=24),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[numbers]}"),
+            TimeRemainingColumn(),
+        )
+        self._progress = Progress(*columns, console=self._console, transient=True)
+        self._progress.start()
+        self._task = self._progress.add_task("starting", total=None, title=title, numbers="")
+
+    def update(self, event: dict[str, Any]) -> None:
+        if self._progress is None:
+            return
+        task = next(task for task in self._progress.tasks if task.id == self._task)
+        if task.description != event["stage"]:
+            self._progress.reset(self._task, description=event["stage"], total=event.get("steps"))
+        self._progress.update(self._task, completed=event.get("step", 0), numbers=numbers(event))
+
+    def stop(self) -> None:
+        if self._progress is not None:
+            self._progress.stop()
+            self._progress = None
+
+
+class Lines:
+    """A line for each stage, and LINES_A_STAGE while it trains."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def start(self, title: str) -> None:
+        self._title, self._stage, self._share = title, "", -1
+        self._print("starting")
+
+    def update(self, event: dict[str, Any]) -> None:
+        stage, step, steps = event["stage"], event.get("step", 0), event.get("steps")
+        if stage != self._stage:
+            self._stage, self._share, self._began, self._first = stage, -1, time.monotonic(), step
+            if stage != "training":
+                self._print(stage)
+        share = LINES_A_STAGE * step // steps if steps else 0
+        if stage == "training" and share != self._share:
+            self._share = share
+            self._print(f"step {step}/{steps}  {numbers(event)}{self._left(step, steps)}")
+
+    def stop(self) -> None:
+        pass
+
+    def _left(self, step: int, steps: int) -> str:
+        done = step - self._first
+        if not done or step == steps:
+            return ""
+        return f"  {(time.monotonic() - self._began) / done * (steps - step):.0f} s left"
+
+    def _print(self, text: str) -> None:
+        print(f"{self._title}: {text}", file=self._stream, flush=True)
+
+
+def numbers(event: dict[str, Any]) -> str:
+    """Loss, PSNR and primitives of a training event; "" of any other."""
+    if "loss" not in event:
+        return ""
+    counts = "  ".join(f"{name} {count:,}" for name, count in event["primitives"].items())
+    return f"loss {event['loss']:.4f}  PSNR {event['psnr']:.2f}  {counts}"

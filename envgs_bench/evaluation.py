@@ -1,0 +1,114 @@
+"""Evaluation: draw the test views, keep the pictures, score them, over the full image and inside each region."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Protocol as Interface
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+from torch.nn import functional
+
+from .core import Rendering, View
+from .methods.method import Method
+from .records import MaskedScores, Metrics, Scores, ViewScores
+from .training import Diverged, Report
+
+NORMAL_METRIC = "normal_degrees"
+
+
+class Scorer(Interface):
+    """What evaluation asks of a protocol of `envgs_bench.metrics`."""
+
+    not_computed: Mapping[str, str]
+
+    def score(self, prediction: Tensor, target: Tensor, mask: Tensor | None = None) -> Mapping[str, float | None]: ...
+
+
+def evaluate(
+    method: Method, views: Sequence[View], protocol: Scorer, folder: Path, report: Report
+) -> tuple[Metrics, dict[str, MaskedScores]]:
+    """Scores of `views` and of every region that their masks name.
+
+    Writes renders/<view>.png, targets/<view>.png and layers/<view>-<layer>.png into `folder`, 8-bit sRGB. Where a view
+    brings exact normals, `normal_degrees` is added to its scores: see `normal_error`.
+
+    Raises:
+        Diverged: a render is not finite.
+    """
+    full: list[ViewScores] = []
+    regions: dict[str, list[tuple[float, ViewScores]]] = {}
+    for number, view in enumerate(views):
+        report({"stage": "scoring", "step": number, "steps": len(views)})
+        rendering = method.render(view.camera.to(method.device))
+        image, target = rendering.color.cpu(), view.rgb()
+        if not torch.isfinite(image).all():
+            share = float((~torch.isfinite(image)).float().mean())
+            raise Diverged(f"the render of test view {view.name} is not finite in {share:.1%} of its values")
+        _save_pictures(folder, view, rendering)
+        full.append(_scores(view, protocol.score(image, target), rendering, None))
+        for region, mask in view.masks.items():
+            if mask.any():
+                scores = _scores(view, protocol.score(image, target, mask), rendering, mask)
+                regions.setdefault(region, []).append((float(mask.float().mean()), scores))
+    metrics = Metrics(mean=_means(full), per_view=full, not_computed=dict(protocol.not_computed))
+    return metrics, {name: _masked(entries) for name, entries in regions.items()}
+
+
+def normal_error(normal: Tensor, reference: Tensor, mask: Tensor | None = None) -> float | None:
+    """Mean angle between rendered and exact normals over the pixels with an exact one, degrees.
+
+    Args:
+        normal: [H, W, 3] blended normals of any length; where nothing was drawn (length 0) the angle counts as 90°.
+        reference: [H, W, 3] unit normals in the same frame, 0 where unknown.
+        mask: [H, W] bool, the pixels that count; all where None.
+
+    Returns:
+        None where no pixel counts.
+    """
+    known = reference.norm(dim=-1) > 0.5
+    known = known if mask is None else known & mask
+    if not known.any():
+        return None
+    cosine = (functional.normalize(normal[known].double(), dim=-1) * reference[known].double()).sum(-1)
+    return float(torch.rad2deg(torch.acos(cosine.clamp(-1, 1))).mean())
+
+
+def _scores(view: View, scores: Mapping[str, float | None], rendering: Rendering, mask: Tensor | None) -> ViewScores:
+    row: Scores = dict(scores)
+    if view.normal is not None:
+        row[NORMAL_METRIC] = normal_error(rendering.normal.cpu(), view.normal, mask)
+    return ViewScores.model_validate({"view": view.name, **row})
+
+
+def _masked(entries: list[tuple[float, ViewScores]]) -> MaskedScores:
+    per_view = [scores for _, scores in entries]
+    fraction = sum(share for share, _ in entries) / len(entries)
+    return MaskedScores.model_validate({"fraction": fraction, "per_view": per_view, **_means(per_view)})
+
+
+def _means(views: Iterable[ViewScores]) -> Scores:
+    """The unweighted mean over views of each metric, None where a view lacks it."""
+    columns: dict[str, list[float | None]] = {}
+    for view in views:
+        for name, value in view.scores.items():
+            columns.setdefault(name, []).append(value)
+    return {name: None if None in values else sum(values) / len(values) for name, values in columns.items()}  # type: ignore[arg-type]
+
+
+def _save_pictures(folder: Path, view: View, rendering: Rendering) -> None:
+    save_png(folder / "renders" / f"{view.name}.png", rendering.color)
+    save_png(folder / "targets" / f"{view.name}.png", view.rgb())
+    for name, layer in rendering.layers.items():
+        save_png(folder / "layers" / f"{view.name}-{name}.png", layer)
+    save_png(folder / "layers" / f"{view.name}-normal.png", functional.normalize(rendering.normal, dim=-1) / 2 + 0.5)
+
+
+def save_png(path: Path, image: Tensor) -> None:
+    """Write [H, W], [H, W, 1] or [H, W, 3] values in [0, 1] as an 8-bit PNG, clamped and rounded."""
+    values = image.detach().cpu().float().clamp(0, 1).mul(255).round().to(torch.uint8).numpy()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.ascontiguousarray(values[..., 0] if values.shape[2:] == (1,) else values)).save(path)
