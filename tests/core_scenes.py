@@ -194,8 +194,9 @@ def steady(gaussians: GaussianSet, draw: Callable[..., Drawing], transmittance_m
 
 
 def hit_table(drawing: Drawing, transmittance_min: float) -> Tensor:
-    """For each ray a row of its hits (int64, padded with −1): which primitive, whether its alpha is clamped, and whether
-    the low-pass filter moved it to the primitive's centre.
+    """For each ray a row of its hits, int64, padded with −1.
+
+    A hit is which primitive, whether its alpha is clamped, and whether the low-pass filter moved it to the centre.
     """
     hits = all_blended_hits(drawing, transmittance_min)
     means = drawing.gaussians.means[hits.primitives]

@@ -24,7 +24,7 @@ def test_project_agrees_with_pycolmap():
         params=[float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])],
     )
     pose = pycolmap.Rigid3d(camera.world_to_camera[:3].double().numpy())
-    points = np.random.default_rng(0).uniform(-1, 1, (50, 3)) + [0, 0, 4]
+    points = np.random.default_rng(0).uniform([-1, -1, 3], [1, 1, 5], (50, 3))
 
     pixels, depths = camera.project(torch.from_numpy(points).float())
 
