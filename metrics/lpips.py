@@ -25,7 +25,7 @@ def lpips(prediction: Tensor, target: Tensor, input_range: str, mask: Tensor | N
     Args:
         prediction, target: [H, W, 3] in [0, 1], at least 16×16 pixels.
         input_range: "[-1, 1]", the images are scaled to it, as LPIPS was trained; "[0, 1]", they are fed as they are,
-            as 3D Gaussian Splatting and EnvGS do. The two differ by several hundredths.
+            as 3D Gaussian Splatting and EnvGS do. The two are different numbers.
         mask: [H, W] bool with at least one pixel inside; every stage's map is upsampled to the image and averaged
             over these pixels.
 

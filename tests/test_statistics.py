@@ -29,11 +29,11 @@ def test_one_stratum_is_scipys_percentile_bootstrap():
 
 
 def test_many_values_give_the_normal_interval():
-    values = np.random.default_rng(0).uniform(0, 1, 4000)
-    interval = interval_of([values], draws=8000)
+    values = np.random.default_rng(0).uniform(0, 1, 1000)
+    interval = interval_of([values], draws=5000)
     half = stats.norm.ppf(0.975) * values.std() / len(values) ** 0.5
-    assert interval.high - interval.mean == pytest.approx(half, rel=0.05)
-    assert interval.mean - interval.low == pytest.approx(half, rel=0.05)
+    assert interval.high - interval.mean == pytest.approx(half, rel=0.06)
+    assert interval.mean - interval.low == pytest.approx(half, rel=0.06)
 
 
 def test_differences_between_scenes_do_not_widen_the_interval():

@@ -3,9 +3,9 @@
     SSIM = (2·μ₁μ₂ + C₁)(2·σ₁₂ + C₂) / ((μ₁² + μ₂² + C₁)(σ₁² + σ₂² + C₂)),   C₁ = 0.01², C₂ = 0.03²
 
 per pixel and channel (Wang et al. 2004), moments weighted by the window. σ₁² and σ₂² only ever appear as a sum, so four
-images are blurred, not five, and the gradient with respect to one image takes three more (it is written out below:
-half the time of automatic differentiation). A blur is a sum of shifted copies: on a CPU faster than any convolution
-that torch offers for 11 taps, on 3×640×480 two to three times.
+images are blurred, not five, and the gradient with respect to one image takes three more: it is written out below, at
+half the cost of automatic differentiation. A blur is a sum of shifted copies: on a CPU two to three times faster than
+torch's depthwise convolutions at 640×480, and as fast at 160×120.
 """
 
 from __future__ import annotations
