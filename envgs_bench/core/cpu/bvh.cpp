@@ -12,7 +12,8 @@ namespace envgs {
 namespace {
 
 constexpr int kWidth = 8;
-constexpr int kBins = 16;
+constexpr int kMaxBins = 16;
+constexpr int kManySurfels = 128;  // parts of fewer are cut into half as many bins: sweeping bins would cost most
 using Float4 = LaneTypes<4>::Float;
 
 inline Float4 lower(Float4 a, Float4 b) { return a < b ? a : b; }
@@ -71,19 +72,19 @@ std::pair<Part, Part> split(std::vector<Item>& items, const Part& part) {
     int middle = (part.begin + part.end) / 2;
     if (!(extent[axis] > 0.0f)) return {part_of(items, part.begin, middle), part_of(items, middle, part.end)};
 
-    float origin = part.centroids.low[axis], scale = kBins * 0.9999f / extent[axis];
-    auto bin_of = [&](const Item& item) { return int((centroid(item)[axis] - origin) * scale); };
-    Box boxes[kBins];
-    int counts[kBins] = {};
+    int bins = part.count() < kManySurfels ? kMaxBins / 2 : kMaxBins;
+    float origin = part.centroids.low[axis], scale = float(bins) * 0.9999f / extent[axis];
+    Box boxes[kMaxBins];
+    int counts[kMaxBins] = {};
     for (int i = part.begin; i < part.end; ++i) {
-        int bin = bin_of(items[i]);
+        int bin = int((centroid(items[i])[axis] - origin) * scale);
         boxes[bin].add(items[i].box);
         ++counts[bin];
     }
-    float right_cost[kBins];
+    float right_cost[kMaxBins];
     Box box;
     int count = 0;
-    for (int bin = kBins - 1; bin > 0; --bin) {
+    for (int bin = bins - 1; bin > 0; --bin) {
         box.add(boxes[bin]);
         count += counts[bin];
         right_cost[bin] = count ? box.area() * leaves_for(count) : 0.0f;
@@ -92,7 +93,7 @@ std::pair<Part, Part> split(std::vector<Item>& items, const Part& part) {
     count = 0;
     int best = -1;
     float best_cost = kInfinity;
-    for (int bin = 1; bin < kBins; ++bin) {
+    for (int bin = 1; bin < bins; ++bin) {
         box.add(boxes[bin - 1]);
         count += counts[bin - 1];
         if (count == 0 || count == part.count()) continue;
@@ -100,10 +101,20 @@ std::pair<Part, Part> split(std::vector<Item>& items, const Part& part) {
         if (cost < best_cost) best_cost = cost, best = bin;
     }
     // The ends of the centroids' box fall into the first and the last bin, so some plane has surfels on both sides.
-    auto first_right = std::partition(items.begin() + part.begin, items.begin() + part.end,
-                                      [&](const Item& item) { return bin_of(item) < best; });
-    middle = int(first_right - items.begin());
-    return {part_of(items, part.begin, middle), part_of(items, middle, part.end)};
+    Part left{part.begin, part.begin, {}, {}}, right{part.end, part.end, {}, {}};
+    for (int bin = 0; bin < bins; ++bin) (bin < best ? left : right).box.add(boxes[bin]);
+    while (left.end < right.begin) {
+        Item& item = items[left.end];
+        Float4 c = centroid(item);
+        if (int((c[axis] - origin) * scale) < best) {
+            left.centroids.add({c, c});
+            ++left.end;
+        } else {
+            right.centroids.add({c, c});
+            std::swap(item, items[--right.begin]);
+        }
+    }
+    return {left, right};
 }
 
 struct Subtree {
