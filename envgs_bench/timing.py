@@ -16,6 +16,8 @@ from .methods.method import Method
 from .records import Timing, ViewTimes
 from .settings import TimingSettings
 
+FRAMES_QUEUED = 3  # on a GPU: enough that the device never waits for the host
+
 
 @dataclass(frozen=True)
 class FrameTimes:
@@ -74,14 +76,14 @@ def time_views(
 ) -> FrameTimes:
     """Time `render(camera)` for each camera: one frame to warm up, then until either limit is reached.
 
-    On a GPU frames lie between two device events each and the device is waited for once a view, so that a frame's time
-    includes no wait; on a CPU `perf_counter` is read before and after each frame.
+    On a GPU each frame lies between two device events and up to FRAMES_QUEUED are under way at once, so that launching
+    overlaps drawing; on a CPU `perf_counter` is read before and after each frame.
 
     Args:
         render: camera to an image on the device; it must not cache images.
         cameras: on the device already.
         frames: most frames a view, at least 1.
-        seconds: a view's last frame is the first to end (on a GPU: to be launched) after this time.
+        seconds: no frame of a view is begun after this time, but for the first.
     """
     device = torch.device(device)
     stopwatch = _stopwatch(device)
@@ -94,7 +96,8 @@ def time_views(
 
 def contract(cameras: Sequence[Camera], device: torch.device | str, frames: int, seconds: float) -> str:
     """What the numbers mean, in words for the record."""
-    clock = "device events, synchronized once a view" if torch.device(device).type == "cuda" else "perf_counter"
+    queued = f"device events, {FRAMES_QUEUED} frames queued, synchronized once a view"
+    clock = queued if torch.device(device).type == "cuda" else "perf_counter"
     sizes = {(camera.width, camera.height) for camera in cameras}
     size = " ".join(f"{width}×{height}" for width, height in sorted(sizes))
     return (
@@ -115,13 +118,10 @@ def _time_on_cpu(work: Callable[[], Any], repeats: int, seconds: float) -> list[
     """Milliseconds of each call, until `repeats` calls or `seconds` are over."""
     times_ms: list[float] = []
     started = perf_counter()
-    while len(times_ms) < repeats:
+    while len(times_ms) < repeats and (not times_ms or perf_counter() - started < seconds):
         before = perf_counter()
         work()
-        after = perf_counter()
-        times_ms.append(1000 * (after - before))
-        if after - started >= seconds:
-            break
+        times_ms.append(1000 * (perf_counter() - before))
     return times_ms
 
 
@@ -136,5 +136,7 @@ def _time_on_cuda(work: Callable[[], Any], repeats: int, seconds: float) -> list
         work()
         after.record()
         events.append((before, after))
+        if len(events) >= FRAMES_QUEUED:  # or all would be launched before the first has ended, whatever `seconds` say
+            events[-FRAMES_QUEUED][1].synchronize()
     torch.cuda.synchronize()
     return [before.elapsed_time(after) for before, after in events]

@@ -107,3 +107,10 @@ def test_on_a_gpu_every_frame_is_positive():
     times = time_views(lambda camera: square @ square, [camera().to("cuda")] * 2, "cuda", frames=4, seconds=5).times_ms
     assert [len(view) for view in times] == [4, 4]
     assert min(map(min, times)) > 0
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_on_a_gpu_time_ends_a_view_although_launching_takes_none():
+    square = torch.randn(8192, 8192, device="cuda")
+    times = time_views(lambda camera: square @ square, [camera().to("cuda")], "cuda", frames=5000, seconds=0.2).times_ms
+    assert len(times[0]) < 5000
