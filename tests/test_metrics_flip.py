@@ -4,6 +4,7 @@ import flip_evaluator
 import numpy as np
 import pytest
 import torch
+
 from envgs_bench.metrics.flip import flip, flip_map
 
 LINEAR_TO_XYZ = np.array(

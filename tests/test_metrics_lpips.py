@@ -6,11 +6,12 @@ import urllib.error
 
 import pytest
 import torch
+from kornia.feature.dedode.vgg import cfgs, make_layers
+from torchmetrics.functional.image import lpips as reference
+
 from envgs_bench.metrics import get_protocol, make_perceptual_loss, vgg16
 from envgs_bench.metrics.lpips import load_heads, lpips
 from envgs_bench.metrics.vgg16 import WeightsUnavailable, find_weights, load_vgg16
-from kornia.feature.dedode.vgg import cfgs, make_layers
-from torchmetrics.functional.image import lpips as reference
 
 
 @pytest.fixture(autouse=True)

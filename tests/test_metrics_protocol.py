@@ -5,12 +5,13 @@ import math
 import numpy as np
 import pytest
 import torch
-from envgs_bench.metrics import METRICS, PROTOCOLS, Protocol, get_protocol
-from envgs_bench.metrics.psnr import psnr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 from skimage.metrics import peak_signal_noise_ratio
+
+from envgs_bench.metrics import METRICS, PROTOCOLS, Protocol, get_protocol
+from envgs_bench.metrics.psnr import psnr
 
 
 @pytest.fixture(autouse=True)

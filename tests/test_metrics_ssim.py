@@ -4,7 +4,6 @@ import kornia.metrics
 import numpy as np
 import pytest
 import torch
-from envgs_bench.metrics.ssim import ssim as scored_ssim
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import convolve
@@ -12,6 +11,7 @@ from skimage.metrics import structural_similarity
 from torchmetrics.functional.image import structural_similarity_index_measure
 
 from envgs_bench.core.ssim import TAPS, ssim, ssim_map
+from envgs_bench.metrics.ssim import ssim as scored_ssim
 
 
 def picture(height=40, width=53, seed=0):
