@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <cstring>
 
-#if defined(__AVX2__)
+#if defined(__SSE2__)
 #include <immintrin.h>
 #endif
 
@@ -23,13 +23,16 @@ using Float8 = LaneTypes<8>::Float;
 using Int8 = LaneTypes<8>::Int;
 #if defined(__AVX512F__)
 constexpr int kPixelLanes = 16;
-#else
+#elif defined(__AVX__)
 constexpr int kPixelLanes = 8;
+#else
+constexpr int kPixelLanes = 4;
 #endif
 using PixelFloat = LaneTypes<kPixelLanes>::Float;
 using PixelInt = LaneTypes<kPixelLanes>::Int;
 
 template <class F> struct LanesOf;
+template <> struct LanesOf<LaneTypes<4>::Float> { static constexpr int width = 4; using Int = LaneTypes<4>::Int; };
 template <> struct LanesOf<LaneTypes<8>::Float> { static constexpr int width = 8; using Int = LaneTypes<8>::Int; };
 template <> struct LanesOf<LaneTypes<16>::Float> { static constexpr int width = 16; using Int = LaneTypes<16>::Int; };
 
@@ -52,6 +55,15 @@ template <class F>
 inline void store_lanes(float* p, F value) { std::memcpy(p, &value, sizeof value); }
 
 // Bit i is set where lane i of the mask is.
+inline unsigned mask_bits(LaneTypes<4>::Int mask) {
+#if defined(__SSE2__)
+    return unsigned(_mm_movemask_ps((__m128)mask));
+#else
+    unsigned bits = 0;
+    for (int i = 0; i < 4; ++i) bits |= unsigned(mask[i] & 1) << i;
+    return bits;
+#endif
+}
 inline unsigned mask_bits(Int8 mask) {
 #if defined(__AVX2__)
     return unsigned(_mm256_movemask_ps((__m256)mask));
@@ -80,22 +92,17 @@ inline Float8 square_root(Float8 a) {
 #endif
 }
 
-// Pairwise, in a fixed order: the same bits whatever the width of the machine's registers.
+// Halves added to halves: a fixed order.
 template <class F, class = LanesOf<F>>
 inline float sum_lanes(F a) {
     constexpr int W = LanesOf<F>::width;
-    if constexpr (W == 16) {
-        Float8 low, high;
-        std::memcpy(&low, &a, sizeof low);
-        std::memcpy(&high, reinterpret_cast<const char*>(&a) + sizeof low, sizeof high);
-        return sum_lanes(low + high);
+    if constexpr (W == 4) {
+        return (a[0] + a[2]) + (a[1] + a[3]);
     } else {
-        typedef LaneTypes<4>::Float Float4;
-        Float4 low, high;
+        typename LaneTypes<W / 2>::Float low, high;
         std::memcpy(&low, &a, sizeof low);
         std::memcpy(&high, reinterpret_cast<const char*>(&a) + sizeof low, sizeof high);
-        Float4 sum = low + high;
-        return (sum[0] + sum[2]) + (sum[1] + sum[3]);
+        return sum_lanes(typename LaneTypes<W / 2>::Float(low + high));
     }
 }
 
