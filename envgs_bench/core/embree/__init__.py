@@ -28,6 +28,8 @@ def trace(
 ) -> Rendering:
     from .search import candidate_pairs
 
+    if bvh is not None and bvh.backend != "embree":
+        raise ValueError(f"the BVH was built by backend {bvh.backend!r}, this is 'embree': build it with its backend")
     rays, primitives = candidate_pairs(gaussians, origins, directions, options.t_min)
     drawing = TracedSurfels(gaussians, origins, directions, options.t_min)
     hits = blended_hits(drawing, rays, primitives, options.transmittance_min)

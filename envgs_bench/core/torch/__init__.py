@@ -36,6 +36,10 @@ def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions)
 def trace(
     gaussians: GaussianSet, origins: Tensor, directions: Tensor, bvh: Bvh | None, options: TraceOptions
 ) -> Rendering:
+    if bvh is not None and bvh.backend != "torch":
+        raise ValueError(
+            f"the BVH was built by backend {bvh.backend!r}, this is 'torch': build it with backend='torch'"
+        )
     drawing = TracedSurfels(gaussians, origins, directions, options.t_min)
     hits = all_blended_hits(drawing, options.transmittance_min)
     return shade(drawing, hits, options.background)
