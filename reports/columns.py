@@ -1,0 +1,76 @@
+"""The columns of every table: which number, how it prints, and which direction is better."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Literal
+
+from .decimals import decimal, rounded
+
+
+@dataclass(frozen=True)
+class Column:
+    metric: str  # as in table.csv
+    region: str
+    title: str
+    places: int  # decimals printed, and compared when ranking
+    better: Literal["higher", "lower"]
+    ranked: bool = True
+    scale: Decimal = Decimal(1)  # printed value = stored value × scale
+    explanation: str = ""
+
+    @property
+    def key(self) -> str:
+        return self.metric if self.region == "full" else f"{self.metric}_{self.region}"
+
+    @property
+    def arrow(self) -> str:
+        return "↑" if self.better == "higher" else "↓"
+
+    def printed(self, value: float | Decimal) -> Decimal:
+        """The stored value in the column's unit and decimals."""
+        return rounded(decimal(value) * self.scale, self.places)
+
+    def text(self, value: float | Decimal) -> str:
+        return f"{self.printed(value):,}"
+
+
+MAIN_COLUMNS = (
+    Column("psnr", "full", "PSNR", 2, "higher", explanation="peak signal-to-noise ratio, dB"),
+    Column("ssim", "full", "SSIM", 3, "higher", explanation="structural similarity"),
+    Column("flip", "full", "FLIP", 3, "lower", explanation="perceived difference, FLIP"),
+    Column("lpips", "full", "LPIPS", 3, "lower", explanation="learned perceptual distance"),
+    Column("psnr", "reflective", "PSNR reflective", 2, "higher", explanation="PSNR within the reflective region, dB"),
+    Column(
+        "psnr",
+        "near_field",
+        "PSNR near-field",
+        2,
+        "higher",
+        explanation="PSNR where reflections are of near things, dB",
+    ),
+    Column("psnr", "foreground", "PSNR foreground", 2, "higher", explanation="PSNR within the object's mask, dB"),
+    Column("normal_degrees", "full", "normal °", 1, "lower", explanation="mean angle to the exact normals, degrees"),
+    Column(
+        "frame_ms", "full", "frame ms", 2, "lower", explanation="time to render one test view, mean of per-view medians"
+    ),
+    Column("train_seconds", "full", "train s", 0, "lower", explanation="training time without evaluation, seconds"),
+    Column("primitives", "full", "primitives", 0, "lower", ranked=False, explanation="Gaussians of all sets together"),
+    Column(
+        "primitives_env", "full", "of them env", 0, "lower", ranked=False, explanation="Gaussians that only reflect"
+    ),
+    Column(
+        "model_bytes",
+        "full",
+        "MB",
+        1,
+        "lower",
+        ranked=False,
+        scale=Decimal("1e-6"),
+        explanation="model size, 10⁶ bytes",
+    ),
+)
+SUMMARY_COLUMNS = tuple(c for c in MAIN_COLUMNS if c.metric in ("psnr", "ssim", "flip", "lpips") and c.region == "full")
+COST_COLUMNS = tuple(c for c in MAIN_COLUMNS if c.metric in ("frame_ms", "train_seconds", "model_bytes"))
+COST_KEYS = ("frame_ms", "train_seconds", "primitives", "primitives_env", "model_bytes")

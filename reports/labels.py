@@ -1,0 +1,88 @@
+"""What tells runs apart: two runs of one method with different settings never share a row."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from .runs import Run
+
+ORDER = ("3dgs", "2dgs", "envmap", "envmap128", "envmap256", "envgs")  # by what they model of reflections
+
+
+@dataclass(frozen=True)
+class Label:
+    """A row's method or a table's data set, with the settings in which it differs from others of its name."""
+
+    name: str
+    settings: tuple[tuple[str, str], ...] = ()
+
+    def __str__(self) -> str:
+        if not self.settings:
+            return self.name
+        settings = ", ".join(f"{key.rsplit('.', 1)[-1]}={value}" for key, value in self.settings)
+        return f"{self.name} [{settings}]"
+
+
+def label_runs(runs: list[Run]) -> dict[int, tuple[Label, Label]]:
+    """(data set, method) of each run by its index, spelling out every setting that varies among runs of one name.
+
+    A data set's settings (size, views, noise…) are its own. A method's settings and the number of steps are spelled
+    out where they vary on one data set; a method may well be set up differently for another data set.
+    """
+    datasets = _labels(
+        [(run.record.dataset, _flat(run.record.config.get("dataset"))) for run in runs], groups=[""] * len(runs)
+    )
+    methods = _labels(
+        [
+            (run.record.method, _flat(run.record.config.get("method")) | {"steps": str(run.record.steps)})
+            for run in runs
+        ],
+        groups=[str(dataset) for dataset in datasets],
+    )
+    return dict(enumerate(zip(datasets, methods, strict=True)))
+
+
+def method_order(label: Label) -> tuple[int, str, tuple[tuple[str, float, str], ...]]:
+    """Sort key: the ladder's methods first, then the others by name; a knob's rows by its value."""
+    position = ORDER.index(label.name) if label.name in ORDER else len(ORDER)
+    return position, label.name, tuple((key, _numeric(value), value) for key, value in label.settings)
+
+
+def _labels(named: list[tuple[str, dict[str, str]]], groups: list[str]) -> list[Label]:
+    """The label of each (name, settings), showing the keys that vary among equal names within some group."""
+    seen: dict[tuple[str, str, str], set[str]] = defaultdict(set)
+    for (name, settings), group in zip(named, groups, strict=True):
+        for key, value in settings.items():
+            seen[name, group, key].add(value)
+    varying: dict[str, set[str]] = defaultdict(set)
+    for (name, _, key), values in seen.items():
+        if len(values) > 1:
+            varying[name].add(key)
+    return [
+        Label(name, tuple((key, settings.get(key, "unset")) for key in sorted(varying[name])))
+        for name, settings in named
+    ]
+
+
+def _flat(settings: Any, prefix: str = "") -> dict[str, str]:
+    """Nested settings with dotted keys and their values as text; locations are not settings."""
+    if not isinstance(settings, Mapping):
+        return {}
+    flat: dict[str, str] = {}
+    for key, value in settings.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{name}.")
+        elif key not in ("root", "path", "cache_dir", "name"):
+            flat[name] = str(value)
+    return flat
+
+
+def _numeric(value: str) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        return float("inf")

@@ -1,0 +1,64 @@
+"""table.md: every table as Markdown that reads well unrendered too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from .layout import LEGEND, Entry, entries, headings
+from .runs import BrokenRecord
+from .sections import Section
+from .summary import Table
+from .table_notes import caption, notes
+
+
+def markdown(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> str:
+    """One part a section (protocol and device), averages first, then a table a data set; then what failed."""
+    parts = ["# Results", ""]
+    for section in sections:
+        parts += _section(section)
+    if broken:
+        parts += ["## Unreadable records", "", *(f"* {_escaped(item.reason)}" for item in broken), ""]
+    return "\n".join(parts).rstrip() + "\n"
+
+
+def _section(section: Section) -> list[str]:
+    lines = [f"## {_escaped(section.title)}", "", _escaped(section.protocol.description), ""]
+    for table in section.averages:
+        lines += [f"### Average over {_escaped(table.title)} ({len(table.datasets)} data sets)", "", *_table(table), ""]
+    for table in section.tables:
+        lines += [f"### {_escaped(table.title)}", "", _escaped(caption(section, table)), "", *_table(table), ""]
+        for note in notes(section, table):
+            lines += [_escaped(note), ""]
+    lines += [LEGEND + ".", ""]
+    failures = [item for item in section.runs if not item.run.ok]
+    if failures:
+        lines += ["### Failed runs", ""]
+        for item in failures:
+            error = item.run.record.error
+            why = f": {error.type}: {error.message}" if error else ""
+            status = item.run.record.status.replace("_", " ")
+            lines.append(_escaped(f"* {item.dataset}, {item.method}, seed {item.run.record.seed}: {status}{why}"))
+        lines.append("")
+    return lines
+
+
+def _table(table: Table) -> list[str]:
+    rows = [[_emphasised(entry) for entry in entries(table, row)] for row in table.rows]
+    alignment = [":--", ":--", *["--:"] * (len(headings(table)) - 2)]
+    return ["| " + " | ".join(cells) + " |" for cells in (headings(table), alignment, *rows)]
+
+
+def _emphasised(entry: Entry) -> str:
+    if entry.rank == 1:
+        return f"**{entry.text}**" + entry.marked.removeprefix(entry.text)
+    return entry.marked if entry.number else _escaped(entry.marked)
+
+
+def _escaped(text: str) -> str:
+    """Text of a record, harmless in a table's cell: no markup, no line breaks."""
+    plain = " ".join(text.split())
+    for character in "\\|`<>[]":
+        plain = plain.replace(
+            character, "&" + {"<": "lt;", ">": "gt;"}[character] if character in "<>" else f"\\{character}"
+        )
+    return plain

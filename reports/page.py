@@ -1,0 +1,161 @@
+"""index.html: a page that opens offline, with its scripts, its data and its pictures beside it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections import Counter
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from plotly.offline import get_plotlyjs
+
+from .layout import LEGEND, Entry, entries, explanations, headings
+from .page_data import page_data
+from .page_origin import commands, failures, origins
+from .pictures import Gallery
+from .runs import BrokenRecord
+from .sections import Section
+from .summary import Row, Table
+from .table_notes import caption, notes
+
+ASSETS = ("report.css", "tables.js", "charts.js", "viewer.js")
+GLYPHS = {"ok": "✓", "failed": "✕", "diverged": "∿", "out_of_memory": "▣", "timeout": "◷", "interrupted": "‖"}
+ORDINALS = {1: "best", 2: "second", 3: "third"}
+
+
+def write_page(
+    out: Path, sections: Sequence[Section], broken: Sequence[BrokenRecord], galleries: Sequence[Sequence[Gallery]]
+) -> Path:
+    """Write index.html and assets/ into `out`; `galleries` are those of each section, their pictures already there."""
+    assets = out / "assets"
+    assets.mkdir(parents=True, exist_ok=True)
+    data = page_data(sections, galleries)
+    (assets / "data.js").write_text(f"window.REPORT = {json.dumps(data, allow_nan=False)};\n", encoding="utf-8")
+    (assets / "plotly.min.js").write_text(get_plotlyjs(), encoding="utf-8")
+    with as_file(files(__package__) / "assets") as source:
+        for name in ASSETS:
+            shutil.copyfile(source / name, assets / name)
+        environment = Environment(
+            loader=FileSystemLoader(source), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        )
+        html = environment.get_template("index.html.j2").render(
+            sections=[
+                _section(section, index, data["sections"][index], galleries[index])
+                for index, section in enumerate(sections)
+            ],
+            broken=broken,
+            tiles=_tiles(sections, broken),
+            legend=LEGEND,
+            glyphs=GLYPHS,
+            names={status: status.replace("_", " ") for status in GLYPHS},
+            ordinals=ORDINALS,
+            version=_version(),
+        )
+    page = out / "index.html"
+    page.write_text(html, encoding="utf-8")
+    return page
+
+
+def _section(section: Section, index: int, data: dict[str, Any], galleries: Sequence[Gallery]) -> dict[str, Any]:
+    charted = any(row.done for table in section.tables for row in table.rows)
+    parts = {
+        "Chart": charted,
+        "Tables": True,
+        "Pictures": bool(galleries),
+        "Training": bool(data["curves"]),
+        "Runs": True,
+        "Provenance": True,
+    }
+    by_place: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for item in sorted(section.runs, key=lambda item: item.run.record.seed):
+        run = {"seed": item.run.record.seed, "status": item.run.record.status}
+        by_place.setdefault((item.dataset, item.method), []).append(run)
+    return {
+        "id": f"section-{index}",
+        "title": section.title,
+        "short": f"{section.protocol.name}, {section.device}",
+        "protocol": section.protocol,
+        "device": section.device,
+        "csv": section.csv_name(index),
+        "parts": [name for name, there in parts.items() if there],
+        "charted": charted,
+        "tables": [_table(section, table) for table in (*section.averages, *section.tables)],
+        "galleries": galleries,
+        "has_curves": bool(data["curves"]),
+        "statuses": Counter(item.run.record.status for item in section.runs).most_common(),
+        "datasets": section.datasets,
+        "matrix": [
+            {"method": method, "cells": [by_place.get((dataset, method), []) for dataset in section.datasets]}
+            for method in section.methods
+        ],
+        "failures": failures(section),
+        "superseded": len(section.superseded),
+        "contracts": sorted({item.run.record.timing.contract for item in section.runs if item.run.record.timing}),
+        "origins": origins(section),
+        "commands": commands(section),
+    }
+
+
+def _table(section: Section, table: Table) -> dict[str, Any]:
+    return {
+        "title": table.title,
+        "caption": caption(section, table),
+        "headings": [
+            {"text": text, "explanation": why} for text, why in zip(headings(table), explanations(table), strict=True)
+        ],
+        "rows": [_row(table, row) for row in table.rows],
+        "notes": notes(section, table),
+    }
+
+
+def _row(table: Table, row: Row) -> dict[str, Any]:
+    return {
+        "published_only": not row.attempts,
+        "failed": row.done < row.attempts,
+        "entries": [_entry(entry) for entry in entries(table, row)],
+    }
+
+
+def _entry(entry: Entry) -> dict[str, Any]:
+    return {
+        "text": entry.text,
+        "rank": entry.rank,
+        "tied": entry.tied,
+        "number": entry.number,
+        "sort": entry.sort,
+    }
+
+
+def _tiles(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> list[dict[str, str]]:
+    """What the head of the page says at a glance."""
+    runs = [item for section in sections for item in section.runs]
+    failed = sum(not item.run.ok for item in runs) + len(broken)
+    methods = {item.method for item in runs}
+    datasets = {item.dataset for item in runs}
+    tiles = [
+        {"name": "methods", "value": str(len(methods)), "note": ""},
+        {"name": "data sets", "value": str(len(datasets)), "note": next(iter(datasets)) if len(datasets) == 1 else ""},
+        {"name": "runs", "value": str(len(runs)), "note": f"{failed} failed" if failed else "all finished"},
+    ]
+    table = (*sections[0].averages, *sections[0].tables)[0]
+    for key, name in (("psnr", "most accurate"), ("frame_ms", "fastest")):
+        best = [row for row in table.rows if (cell := row.cells.get(key)) and cell.rank == 1]
+        column = next((column for column in table.columns if column.key == key), None)
+        if best and column:
+            unit = "dB" if key == "psnr" else "ms"
+            mean = best[0].cells[key].mean
+            note = f"{column.text(mean)} {unit}" if mean is not None else ""
+            tiles.append({"name": f"{name}, {table.title}", "value": best[0].method, "note": note})
+    return tiles
+
+
+def _version() -> str:
+    try:
+        return version("envgs-bench")
+    except PackageNotFoundError:
+        return ""

@@ -1,0 +1,228 @@
+"""pareto.png: accuracy against speed, one row of panels a data set and device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from .columns import MAIN_COLUMNS, Column
+from .label_placement import Box, along, place_labels
+from .palette import Style, styles
+from .pareto import Point, front, knobs, points
+from .sections import Section
+from .summary import Table
+
+INK, SOFT, GRID, GREY = "#1f2733", "#667085", "#e8ebf0", "#a5adba"
+MOST_ROWS = 4  # data sets drawn one by one; more are drawn as their averages
+FORMATS = ("png", "pdf")
+SPEED = next(column for column in MAIN_COLUMNS if column.key == "frame_ms")
+ACCURACIES = tuple(
+    c for c in MAIN_COLUMNS if c.key in ("psnr", "psnr_near_field", "psnr_reflective", "psnr_foreground")
+)
+AXIS_NAMES = {
+    "psnr": "PSNR, dB",
+    "psnr_near_field": "PSNR of near-field reflections, dB",
+    "psnr_reflective": "PSNR of the reflective region, dB",
+    "psnr_foreground": "PSNR of the foreground, dB",
+}
+RC = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.5,
+    "axes.edgecolor": "#98a2b3",
+    "axes.linewidth": 0.8,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": SOFT,
+    "ytick.color": SOFT,
+    "pdf.fonttype": 42,
+}
+
+
+@dataclass(frozen=True)
+class Panel:
+    section: Section
+    table: Table
+    accuracy: Column
+
+
+def draw_pareto(sections: Sequence[Section], out: Path, name: str = "pareto") -> list[Path]:
+    """Write `<name>.png` and `.pdf` into `out`; the files, none where no run finished."""
+    rows = panel_rows(sections)
+    if not rows:
+        return []
+    with mpl.rc_context(RC):
+        figure = _figure(rows)
+        paths = [out / f"{name}.{kind}" for kind in FORMATS]
+        for path in paths:
+            figure.savefig(
+                path, dpi=200, facecolor="white", metadata={"CreationDate": None} if path.suffix == ".pdf" else {}
+            )
+    return paths
+
+
+def panel_rows(sections: Sequence[Section]) -> list[list[Panel]]:
+    """PSNR of the full image, and beside it of the most telling region there is."""
+    rows = []
+    for section in sections:
+        tables = section.tables if len(section.tables) <= MOST_ROWS else section.averages
+        for table in tables:
+            accuracies = [column for column in ACCURACIES if points(table, SPEED, column)]
+            regions = sorted(accuracies[1:], key=lambda column: list(AXIS_NAMES).index(column.key))
+            panels = [Panel(section, table, column) for column in accuracies[:1] + regions[:1]]
+            if panels:
+                rows.append(panels)
+    return rows
+
+
+def _figure(rows: list[list[Panel]]) -> Figure:
+    width = max(len(row) for row in rows)
+    height = 3.7 * len(rows) + 0.35
+    figure = Figure(figsize=(5.1 * width + 0.1, height), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.12, wspace=0.05, hspace=0.07)  # type: ignore[union-attr]
+    axes = figure.subplots(len(rows), width, squeeze=False)
+    for row, line in zip(rows, axes, strict=True):
+        for axis in line[len(row) :]:
+            axis.set_axis_off()
+        for column, (panel, axis) in enumerate(zip(row, line, strict=False)):
+            _prepare(axis, panel, first=column == 0)
+    figure.draw_without_rendering()
+    for row, line in zip(rows, axes, strict=True):
+        for panel, axis in zip(row, line, strict=False):
+            _label(axis, panel)
+    return figure
+
+
+def _prepare(axis: Axes, panel: Panel, first: bool) -> None:
+    places = points(panel.table, SPEED, panel.accuracy)
+    best = front(places, SPEED, panel.accuracy)
+    style = styles(panel.section.methods)
+    _staircase(axis, best, places)
+    _knob_lines(axis, panel, places)
+    for point in places:
+        _mark(axis, point, style[point.label], dominated=point.complete and point not in best)
+    axis.set_xscale("log")
+    _limits(axis, places)
+    axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    axis.grid(color=GRID, linewidth=0.8)
+    axis.set_axisbelow(True)
+    axis.tick_params(which="both", length=0, pad=5)
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.set_xlabel("frame time, ms (log)   ← faster")
+    axis.set_ylabel(AXIS_NAMES[panel.accuracy.key])
+    unplaced = [
+        f"{row.method} ({row.done}/{row.attempts})" for row in panel.table.rows if row.attempts and not row.done
+    ]
+    if unplaced:
+        words = "no run finished: " + ", ".join(unplaced)
+        axis.text(0.985, 0.03, words, transform=axis.transAxes, fontsize=8.5, color=SOFT, ha="right", style="italic")
+    if first:
+        axis.set_title(panel.table.title, loc="left", fontsize=12, fontweight="bold", pad=20)
+        axis.text(0, 1.03, panel.section.device, transform=axis.transAxes, fontsize=8.5, color=SOFT)
+
+
+def _staircase(axis: Axes, best: list[Point], places: list[Point]) -> None:
+    """The front: what can be had at a given frame time, and the area that is beaten."""
+    if not best:
+        return
+    low = min(point.x for point in places) / 100, max(point.x for point in places) * 100
+    xs = [best[0].x, *[point.x for point in best], low[1]]
+    ys = [-1e9, *[point.y for point in best], best[-1].y]
+    axis.step(xs, ys, where="post", color=INK, linewidth=1.3, alpha=0.75, zorder=2)
+    axis.fill_between(xs, ys, -1e9, step="post", color="#f3f5f9", zorder=0, linewidth=0)
+
+
+def _knob_lines(axis: Axes, panel: Panel, places: list[Point]) -> None:
+    labels = [item.label for item in {item.method: item for item in panel.section.runs}.values()]
+    at = {point.label: point for point in places}
+    for family in knobs(labels):
+        line = [at[label] for label in family if label in at]
+        axis.plot([p.x for p in line], [p.y for p in line], color=SOFT, linewidth=1, linestyle=(0, (1, 1.5)), zorder=3)
+
+
+def _mark(axis: Axes, point: Point, style: Style, dominated: bool) -> None:
+    color = GREY if dominated else style.color
+    for interval, horizontal in ((point.x_interval, True), (point.y_interval, False)):
+        if interval is not None:
+            ends = (interval, (point.y, point.y)) if horizontal else ((point.x, point.x), interval)
+            axis.plot(*ends, color=color, linewidth=1.4, solid_capstyle="round", zorder=4)
+    hollow = not point.complete
+    axis.plot(
+        point.x,
+        point.y,
+        marker=style.marker,
+        markersize=9.5 if style.marker != "D" else 8,
+        markerfacecolor="white" if hollow else color,
+        markeredgecolor=color if hollow else "white",
+        markeredgewidth=1.8 if hollow else 1.0,
+        linestyle="none",
+        zorder=5,
+    )
+
+
+def _limits(axis: Axes, places: list[Point]) -> None:
+    xs = [value for p in places for value in (p.x, *(p.x_interval or ()))]
+    ys = [value for p in places for value in (p.y, *(p.y_interval or ()))]
+    ratio = max(max(xs) / min(xs), 1.6)
+    margin = max(0.14 * (max(ys) - min(ys)), 0.25)
+    axis.set_xlim(min(xs) / ratio**0.16, max(xs) * ratio**0.3)
+    axis.set_ylim(min(ys) - 1.3 * margin, max(ys) + 1.3 * margin)
+
+
+def _label(axis: Axes, panel: Panel) -> None:
+    """The methods' names beside their marks, dominated ones in grey, failures with their count."""
+    places = points(panel.table, SPEED, panel.accuracy)
+    best = front(places, SPEED, panel.accuracy)
+    style = styles(panel.section.methods)
+    texts = [
+        axis.text(
+            0,
+            0,
+            p.label if p.complete else f"{p.label} ({p.done}/{p.attempts} runs)",
+            color=style[p.label].color if p in best or not p.complete else SOFT,
+            fontsize=10 if len(places) <= 8 else 7.5,
+            fontweight="bold" if p in best else "normal",
+            zorder=6,
+        )
+        for p in places
+    ]
+    renderer = FigureCanvasAgg(axis.figure).get_renderer()
+    sizes = [(box.width, box.height) for box in (text.get_window_extent(renderer) for text in texts)]
+    marks = [tuple(axis.transData.transform((p.x, p.y))) for p in places]
+    area = axis.get_window_extent(renderer)
+    frame = Box(area.x0, area.y0, area.x1, area.y1)
+    points_px = axis.figure.dpi / 72
+    boxes = place_labels(marks, sizes, frame, _obstacles(axis, places, best), gap=9 * points_px)
+    for text, box, mark in zip(texts, boxes, marks, strict=True):
+        text.set_position(axis.transData.inverted().transform((box.left, box.bottom)))
+        text.set_verticalalignment("bottom")
+        _leader(axis, mark, box, 14 * points_px)
+
+
+def _obstacles(axis: Axes, places: list[Point], best: list[Point]) -> list[Box]:
+    lines = [[(x, p.y) for x in p.x_interval] for p in places if p.x_interval]
+    lines += [[(p.x, y) for y in p.y_interval] for p in places if p.y_interval]
+    stairs: list[tuple[float, float]] = []
+    for point in best:
+        if stairs:
+            stairs.append((point.x, stairs[-1][1]))
+        stairs.append((point.x, point.y))
+    if stairs:
+        stairs = [(stairs[0][0], axis.get_ylim()[0]), *stairs, (axis.get_xlim()[1], stairs[-1][1])]
+    return [box for line in [*lines, stairs] for box in along([tuple(axis.transData.transform(p)) for p in line])]
+
+
+def _leader(axis: Axes, mark: tuple[float, float], box: Box, reach: float) -> None:
+    """A thin line to a label that had to go far from its mark."""
+    nearest = (min(max(mark[0], box.left), box.right), min(max(mark[1], box.bottom), box.top))
+    if (nearest[0] - mark[0]) ** 2 + (nearest[1] - mark[1]) ** 2 > reach**2:
+        start, end = axis.transData.inverted().transform([mark, nearest])
+        axis.plot([start[0], end[0]], [start[1], end[1]], color=GREY, linewidth=0.7, zorder=3)

@@ -1,0 +1,80 @@
+"""build_report(): everything that is made of the records, in one folder."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from .latex import latex
+from .markdown import markdown
+from .page import write_page
+from .pareto_chart import draw_pareto
+from .pictures import Gallery, copy_pictures, galleries, slug
+from .runs import BrokenRecord, read_runs
+from .sections import Section, split_sections
+from .sheets import draw_sheets
+from .structured import structured
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was made, and of what."""
+
+    out: Path
+    sections: tuple[Section, ...]
+    broken: tuple[BrokenRecord, ...]
+
+    @property
+    def page(self) -> Path:
+        return self.out / "index.html"
+
+    def __str__(self) -> str:
+        runs = [item.run for section in self.sections for item in section.runs]
+        failed = sum(not run.ok for run in runs)
+        words = [f"{len(runs)} runs", *([f"{failed} of them failed"] if failed else [])]
+        words += [f"{len(self.broken)} unreadable"] if self.broken else []
+        return f"{', '.join(words)}: {self.page}"
+
+
+def build_report(runs: Path, out: Path) -> Report:
+    """Write table.csv, table.md, table.tex, table.json, pareto.png, pictures/ and index.html of all runs under `runs`.
+
+    Runs that different protocols scored or different devices timed never share a table: each pair has a section of its
+    own, and a table-<section>.csv of its own beside the first one's table.csv. Broken records are listed, not fatal.
+
+    Args:
+        runs: a folder with runs at any depth.
+        out: created where missing; files of an earlier report are replaced.
+
+    Raises:
+        RecordError: `runs` is no folder.
+        ValueError: there is no readable record under it.
+    """
+    found, broken = read_runs(runs)
+    if not found:
+        unreadable = f"; {len(broken)} could not be read, the first: {broken[0].reason}" if broken else ""
+        raise ValueError(f"{runs}: no readable record.json under it: run `envgs-bench run` first{unreadable}")
+    sections = split_sections(found)
+    out.mkdir(parents=True, exist_ok=True)
+    for index, section in enumerate(sections):
+        section.tidy.to_csv(out / section.csv_name(index), index=False)
+    (out / "table.md").write_text(markdown(sections, broken), encoding="utf-8")
+    (out / "table.tex").write_text(latex(sections), encoding="utf-8")
+    (out / "table.json").write_text(json.dumps(structured(sections, broken), indent=1), encoding="utf-8")
+    draw_pareto(sections, out)
+    pictures = [_pictures(section, out, index if len(sections) > 1 else None) for index, section in enumerate(sections)]
+    write_page(out, sections, broken, pictures)
+    return Report(out, tuple(sections), tuple(broken))
+
+
+def _pictures(section: Section, out: Path, index: int | None) -> list[Gallery]:
+    """Copy and draw the section's pictures below pictures/, by section where there are several."""
+    found = galleries(section)
+    for number, gallery in enumerate(found):
+        names = [slug(other.dataset) for other in found]
+        name = slug(gallery.dataset) if names.count(names[number]) == 1 else f"{slug(gallery.dataset)}-{number}"
+        folder = f"pictures/{name}" if index is None else f"pictures/{index}-{section.slug}/{name}"
+        copy_pictures(gallery, out, folder)
+        gallery.sheets.update(draw_sheets(gallery, out, folder))
+    return found

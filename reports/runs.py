@@ -1,0 +1,87 @@
+"""Run: one record and its folder, and how all of them are found. A record that cannot be read is listed, not fatal."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from envgs_bench.records import RECORD_NAME, Record, RecordError, read_record
+
+
+@dataclass(frozen=True)
+class BrokenRecord:
+    """A run folder that tells nothing: its record is missing, truncated or not a record."""
+
+    path: Path
+    reason: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: its record, without the single frames' times, and the folder that holds its pictures."""
+
+    folder: Path
+    record: Record
+
+    @property
+    def ok(self) -> bool:
+        return self.record.status == "ok"
+
+    @property
+    def device(self) -> str:
+        """What the times were taken on: the device, and for a processor the number of threads too."""
+        device, threads = self.record.provenance.device, self.record.provenance.threads
+        if isinstance(device, str):
+            name, kind = device, device
+        else:
+            name, kind = str(device.get("name") or device.get("type") or "unknown device"), str(device.get("type", ""))
+        if kind.startswith("cuda"):
+            return name
+        return f"{name}, {threads} thread{'s' * (threads != 1)}"
+
+    @property
+    def view_psnr(self) -> dict[str, float]:
+        """PSNR of each test view, dB."""
+        metrics = self.record.metrics
+        scores = {view.view: view.scores.get("psnr") for view in metrics.per_view} if metrics else {}
+        return {view: psnr for view, psnr in scores.items() if psnr is not None}
+
+
+def read_runs(folder: Path) -> tuple[list[Run], list[BrokenRecord]]:
+    """Every run under `folder`, in the order of their paths.
+
+    Raises:
+        RecordError: `folder` is not there.
+    """
+    if not folder.is_dir():
+        raise RecordError(f"{folder}: no such folder; expected the runs_dir of an `envgs-bench run`")
+    runs, broken = [], []
+    for path in _run_folders(folder):
+        try:
+            runs.append(read_run(path))
+        except RecordError as error:
+            broken.append(BrokenRecord(path, str(error)))
+    return runs, broken
+
+
+def read_run(folder: Path) -> Run:
+    """The run in `folder`. Raises RecordError saying what is wrong with its record."""
+    if not (folder / RECORD_NAME).is_file():
+        raise RecordError(
+            f"{folder}: no {RECORD_NAME}: the run goes on still, or its process was killed; see its log.txt"
+        )
+    record = read_record(folder)
+    if record.timing is not None:
+        record = record.model_copy(update={"timing": record.timing.model_copy(update={"per_view": []})})
+    return Run(folder, record)
+
+
+def _run_folders(root: Path) -> list[Path]:
+    """Folders with a record, or with the configuration of a run that never wrote one. Runs do not nest."""
+    found = []
+    for folder, children, files in os.walk(root):
+        if RECORD_NAME in files or ("config.yaml" in files and "log.txt" in files):
+            found.append(Path(folder))
+            children.clear()
+    return sorted(found)

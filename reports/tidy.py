@@ -1,0 +1,56 @@
+"""The tidy table: one row a number. Every other table, chart and page of a report is computed from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import pandas as pd
+
+from envgs_bench.records import Record
+
+from .runs import Run
+
+COLUMNS = ["dataset", "method", "seed", "region", "metric", "value"]
+TIMES = ("frame_ms", "frame_ms_p95", "fps", "prepare_ms")
+COSTS = ("train_seconds", "model_bytes", "peak_host_bytes", "peak_device_bytes", "peak_primitives", "skipped_steps")
+
+
+def tidy_table(runs: Sequence[tuple[str, str, Run]]) -> pd.DataFrame:
+    """`COLUMNS` for the finished runs among (data set's label, method's label, run).
+
+    Values are in the records' units (dB, ms, seconds, bytes), NaN for what could not be computed; `primitives` is the
+    sum over the sets and `primitives_<set>` one set. Times and costs have the region `full`.
+    """
+    rows = [
+        (dataset, method, run.record.seed, region, metric, value)
+        for dataset, method, run in runs
+        if run.ok
+        for region, metric, value in _numbers(run.record)
+    ]
+    frame = pd.DataFrame(rows, columns=COLUMNS)
+    return frame.astype({"seed": "int64", "value": "float64"})
+
+
+def attempts_table(runs: Sequence[tuple[str, str, Run]]) -> pd.DataFrame:
+    """dataset, method, seed, status of every run, finished or not: the denominators of the tables."""
+    rows = [(dataset, method, run.record.seed, run.record.status) for dataset, method, run in runs]
+    return pd.DataFrame(rows, columns=["dataset", "method", "seed", "status"])
+
+
+def _numbers(record: Record) -> Iterator[tuple[str, str, float | None]]:
+    assert record.metrics is not None
+    assert record.timing is not None
+    assert record.cost is not None
+    for name, value in record.metrics.mean.items():
+        yield "full", name, value
+    for region, scores in record.masked.items():
+        for name, value in scores.scores.items():
+            yield region, name, value
+        yield region, "fraction", scores.fraction
+    for name in TIMES:
+        yield "full", name, getattr(record.timing, name)
+    for name in COSTS:
+        yield "full", name, getattr(record.cost, name)
+    yield "full", "primitives", sum(record.cost.primitives.values())
+    for name, count in record.cost.primitives.items():
+        yield "full", f"primitives_{name}", count
