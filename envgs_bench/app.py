@@ -12,7 +12,7 @@ from typing import Any
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import CompactHydraException, MissingConfigException
+from hydra.errors import CompactHydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 from rich.console import Console
@@ -66,7 +66,10 @@ def _application(config: DictConfig) -> None:
     except ValueError as error:
         raise SettingsError(f"protocol={settings.protocol}: {error}") from error
     alone = HydraConfig.get().launcher._target_.endswith("BasicLauncher")
-    enter(run_job(settings, make_display(alone)))
+    outcome = run_job(settings, make_display(alone))
+    enter(outcome)
+    if outcome.action == "ran" and outcome.status == "interrupted":
+        raise KeyboardInterrupt  # no further job
 
 
 def register_methods() -> None:
@@ -91,6 +94,8 @@ def explain(error: Exception) -> str:
         if options:
             return f"there is no {group} {name!r}; {group} is one of {', '.join(options)}{_guess(name, options)}"
         return f"there is no configuration {error.missing_cfg_file!r}; `envgs-bench list` shows what there is"
+    if isinstance(error, OverrideParseException):
+        return f"cannot read the override {error.override!r}, expected KEY=VALUE: {error.message}"
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.full_key:
         known = _keys(cause.parent_node)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import deque
 from datetime import UTC, datetime
 from pathlib import Path
@@ -43,6 +44,8 @@ class Draft:
         """Write record.json; the record that was written."""
         settings = self.settings
         protocol = get_protocol(settings.protocol)
+        source = provenance.collect(settings.device)
+        source["command"] = shlex.join(["envgs-bench", "run", *settings.overrides])  # the user's, not this process's
         record = Record(
             status=status,
             error=failure,
@@ -59,7 +62,7 @@ class Draft:
             masked=self.masked,
             timing=self.timing,
             cost=self.cost,
-            provenance=Provenance(**provenance.collect(settings.device), started=self.started, finished=now()),
+            provenance=Provenance(**source, started=self.started, finished=now()),
         )
         write_record(self.folder, record)
         return record

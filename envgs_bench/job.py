@@ -35,9 +35,10 @@ def run_job(settings: RunSettings, display: Display) -> Outcome:
     A run with status ok is reused unless `force`. One that was interrupted starts again; one that ended otherwise
     does so only with `retry_failed` or `force`. An unreadable record is replaced only with `force`.
 
+    Ctrl-C ends the run, with a record of status interrupted.
+
     Raises:
         SettingsError: the device cannot be had.
-        KeyboardInterrupt: after the run's process has written its record.
     """
     settings = settings.model_copy(update={"device": resolve_device(settings.device)})
     folder = settings.runs_dir / settings.dataset_name / settings.method_name / run_id(settings, settings.device)
@@ -142,8 +143,6 @@ def _run_process(folder: Path, settings: RunSettings, display: Display) -> None:
     if _readable(folder) is None:
         status, failure = _diagnosis(process.returncode, settings, timed_out, interrupted)
         draft.write(status, failure.model_copy(update={"log_tail": log_tail(folder)}))
-    if interrupted:
-        raise KeyboardInterrupt
 
 
 def _show(process: subprocess.Popen[bytes], display: Display) -> None:

@@ -27,6 +27,7 @@ from .evaluation import evaluate
 from .methods.method import Method
 from .methods.registry import create_method
 from .metrics import WeightsUnavailable, get_protocol, make_perceptual_loss
+from .provenance import peak_device_bytes, peak_host_bytes
 from .records import Cost, Failure, Status
 from .settings import read_settings
 from .timing import time_frames
@@ -104,25 +105,16 @@ def _check_scene(scene: Scene) -> None:
 
 def _cost(method: Method, training: Training) -> Cost:
     sizes = method.model_bytes()
-    cuda = method.device.type == "cuda"
     return Cost(
         primitives=method.primitives(),
         bytes=sizes,
         model_bytes=sum(sizes.values()),
         train_seconds=training.seconds,
-        peak_host_bytes=_peak_host_bytes(),
-        peak_device_bytes=torch.cuda.max_memory_allocated(method.device) if cuda else None,
+        peak_host_bytes=peak_host_bytes(),
+        peak_device_bytes=peak_device_bytes(method.device),
         skipped_steps=method.skipped_steps,
         peak_primitives=training.peak_primitives,
     )
-
-
-def _peak_host_bytes() -> int:
-    """The most memory that this process held so far."""
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024
 
 
 def _seed(seed: int) -> None:
