@@ -1,0 +1,46 @@
+# make install | demo | test | test-slow | lint | bench | clean. Needs Python 3.11+, a C++ compiler and make.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+NATIVE := $(wildcard envgs_bench/core/cpu/*.cpp envgs_bench/core/cpu/*.h envgs_bench/core/kernels/*.h)
+
+.PHONY: install demo test test-slow lint bench clean
+
+install: $(STAMP)
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "envgs-bench needs Python 3.11 or newer, $(PYTHON) is $$($(PYTHON) --version): set PYTHON=..."; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+# Editable, with the native core compiled for this machine; installed again when what it is built from changes.
+$(STAMP): $(BIN)/python pyproject.toml constraints.txt CMakeLists.txt $(NATIVE)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+demo: install
+	$(BIN)/envgs-bench run -m experiment=demo runs_dir=out/demo/runs
+	$(BIN)/envgs-bench report out/demo/runs --out out/demo
+	@cat out/demo/table.md
+
+test: install
+	$(BIN)/python -m pytest -m "not slow"
+
+test-slow: install
+	$(BIN)/python -m pytest -m slow
+
+# methods/, datasets/, metrics/ and reports/ become part of the package when it is built: mypy reads them from there.
+TYPECHECK := build/typecheck
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	@rm -rf $(TYPECHECK) && mkdir -p $(TYPECHECK)/envgs_bench
+	@ln -s $(CURDIR)/envgs_bench/* $(addprefix $(CURDIR)/,methods datasets metrics reports) $(TYPECHECK)/envgs_bench/
+	cd $(TYPECHECK) && MYPYPATH=. $(CURDIR)/$(BIN)/mypy --config-file $(CURDIR)/pyproject.toml -p envgs_bench
+
+bench: install
+	$(BIN)/envgs-bench bench core
+
+clean:
+	rm -rf build out $(VENV) .mypy_cache .ruff_cache .pytest_cache
