@@ -16,9 +16,10 @@ class Column:
     title: str
     places: int  # decimals printed, and compared when ranking
     better: Literal["higher", "lower"]
+    axis: str  # its name on a chart's axis, with the unit
+    explanation: str = ""
     ranked: bool = True
     scale: Decimal = Decimal(1)  # printed value = stored value × scale
-    explanation: str = ""
 
     @property
     def key(self) -> str:
@@ -37,39 +38,25 @@ class Column:
 
 
 MAIN_COLUMNS = (
-    Column("psnr", "full", "PSNR", 2, "higher", explanation="peak signal-to-noise ratio, dB"),
-    Column("ssim", "full", "SSIM", 3, "higher", explanation="structural similarity"),
-    Column("flip", "full", "FLIP", 3, "lower", explanation="perceived difference, FLIP"),
-    Column("lpips", "full", "LPIPS", 3, "lower", explanation="learned perceptual distance"),
-    Column("psnr", "reflective", "PSNR reflective", 2, "higher", explanation="PSNR within the reflective region, dB"),
+    Column("psnr", "full", "PSNR", 2, "higher", "PSNR, dB", "peak signal-to-noise ratio, dB"),
+    Column("ssim", "full", "SSIM", 3, "higher", "SSIM", "structural similarity"),
+    Column("flip", "full", "FLIP", 3, "lower", "FLIP", "perceived difference, FLIP"),
+    Column("lpips", "full", "LPIPS", 3, "lower", "LPIPS", "learned perceptual distance"),
+    Column("psnr", "reflective", "PSNR reflective", 2, "higher", "PSNR of the reflective region, dB"),
+    Column("psnr", "near_field", "PSNR near-field", 2, "higher", "PSNR of near-field reflections, dB"),
+    Column("psnr", "foreground", "PSNR foreground", 2, "higher", "PSNR of the foreground, dB"),
     Column(
-        "psnr",
-        "near_field",
-        "PSNR near-field",
-        2,
-        "higher",
-        explanation="PSNR where reflections are of near things, dB",
+        "normal_degrees", "full", "normal °", 1, "lower", "normal error, degrees", "mean angle to the exact normals"
     ),
-    Column("psnr", "foreground", "PSNR foreground", 2, "higher", explanation="PSNR within the object's mask, dB"),
-    Column("normal_degrees", "full", "normal °", 1, "lower", explanation="mean angle to the exact normals, degrees"),
+    Column("frame_ms", "full", "frame ms", 2, "lower", "frame time, ms", "mean over test views of each view's median"),
+    Column("train_seconds", "full", "train s", 0, "lower", "training time, s", "training time without evaluation, s"),
     Column(
-        "frame_ms", "full", "frame ms", 2, "lower", explanation="time to render one test view, mean of per-view medians"
-    ),
-    Column("train_seconds", "full", "train s", 0, "lower", explanation="training time without evaluation, seconds"),
-    Column("primitives", "full", "primitives", 0, "lower", ranked=False, explanation="Gaussians of all sets together"),
-    Column(
-        "primitives_env", "full", "of them env", 0, "lower", ranked=False, explanation="Gaussians that only reflect"
+        "primitives", "full", "primitives", 0, "lower", "primitives", "Gaussians of all sets together", ranked=False
     ),
     Column(
-        "model_bytes",
-        "full",
-        "MB",
-        1,
-        "lower",
-        ranked=False,
-        scale=Decimal("1e-6"),
-        explanation="model size, 10⁶ bytes",
+        "primitives_env", "full", "of them env", 0, "lower", "env primitives", "those that only reflect", ranked=False
     ),
+    Column("model_bytes", "full", "MB", 1, "lower", "model size, MB", "10⁶ bytes", ranked=False, scale=Decimal("1e-6")),
 )
 SUMMARY_COLUMNS = tuple(c for c in MAIN_COLUMNS if c.metric in ("psnr", "ssim", "flip", "lpips") and c.region == "full")
 COST_COLUMNS = tuple(c for c in MAIN_COLUMNS if c.metric in ("frame_ms", "train_seconds", "model_bytes"))

@@ -32,15 +32,11 @@ def label_runs(runs: list[Run]) -> dict[int, tuple[Label, Label]]:
     A data set's settings (size, views, noise…) are its own. A method's settings and the number of steps are spelled
     out where they vary on one data set; a method may well be set up differently for another data set.
     """
-    datasets = _labels(
-        [(run.record.dataset, _flat(run.record.config.get("dataset"))) for run in runs], groups=[""] * len(runs)
-    )
+    records = [run.record for run in runs]
+    datasets = _labels([(record.dataset, _flat(record.config.get("dataset"))) for record in records], [""] * len(runs))
     methods = _labels(
-        [
-            (run.record.method, _flat(run.record.config.get("method")) | {"steps": str(run.record.steps)})
-            for run in runs
-        ],
-        groups=[str(dataset) for dataset in datasets],
+        [(record.method, _flat(record.config.get("method")) | {"steps": str(record.steps)}) for record in records],
+        [str(dataset) for dataset in datasets],
     )
     return dict(enumerate(zip(datasets, methods, strict=True)))
 

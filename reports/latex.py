@@ -8,7 +8,7 @@ from .layout import Entry, entries, headings
 from .sections import Section
 from .summary import Table
 
-PREAMBLE = r"""% \usepackage{booktabs} and \usepackage[table]{xcolor}; redefine these three before \input to mark differently.
+PREAMBLE = r"""% Needs booktabs, and xcolor with its option table; define these three first to mark otherwise.
 \providecommand{\best}[1]{\cellcolor[HTML]{F4A582}\textbf{#1}}
 \providecommand{\second}[1]{\cellcolor[HTML]{FBD3B7}\underline{#1}}
 \providecommand{\third}[1]{\cellcolor[HTML]{FDF0D0}\textit{#1}}
@@ -46,17 +46,8 @@ def _tabular(table: Table) -> str:
     head = " & ".join(_escaped(heading) for heading in headings(table))
     lines = [" & ".join(_marked(entry) for entry in entries(table, row)) + r" \\" for row in table.rows]
     alignment = "ll" + "r" * (len(headings(table)) - 2)
-    return "\n".join(
-        [
-            rf"\begin{{tabular}}{{{alignment}}}",
-            r"\toprule",
-            head + r" \\",
-            r"\midrule",
-            *lines,
-            r"\bottomrule",
-            r"\end{tabular}",
-        ]
-    )
+    body = [r"\toprule", head + r" \\", r"\midrule", *lines, r"\bottomrule"]
+    return "\n".join([rf"\begin{{tabular}}{{{alignment}}}", *body, r"\end{tabular}"])
 
 
 def _marked(entry: Entry) -> str:

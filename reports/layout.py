@@ -39,7 +39,8 @@ def explanations(table: Table) -> list[str]:
     """What each heading means."""
     texts = ["what was trained", "finished runs of all runs"]
     for column in table.columns:
-        texts.append(f"{column.explanation}, {column.better} is better" if column.ranked else column.explanation)
+        words = [column.axis, column.explanation, f"{column.better} is better" if column.ranked else ""]
+        texts.append("; ".join(word for word in words if word))
         if column.key == "psnr" and table.published:
             texts.append("the paper's PSNR, dB, and ours minus it")
     return texts

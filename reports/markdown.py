@@ -56,9 +56,7 @@ def _emphasised(entry: Entry) -> str:
 
 def _escaped(text: str) -> str:
     """Text of a record, harmless in a table's cell: no markup, no line breaks."""
-    plain = " ".join(text.split())
-    for character in "\\|`<>[]":
-        plain = plain.replace(
-            character, "&" + {"<": "lt;", ">": "gt;"}[character] if character in "<>" else f"\\{character}"
-        )
+    plain = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    for character in "\\|`[]*_":
+        plain = plain.replace(character, f"\\{character}")
     return plain

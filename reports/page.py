@@ -122,8 +122,10 @@ def _row(table: Table, row: Row) -> dict[str, Any]:
 
 
 def _entry(entry: Entry) -> dict[str, Any]:
+    value, sign, spread = entry.text.partition(" ± ") if entry.number else (entry.text, "", "")
     return {
-        "text": entry.text,
+        "value": value,
+        "spread": f"± {spread}" if sign else "",
         "rank": entry.rank,
         "tied": entry.tied,
         "number": entry.number,

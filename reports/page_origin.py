@@ -76,8 +76,5 @@ def _facts(provenance: Provenance) -> Iterable[tuple[str, str]]:
 
 def _listed(values: Mapping[str, Any]) -> str:
     """Name and value of each entry; how busy others kept the machine differs from run to run and is left out."""
-    return ", ".join(
-        f"{name.replace('_', ' ')} {value}"
-        for name, value in values.items()
-        if name != "others_cores" and value is not None
-    )
+    told = {name: value for name, value in values.items() if name != "others_cores" and value is not None}
+    return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in told.items())

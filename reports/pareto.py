@@ -65,9 +65,8 @@ def _point(row: Row, x: Column, y: Column) -> Point | None:
         return None
     if not x_cell.complete and x_cell.averaged:
         return None
-    return Point(
-        row.method, _value(x_cell), _value(y_cell), _interval(x_cell), _interval(y_cell), row.done, row.attempts
-    )
+    values = _value(x_cell), _value(y_cell), _interval(x_cell), _interval(y_cell)
+    return Point(row.method, *values, row.done, row.attempts)
 
 
 def _value(cell: Cell) -> float:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from .columns import MAIN_COLUMNS, Column
@@ -22,17 +24,11 @@ from .summary import Table
 INK, SOFT, GRID, GREY = "#1f2733", "#667085", "#e8ebf0", "#a5adba"
 MOST_ROWS = 4  # data sets drawn one by one; more are drawn as their averages
 FORMATS = ("png", "pdf")
+DPI = 200
 SPEED = next(column for column in MAIN_COLUMNS if column.key == "frame_ms")
-ACCURACIES = tuple(
-    c for c in MAIN_COLUMNS if c.key in ("psnr", "psnr_near_field", "psnr_reflective", "psnr_foreground")
-)
-AXIS_NAMES = {
-    "psnr": "PSNR, dB",
-    "psnr_near_field": "PSNR of near-field reflections, dB",
-    "psnr_reflective": "PSNR of the reflective region, dB",
-    "psnr_foreground": "PSNR of the foreground, dB",
-}
-RC = {
+ACCURACY = next(column for column in MAIN_COLUMNS if column.key == "psnr")
+REGIONS = ("near_field", "reflective", "foreground")  # the first that the data set has is drawn beside the full image
+RC: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.5,
     "axes.edgecolor": "#98a2b3",
@@ -61,9 +57,8 @@ def draw_pareto(sections: Sequence[Section], out: Path, name: str = "pareto") ->
         figure = _figure(rows)
         paths = [out / f"{name}.{kind}" for kind in FORMATS]
         for path in paths:
-            figure.savefig(
-                path, dpi=200, facecolor="white", metadata={"CreationDate": None} if path.suffix == ".pdf" else {}
-            )
+            undated = {"CreationDate": None} if path.suffix == ".pdf" else {}  # equal records make equal files
+            figure.savefig(path, dpi=DPI, facecolor="white", metadata=undated)
     return paths
 
 
@@ -73,9 +68,9 @@ def panel_rows(sections: Sequence[Section]) -> list[list[Panel]]:
     for section in sections:
         tables = section.tables if len(section.tables) <= MOST_ROWS else section.averages
         for table in tables:
-            accuracies = [column for column in ACCURACIES if points(table, SPEED, column)]
-            regions = sorted(accuracies[1:], key=lambda column: list(AXIS_NAMES).index(column.key))
-            panels = [Panel(section, table, column) for column in accuracies[:1] + regions[:1]]
+            regions = sorted((c for c in MAIN_COLUMNS if c.region in REGIONS), key=lambda c: REGIONS.index(c.region))
+            telling = [column for column in regions if points(table, SPEED, column)]
+            panels = [Panel(section, table, c) for c in (ACCURACY, *telling[:1]) if points(table, SPEED, c)]
             if panels:
                 rows.append(panels)
     return rows
@@ -84,8 +79,8 @@ def panel_rows(sections: Sequence[Section]) -> list[list[Panel]]:
 def _figure(rows: list[list[Panel]]) -> Figure:
     width = max(len(row) for row in rows)
     height = 3.7 * len(rows) + 0.35
-    figure = Figure(figsize=(5.1 * width + 0.1, height), layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.12, wspace=0.05, hspace=0.07)  # type: ignore[union-attr]
+    spacing = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12, wspace=0.05, hspace=0.07)
+    figure = Figure(figsize=(5.1 * width + 0.1, height), layout=spacing)
     axes = figure.subplots(len(rows), width, squeeze=False)
     for row, line in zip(rows, axes, strict=True):
         for axis in line[len(row) :]:
@@ -95,7 +90,7 @@ def _figure(rows: list[list[Panel]]) -> Figure:
     figure.draw_without_rendering()
     for row, line in zip(rows, axes, strict=True):
         for panel, axis in zip(row, line, strict=False):
-            _label(axis, panel)
+            _label(figure, axis, panel)
     return figure
 
 
@@ -117,12 +112,10 @@ def _prepare(axis: Axes, panel: Panel, first: bool) -> None:
     axis.tick_params(which="both", length=0, pad=5)
     axis.spines[["top", "right"]].set_visible(False)
     axis.set_xlabel("frame time, ms (log)   ← faster")
-    axis.set_ylabel(AXIS_NAMES[panel.accuracy.key])
-    unplaced = [
-        f"{row.method} ({row.done}/{row.attempts})" for row in panel.table.rows if row.attempts and not row.done
-    ]
-    if unplaced:
-        words = "no run finished: " + ", ".join(unplaced)
+    axis.set_ylabel(panel.accuracy.axis)
+    failed = [row for row in panel.table.rows if row.attempts and not row.done]
+    if failed:
+        words = "no run finished: " + ", ".join(f"{row.method} (0/{row.attempts})" for row in failed)
         axis.text(0.985, 0.03, words, transform=axis.transAxes, fontsize=8.5, color=SOFT, ha="right", style="italic")
     if first:
         axis.set_title(panel.table.title, loc="left", fontsize=12, fontweight="bold", pad=20)
@@ -177,7 +170,7 @@ def _limits(axis: Axes, places: list[Point]) -> None:
     axis.set_ylim(min(ys) - 1.3 * margin, max(ys) + 1.3 * margin)
 
 
-def _label(axis: Axes, panel: Panel) -> None:
+def _label(figure: Figure, axis: Axes, panel: Panel) -> None:
     """The methods' names beside their marks, dominated ones in grey, failures with their count."""
     places = points(panel.table, SPEED, panel.accuracy)
     best = front(places, SPEED, panel.accuracy)
@@ -194,15 +187,16 @@ def _label(axis: Axes, panel: Panel) -> None:
         )
         for p in places
     ]
-    renderer = FigureCanvasAgg(axis.figure).get_renderer()
+    renderer = FigureCanvasAgg(figure).get_renderer()
     sizes = [(box.width, box.height) for box in (text.get_window_extent(renderer) for text in texts)]
     marks = [tuple(axis.transData.transform((p.x, p.y))) for p in places]
     area = axis.get_window_extent(renderer)
     frame = Box(area.x0, area.y0, area.x1, area.y1)
-    points_px = axis.figure.dpi / 72
+    points_px = figure.dpi / 72
     boxes = place_labels(marks, sizes, frame, _obstacles(axis, places, best), gap=9 * points_px)
     for text, box, mark in zip(texts, boxes, marks, strict=True):
-        text.set_position(axis.transData.inverted().transform((box.left, box.bottom)))
+        x, y = axis.transData.inverted().transform((box.left, box.bottom))
+        text.set_position((float(x), float(y)))
         text.set_verticalalignment("bottom")
         _leader(axis, mark, box, 14 * points_px)
 

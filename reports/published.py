@@ -39,9 +39,9 @@ def published_scores() -> dict[Scene, dict[str, dict[str, Decimal]]]:
     """Scene -> method -> metric -> value over the full image, methods in the paper's order; unreadable cells absent."""
     scores: dict[Scene, dict[str, dict[str, Decimal]]] = {}
     rows = paper_tables()
-    for row in rows[rows["table"].isin(SCENE_TABLES) & (rows["value"] != "")].itertuples():
-        methods = scores.setdefault((row.dataset, row.scene), {})
-        methods.setdefault(row.method, {})[row.metric] = Decimal(row.value)
+    rows = rows[rows["table"].isin(SCENE_TABLES) & (rows["value"] != "")]
+    for dataset, scene, method, metric, value in rows[["dataset", "scene", "method", "metric", "value"]].to_numpy():
+        scores.setdefault((dataset, scene), {}).setdefault(method, {})[metric] = Decimal(value)
     return scores
 
 

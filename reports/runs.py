@@ -68,9 +68,7 @@ def read_runs(folder: Path) -> tuple[list[Run], list[BrokenRecord]]:
 def read_run(folder: Path) -> Run:
     """The run in `folder`. Raises RecordError saying what is wrong with its record."""
     if not (folder / RECORD_NAME).is_file():
-        raise RecordError(
-            f"{folder}: no {RECORD_NAME}: the run goes on still, or its process was killed; see its log.txt"
-        )
+        raise RecordError(f"{folder}: no {RECORD_NAME}: the run goes on, or its process was killed; see its log.txt")
     record = read_record(folder)
     if record.timing is not None:
         record = record.model_copy(update={"timing": record.timing.model_copy(update={"per_view": []})})

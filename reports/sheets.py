@@ -113,9 +113,8 @@ def _weight(shot: Shot, shape: tuple[int, int]) -> np.ndarray:
 def _framed(picture: np.ndarray, rows: slice, columns: slice) -> np.ndarray:
     framed = Image.fromarray(picture)
     width = max(1, round(picture.shape[1] / CELL * 2))
-    ImageDraw.Draw(framed).rectangle(
-        (columns.start, rows.start, columns.stop - 1, rows.stop - 1), outline=FRAME, width=width
-    )
+    corners = (columns.start, rows.start, columns.stop - 1, rows.stop - 1)
+    ImageDraw.Draw(framed).rectangle(corners, outline=FRAME, width=width)
     return np.asarray(framed)
 
 

@@ -37,7 +37,7 @@ def _table(table: Table) -> dict[str, Any]:
 
 
 def _column(column: Column) -> dict[str, Any]:
-    names = ("key", "metric", "region", "title", "places", "better", "explanation")
+    names = ("key", "metric", "region", "title", "places", "better", "axis", "explanation")
     return {name: getattr(column, name) for name in names}
 
 

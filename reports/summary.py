@@ -105,14 +105,16 @@ class Numbers:
     """The tidy table and the attempts behind it, ready for look-up."""
 
     def __init__(self, tidy: pd.DataFrame, attempts: pd.DataFrame):
-        ordered = tidy.sort_values("seed", kind="stable")
-        present = ordered.dropna(subset=["value"])
         keys = ["dataset", "method", "region", "metric"]
-        self._values: dict[Key, list[float]] = present.groupby(keys, sort=False)["value"].agg(list).to_dict()
-        self._known: set[Key] = set(ordered[keys].itertuples(index=False, name=None))
-        self._statuses: dict[tuple[str, str], Counter[str]] = {
-            key: Counter(statuses) for key, statuses in attempts.groupby(["dataset", "method"])["status"]
-        }
+        self._values: dict[Key, list[float]] = {}
+        self._known: set[Key] = set()
+        for *key, value in tidy.sort_values("seed", kind="stable")[[*keys, "value"]].itertuples(index=False):
+            self._known.add(tuple(key))
+            if not np.isnan(value):
+                self._values.setdefault(tuple(key), []).append(value)
+        self._statuses: dict[tuple[str, str], Counter[str]] = {}
+        for dataset, method, status in attempts[["dataset", "method", "status"]].itertuples(index=False):
+            self._statuses.setdefault((dataset, method), Counter())[status] += 1
 
     def statuses(self, dataset: str, method: str) -> Counter[str]:
         return self._statuses.get((dataset, method), Counter())

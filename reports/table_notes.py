@@ -39,6 +39,6 @@ def notes(section: Section, table: Table) -> list[str]:
             found.append(f"The {name.replace('_', '-')} region is {share:.1%} of the pixels{extra}.")
     if table.published:
         found.append(
-            "PSNR paper: what the EnvGS paper printed, and ours minus it. Rows in italics were run by the paper only."
+            "PSNR paper: printed in the EnvGS paper, and ours minus it. Rows marked published: by the paper only."
         )
     return list(dict.fromkeys(found))

@@ -160,7 +160,7 @@ def _curve(dataset: str, method: str, seed: int) -> str:
 def _write_pictures(run: Path, method: str, size: tuple[int, int]) -> None:
     for folder in ("renders", "targets", "layers", "masks"):
         (run / folder).mkdir(exist_ok=True)
-    *_, env, blur = METHODS.get(method, (0, 0, 0, 0, 0, 0, 3.0))
+    blur = METHODS.get(method, (3.0,))[-1]
     for index in range(VIEWS):
         name, angle = f"{index:03d}", 0.5 * index - 1
         parts = ball_in_a_box(size, angle)

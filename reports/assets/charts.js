@@ -1,8 +1,6 @@
 "use strict";
 /* The interactive charts: accuracy against speed, and training curves. Data: window.REPORT (data.js). */
 (function () {
-  const UNBEATEN_LINE = 2;
-
   function css(name) {
     return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   }
@@ -13,16 +11,17 @@
       paper_bgcolor: "rgba(0,0,0,0)",
       plot_bgcolor: "rgba(0,0,0,0)",
       font: { family: getComputedStyle(document.body).fontFamily, size: 13, color: css("--ink") },
-      margin: { l: 60, r: 20, t: 12, b: 52 },
+      margin: { l: 60, r: 24, t: 12, b: 52 },
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: css("--soft"), activecolor: css("--accent") },
       hoverlabel: { align: "left" },
       hovermode: "closest",
       showlegend: false,
-      xaxis: Object.assign({}, axis, { title: { text: x }, type: xType }, xType === "log" ? { dtick: "D2" } : {}),
+      xaxis: Object.assign({}, axis, { title: { text: x }, type: xType }),
       yaxis: Object.assign({}, axis, { title: { text: y } }),
     };
   }
 
-  const CONFIG = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] };
+  const CONFIG = { responsive: true, displaylogo: false, modeBarButtons: [["toImage", "zoom2d", "pan2d", "resetScale2d"]] };
 
   function escaped(text) {
     return String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
@@ -48,7 +47,9 @@
       const cy = row.cells[y];
       if (!cx || !cy || cx.mean === null || cy.mean === null) continue;
       if (cx.partial_average || cy.partial_average) continue;
-      points.push({ row, x: cx.mean, y: cy.mean, cx, cy, complete: row.done === row.attempts });
+      const complete = row.done === row.attempts;
+      const name = complete ? row.method : `${row.method} (${row.done}/${row.attempts})`;
+      points.push({ row, name, complete, x: cx.mean, y: cy.mean, cx, cy });
     }
     return points;
   }
@@ -67,41 +68,37 @@
     return lines.join("<br>");
   }
 
-  function paretoTraces(section, table, x, y, options) {
-    const columns = Object.fromEntries(table.columns.map((column) => [column.key, column]));
-    const points = pointsOf(table, x, y);
-    const best = front(points, columns[x].better, columns[y].better);
-    const traces = [];
-    if (best.length) traces.push(staircase(best, points, columns[x], columns[y]));
+  function paretoTraces(section, points, best, x, y, options) {
+    const traces = best.length ? [staircase(best, points, x, y)] : [];
     for (const knob of section.knobs) {
       const line = knob.map((method) => points.find((p) => p.row.method === method)).filter(Boolean);
       if (line.length > 1) {
         traces.push({ x: line.map((p) => p.x), y: line.map((p) => p.y), mode: "lines", hoverinfo: "skip", line: { color: css("--soft"), dash: "dot", width: 1.2 } });
       }
     }
-    for (const point of points) {
+    points.forEach((point, i) => {
       const style = section.styles[point.row.method];
       const beaten = point.complete && !best.includes(point);
-      if (beaten && !options.dominated) continue;
+      if (beaten && !options.dominated) return;
       const color = beaten ? css("--soft") : style.color;
-      const name = point.complete ? point.row.method : `${point.row.method} (${point.row.done}/${point.row.attempts})`;
+      const name = escaped(point.name);
       traces.push({
         name: point.row.method,
         x: [point.x],
         y: [point.y],
         mode: options.names ? "markers+text" : "markers",
-        text: [`${best.includes(point) ? "<b>" + escaped(name) + "</b>" : escaped(name)}`],
-        textposition: "top left",
+        text: [best.includes(point) ? `<b>${name}</b>` : name],
+        textposition: options.places[i],
         textfont: { color: beaten ? css("--soft") : css("--ink") },
         cliponaxis: false,
         opacity: beaten ? 0.75 : 1,
         marker: { size: 14, symbol: style.symbol + (point.complete ? "" : "-open"), color, line: { color: point.complete ? css("--paper") : color, width: 2 } },
         error_x: Object.assign(whisker([point.cx], [point.x]), { color }),
         error_y: Object.assign(whisker([point.cy], [point.y]), { color }),
-        hovertemplate: hover(point, columns[x], columns[y]) + "<extra></extra>",
+        hovertemplate: hover(point, x, y) + "<extra></extra>",
       });
-    }
-    return { traces, best, points };
+    });
+    return traces;
   }
 
   /* From the axis' worse end up to the first point, then step by step, then on to the better end. */
@@ -109,21 +106,68 @@
     const faster = xColumn.better === "lower" ? best : best.slice().reverse();
     const xs = points.map((p) => p.x);
     const ys = points.map((p) => p.y);
-    const far = xColumn.better === "lower" ? Math.max(...xs) * 1.6 : Math.min(...xs) / 1.6;
+    const far = xColumn.better === "lower" ? Math.max(...xs) * 100 : Math.min(...xs) / 100;
     const span = Math.max(...ys) - Math.min(...ys) || 1;
-    const bottom = yColumn.better === "higher" ? Math.min(...ys) - 0.12 * span : Math.max(...ys) + 0.12 * span;
+    const bottom = yColumn.better === "higher" ? Math.min(...ys) - span : Math.max(...ys) + span;
     return {
       x: [faster[0].x, ...faster.map((p) => p.x), far],
       y: [bottom, ...faster.map((p) => p.y), faster[faster.length - 1].y],
       mode: "lines",
       hoverinfo: "skip",
-      line: { shape: "hv", color: css("--ink"), width: UNBEATEN_LINE },
+      line: { shape: "hv", color: css("--ink"), width: 2 },
       opacity: 0.7,
     };
   }
 
+  /* Ranges with room for names, and ticks at 1, 2 and 5 on a logarithmic axis. */
+  function frame(shape, points, log) {
+    const ends = (cell, value) => [value, ...(cell.interval || [])];
+    const xs = points.flatMap((p) => ends(p.cx, p.x));
+    const ys = points.flatMap((p) => ends(p.cy, p.y));
+    const pad = Math.max(0.16 * (Math.max(...ys) - Math.min(...ys)), 1e-9);
+    shape.yaxis.range = [Math.min(...ys) - pad, Math.max(...ys) + pad];
+    if (!log) {
+      const room = Math.max(0.16 * (Math.max(...xs) - Math.min(...xs)), 1e-9);
+      shape.xaxis.range = [Math.min(...xs) - room, Math.max(...xs) + room];
+      return;
+    }
+    const low = Math.log10(Math.min(...xs));
+    const high = Math.log10(Math.max(...xs));
+    const room = Math.max(0.16 * (high - low), 0.1);
+    shape.xaxis.range = [low - room, high + room];
+    shape.xaxis.tickvals = [];
+    for (let power = Math.floor(low) - 1; power <= Math.ceil(high) + 1; power += 1) {
+      [1, 2, 5].forEach((digit) => shape.xaxis.tickvals.push(Number((digit * 10 ** power).toPrecision(1))));
+    }
+    shape.xaxis.ticktext = shape.xaxis.tickvals.map((value) => value.toLocaleString("en", { maximumSignificantDigits: 3 }));
+  }
+
+  /* Where each name goes: the first place around its mark that covers no other name and no other mark. */
+  function namePlaces(points, shape, plot, log) {
+    const width = plot.clientWidth - 100;
+    const height = plot.clientHeight - 80;
+    const along = (value, range, size) => (size * (value - range[0])) / (range[1] - range[0]);
+    const marks = points.map((p) => [along(log ? Math.log10(p.x) : p.x, shape.xaxis.range, width), along(p.y, shape.yaxis.range, height)]);
+    const taken = marks.map(([x, y]) => [x - 8, y - 8, x + 8, y + 8]);
+    const sides = { "top left": [-1, 1], "top right": [1, 1], "bottom right": [1, -1], "bottom left": [-1, -1], "top center": [0, 1], "bottom center": [0, -1] };
+    return points.map((point, i) => {
+      const long = 7.6 * point.name.length;
+      const box = ([h, v]) => {
+        const left = marks[i][0] + (h === 0 ? -long / 2 : h > 0 ? 9 : -9 - long);
+        const bottom = marks[i][1] + (v > 0 ? 9 : -25);
+        return [left, bottom, left + long, bottom + 16];
+      };
+      const area = (a, b) => Math.max(0, Math.min(a[2], b[2]) - Math.max(a[0], b[0])) * Math.max(0, Math.min(a[3], b[3]) - Math.max(a[1], b[1]));
+      const cost = (b) => taken.reduce((sum, other) => sum + area(b, other), 0) + 10 * Math.max(0, -b[0], b[2] - width);
+      const names = Object.keys(sides);
+      const best = names.reduce((a, b) => (cost(box(sides[b])) < cost(box(sides[a])) ? b : a));
+      taken.push(box(sides[best]));
+      return best;
+    });
+  }
+
   function axisName(column) {
-    return `${column.explanation || column.title} (${column.better === "higher" ? "higher" : "lower"} is better)`;
+    return `${column.axis} (${column.better} is better)`;
   }
 
   function setUpPareto(group, section) {
@@ -147,14 +191,18 @@
     }
 
     function draw() {
-      const table = current();
-      const x = pick("x").value;
-      const y = pick("y").value;
+      const columns = Object.fromEntries(current().columns.map((column) => [column.key, column]));
+      const x = columns[pick("x").value];
+      const y = columns[pick("y").value];
       if (!x || !y) return;
-      const columns = Object.fromEntries(table.columns.map((column) => [column.key, column]));
-      const options = { names: pick("names").checked, dominated: pick("dominated").checked };
-      const { traces, best } = paretoTraces(section, table, x, y, options);
-      window.Plotly.react(plot, traces, layout(axisName(columns[x]), axisName(columns[y]), pick("log").checked ? "log" : "linear"), CONFIG);
+      const log = pick("log").checked;
+      const points = pointsOf(current(), x.key, y.key);
+      const best = front(points, x.better, y.better);
+      const shape = layout(axisName(x), axisName(y), log ? "log" : "linear");
+      frame(shape, points, log);
+      const places = namePlaces(points, shape, plot, log);
+      const options = { names: pick("names").checked, dominated: pick("dominated").checked, places };
+      window.Plotly.react(plot, paretoTraces(section, points, best, x, y, options), shape, CONFIG);
       plot.dataset.front = best.map((point) => point.row.method).join("|");
     }
 
@@ -193,7 +241,7 @@
         const reached = curve[axis].map((value, i) => (value === null || band.low[i] === null ? -1 : i)).filter((i) => i >= 0);
         const xs = reached.map((i) => curve[axis][i]);
         const of = (name) => reached.map((i) => band[name][i]);
-        traces.push({ x: xs.concat(xs.slice().reverse()), y: of("high").concat(of("low").reverse()), fill: "toself", fillcolor: translucent(color), mode: "lines", line: { width: 0 }, hoverinfo: "skip" });
+        traces.push({ x: xs.concat(xs.slice().reverse()), y: of("high").concat(of("low").reverse()), fill: "toself", fillcolor: translucent(color), mode: "lines", line: { width: 0 }, hoverinfo: "skip", showlegend: false });
         traces.push({ name: curve.method, x: xs, y: of("mean"), mode: "lines", line: { color, width: 2 }, showlegend: true, hovertemplate: `<b>${escaped(curve.method)}</b> %{y:.4g}<extra></extra>` });
       }
       const shape = layout(axis === "step" ? "step" : "training time, seconds", section.quantities[quantity], "linear");
