@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
-import torch
 from core_scenes import Backend
 
 
@@ -32,10 +29,3 @@ def tracer(request: pytest.FixtureRequest) -> Backend:
 def native(request: pytest.FixtureRequest) -> Backend:
     """The backends that are fast, in float32, and held against the oracle."""
     return usable(request.param)
-
-
-@pytest.fixture
-def seeded() -> Iterator[None]:
-    with torch.random.fork_rng():
-        torch.manual_seed(0)
-        yield

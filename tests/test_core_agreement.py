@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import pytest
 import torch
@@ -22,10 +24,12 @@ from core_scenes import (
     traced,
 )
 from scipy.spatial.transform import Rotation
+from torch import Tensor
 
-from envgs_bench.core import GaussianSet
+from envgs_bench.core import GaussianSet, Rendering
 
 TOLERANCE = 1e-3
+CAMERA = tilted_camera(53, 41)
 BACKGROUND = torch.tensor([0.7, 0.2, 0.4])
 
 SINGLE = Backend("torch", torch.float32, "cpu")  # the oracle itself, in the precision of the native backends
@@ -33,7 +37,7 @@ SINGLE = Backend("torch", torch.float32, "cpu")  # the oracle itself, in the pre
 
 SCENES = {
     "few": random_set(12, seed=1),
-    "many": random_set(600, seed=2),
+    "many": random_set(400, seed=2),
     "degree-0": random_set(150, degree=0, extras=0, seed=3),
     "degree-1": random_set(150, degree=1, extras=3, seed=4),
     "degree-3": random_set(150, degree=3, extras=8, seed=5),
@@ -59,18 +63,22 @@ def single(request: pytest.FixtureRequest) -> Backend:
     return backend
 
 
-def compare(backend: Backend, gaussians: GaussianSet, draw, keep, rays: tuple[torch.Tensor, ...] = ()) -> None:
-    """Draw with a backend and with the oracle; hold every field, statistic and gradient of the kept rays together."""
-    assert keep.double().mean() > 0.75, "too little of the scene is comparable to say anything"
-    results = []
-    for each in (backend, ORACLE):
-        leaves, own_rays = each.take(gaussians), [each.take(x) for x in rays]
-        drawn = draw(each, leaves, own_rays)
-        loss_of(drawn, keep).backward()
-        gradients = gradients_of(leaves, **dict(zip(("origins", "directions"), own_rays, strict=False)))
-        results.append((drawn, gradients))
-    (drawn, gradients), (expected, expected_gradients) = results
+Draw = Callable[[Backend, GaussianSet, list[Tensor]], Rendering]
+Drawn = tuple[Rendering, dict[str, Tensor]]
 
+
+def drawn_with(backend: Backend, gaussians: GaussianSet, draw: Draw, keep: Tensor, rays: tuple[Tensor, ...]) -> Drawn:
+    """What a backend draws, and the gradients of a loss over the kept pixels or rays."""
+    leaves, own_rays = backend.take(gaussians), [backend.take(x) for x in rays]
+    drawn = draw(backend, leaves, own_rays)
+    loss_of(drawn, keep).backward()
+    return drawn, gradients_of(leaves, **dict(zip(("origins", "directions"), own_rays, strict=False)))
+
+
+def compare(one: Drawn, other: Drawn, keep: Tensor) -> None:
+    """Hold every field, statistic and gradient of the kept pixels or rays together."""
+    assert keep.double().mean() > 0.75, "too little of the scene is comparable to say anything"
+    (drawn, gradients), (expected, expected_gradients) = one, other
     where = keep.to(drawn.alpha.device)
     assert torch.equal(drawn.hits[where].cpu(), expected.hits[keep])
     for name in FIELDS:
@@ -86,55 +94,59 @@ def compare(backend: Backend, gaussians: GaussianSet, draw, keep, rays: tuple[to
         assert relative_error(drawn.statistics.weights, expected.statistics.weights) < TOLERANCE
 
 
-@pytest.mark.parametrize("low_pass", [True, False], ids=["low-pass", "exact"])
-@pytest.mark.parametrize("scene", list(SCENES))
-def test_rasterized_surfels(single, scene, low_pass):
-    gaussians, camera = SCENES[scene], tilted_camera(61, 45)
-    keep = steady(gaussians, rasterized(gaussians, camera, low_pass=low_pass))
-
-    def draw(backend, leaves, rays):
-        return backend.rasterize(leaves, backend.take(camera), low_pass=low_pass, background=BACKGROUND)
-
-    compare(single, gaussians, draw, keep)
+def image(low_pass: bool = True) -> Draw:
+    return lambda backend, leaves, rays: backend.rasterize(
+        leaves, backend.take(CAMERA), low_pass=low_pass, background=BACKGROUND
+    )
 
 
-@pytest.mark.parametrize("low_pass", [True, False], ids=["low-pass", "exact"])
-@pytest.mark.parametrize("scene", list(SCENES))
-def test_rasterized_volumes(single, scene, low_pass):
-    gaussians, camera = volumes(SCENES[scene]), tilted_camera(61, 45)
-    keep = steady(gaussians, rasterized(gaussians, camera, low_pass=low_pass))
-
-    def draw(backend, leaves, rays):
-        return backend.rasterize(leaves, backend.take(camera), low_pass=low_pass, background=BACKGROUND)
-
-    compare(single, gaussians, draw, keep)
+def bundle(backend: Backend, leaves: GaussianSet, rays: list[Tensor]) -> Rendering:
+    return backend.trace(leaves, *rays, t_min=0.5, background=BACKGROUND)
 
 
-@pytest.mark.parametrize("scene", list(SCENES))
-def test_traced_rays(single, scene):
-    """Rays that fail to be comparable are left out, so that the statistics are compared too."""
-    gaussians, (origins, directions) = SCENES[scene], random_rays(1500)
+@cache
+def oracles_image(scene: str, as_volumes: bool, low_pass: bool) -> tuple[GaussianSet, Tensor, Drawn]:
+    """A scene, the pixels that can be compared, and the oracle's drawing: the same for every backend."""
+    gaussians = volumes(SCENES[scene]) if as_volumes else SCENES[scene]
+    keep = steady(gaussians, rasterized(gaussians, CAMERA, low_pass=low_pass))
+    return gaussians, keep, drawn_with(ORACLE, gaussians, image(low_pass), keep, ())
+
+
+@cache
+def oracles_bundle(scene: str) -> tuple[GaussianSet, tuple[Tensor, ...], Drawn]:
+    """A scene, rays that can be compared (and no others, so that statistics can be too), and the oracle's drawing."""
+    gaussians, (origins, directions) = SCENES[scene], random_rays(1000)
     keep = steady(gaussians, traced(gaussians, origins, directions, t_min=0.5))
     assert keep.double().mean() > 0.75
-    origins, directions = origins[keep], directions[keep]
+    rays = origins[keep], directions[keep]
+    return gaussians, rays, drawn_with(ORACLE, gaussians, bundle, keep[keep], rays)
 
-    def draw(backend, leaves, rays):
-        return backend.trace(leaves, *rays, t_min=0.5, background=BACKGROUND)
 
-    compare(single, gaussians, draw, keep[keep], rays=(origins, directions))
+@pytest.mark.parametrize("low_pass", [True, False], ids=["low-pass", "exact"])
+@pytest.mark.parametrize("as_volumes", [False, True], ids=["surfels", "volumes"])
+@pytest.mark.parametrize("scene", list(SCENES))
+def test_images(single, scene, as_volumes, low_pass):
+    gaussians, keep, expected = oracles_image(scene, as_volumes, low_pass)
+    compare(drawn_with(single, gaussians, image(low_pass), keep, ()), expected, keep)
+
+
+@pytest.mark.parametrize("scene", list(SCENES))
+def test_bundles_of_rays(single, scene):
+    gaussians, rays, expected = oracles_bundle(scene)
+    keep = torch.ones(len(rays[0])) > 0
+    compare(drawn_with(single, gaussians, bundle, keep, rays), expected, keep)
 
 
 @pytest.mark.parametrize("scene", list(SCENES))
 def test_embree_finds_the_same_hits(scene):
     """In float64, hit for hit, without leaving any ray out."""
-    embree, gaussians, rays = Backend.named("embree"), SCENES[scene], random_rays(1500)
-    compare(
-        embree, gaussians, lambda backend, leaves, own: backend.trace(leaves, *own), torch.ones(1500) > 0, rays=rays
-    )
+    gaussians, rays, keep = SCENES[scene], random_rays(1000), torch.ones(1000) > 0
+    one, other = (drawn_with(each, gaussians, bundle, keep, rays) for each in (Backend.named("embree"), ORACLE))
+    compare(one, other, keep)
 
 
 def test_natively_traced_rays_against_embree(native):
-    gaussians, (origins, directions) = SCENES["many"], random_rays(1500)
+    gaussians, (origins, directions) = SCENES["many"], random_rays(1000)
     keep = steady(gaussians, traced(gaussians, origins, directions))
     embree = Backend.named("embree")
     fast, slow = (
@@ -176,7 +188,7 @@ def slabs(count: int = 12) -> GaussianSet:
 
 def test_tracing_a_cameras_rays_is_its_raster_image(rasterizer):
     """The two sort by different depths and find hits in different ways; nothing else may differ."""
-    gaussians, camera = slabs(), tilted_camera(61, 45)
+    gaussians, camera = slabs(), CAMERA
     keep = steady(gaussians, rasterized(gaussians, camera, low_pass=False))
     assert keep.double().mean() > 0.9
     leaves, view = rasterizer.take(gaussians), rasterizer.take(camera)
@@ -198,7 +210,7 @@ def test_tracing_a_cameras_rays_is_its_raster_image(rasterizer):
 
 @pytest.mark.parametrize("columns", [2, 3])
 def test_two_images_are_bitwise_equal(rasterizer, columns):
-    scene, camera = random_set(400, columns=columns), rasterizer.take(tilted_camera(61, 45))
+    scene, camera = random_set(400, columns=columns), rasterizer.take(CAMERA)
     check_repeats(rasterizer, scene, lambda leaves: rasterizer.rasterize(leaves, camera))
 
 
@@ -227,9 +239,6 @@ def test_facing_surfels_that_fill_the_image_agree_at_every_pixel(native):
     """Nothing is near a support's edge here: not one pixel is left out."""
     means = torch.stack([torch.zeros(8), torch.zeros(8), 2 + torch.arange(8.0)], 1)
     gaussians = facing_surfels(means, scale=30.0, opacity=0.3)
-    camera = tilted_camera(61, 45)
-
-    def draw(backend, leaves, rays):
-        return backend.rasterize(leaves, backend.take(camera), background=BACKGROUND)
-
-    compare(native, gaussians, draw, torch.ones(45, 61) > 0)
+    keep = torch.ones(CAMERA.height, CAMERA.width) > 0
+    one, other = (drawn_with(each, gaussians, image(), keep, ()) for each in (native, ORACLE))
+    compare(one, other, keep)

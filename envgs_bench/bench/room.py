@@ -109,7 +109,7 @@ def reflected_rays(width: int, height: int) -> tuple[Tensor, Tensor]:
 
 
 def first_hits(origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
-    """Distances [R] and normals [R, 3] of the nearest side or ball along rays [R, 3] that start inside the room."""
+    """Distances [R] and normals [R, 3] of the nearest side or ball along unit directions [R, 3] from inside."""
     to_sides = (torch.where(directions > 0, UPPER, LOWER) - origins) / directions
     nearest, axis = to_sides.min(dim=1)
     normals = -torch.eye(3)[axis] * directions.sign()

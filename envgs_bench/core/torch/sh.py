@@ -53,10 +53,11 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
 def sh_color(sh: Tensor, offsets: Tensor) -> Tensor:
     """Colour [..., 3] of coefficients [..., K, 3] seen along `offsets` [..., 3], of any length: max(0, Σ Yₖ·cₖ + ½).
 
-    A zero offset has no direction: it is left zero, without gradient.
+    An offset of zero has no direction: Y is that of the zero vector, and no gradient reaches the offset.
     """
     squared = (offsets * offsets).sum(-1, keepdim=True)
-    directions = offsets / torch.where(squared > 0, squared, 1).sqrt()
+    somewhere = squared > 0
+    directions = torch.where(somewhere, offsets / torch.where(somewhere, squared, 1).sqrt(), 0)
     degree = round(sh.shape[-2] ** 0.5) - 1
     basis = sh_basis(directions, degree)
     return ((basis[..., None] * sh).sum(-2) + 0.5).clamp_min(0)
