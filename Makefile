@@ -1,6 +1,7 @@
 # make install | demo | test | test-slow | lint | bench | clean. Needs Python 3.11+, a C++ compiler and make.
 PYTHON ?= python3
 VENV ?= .venv
+PIP_FLAGS ?=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 NATIVE := $(wildcard envgs_bench/core/cpu/*.cpp envgs_bench/core/cpu/*.h envgs_bench/core/kernels/*.h)
@@ -16,7 +17,7 @@ $(BIN)/python:
 
 # Editable, with the native core compiled for this machine; installed again when what it is built from changes.
 $(STAMP): $(BIN)/python pyproject.toml constraints.txt CMakeLists.txt $(NATIVE)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt -e '.[dev]'
 	@touch $@
 
 demo: install
