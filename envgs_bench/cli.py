@@ -79,14 +79,18 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _report(runs: Path, out: Path | None) -> int:
+    """Write the report; the exit status is 1 where nothing was written or a record is missing from it."""
     from .reports import build_report
 
     try:
-        build_report(runs, out or runs / "report")
+        report = build_report(runs, out or runs / "report")
     except (OSError, ValueError) as error:
         print(f"envgs-bench report: {error}", file=sys.stderr)
         return 1
-    return 0
+    print(report)
+    for record in report.broken:
+        print(f"envgs-bench report: {record.path}: {record.reason}", file=sys.stderr)
+    return int(bool(report.broken))
 
 
 if __name__ == "__main__":

@@ -72,7 +72,7 @@ class Lines:
         self._print("starting")
 
     def update(self, event: dict[str, Any]) -> None:
-        stage, step, steps = event["stage"], event.get("step", 0), event.get("steps")
+        stage, step, steps = event["stage"], event.get("step", 0), event.get("steps", 0)
         if stage != self._stage:
             self._stage, self._share, self._began, self._first = stage, -1, time.monotonic(), step
             if stage != "training":

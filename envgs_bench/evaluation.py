@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol as Interface
 
 import numpy as np
 import torch
@@ -14,22 +13,15 @@ from torch.nn import functional
 
 from .core import Rendering, View
 from .methods.method import Method
+from .metrics import Protocol
 from .records import MaskedScores, Metrics, Scores, ViewScores
 from .training import Diverged, Report
 
 NORMAL_METRIC = "normal_degrees"
 
 
-class Scorer(Interface):
-    """What evaluation asks of a protocol of `envgs_bench.metrics`."""
-
-    not_computed: Mapping[str, str]
-
-    def score(self, prediction: Tensor, target: Tensor, mask: Tensor | None = None) -> Mapping[str, float | None]: ...
-
-
 def evaluate(
-    method: Method, views: Sequence[View], protocol: Scorer, folder: Path, report: Report
+    method: Method, views: Sequence[View], protocol: Protocol, folder: Path, report: Report
 ) -> tuple[Metrics, dict[str, MaskedScores]]:
     """Scores of `views` and of every region that their masks name.
 
@@ -40,7 +32,7 @@ def evaluate(
         Diverged: a render is not finite.
     """
     full: list[ViewScores] = []
-    regions: dict[str, list[tuple[float, ViewScores]]] = {}
+    regions: dict[str, list[ViewScores]] = {}
     for number, view in enumerate(views):
         report({"stage": "scoring", "step": number, "steps": len(views)})
         rendering = method.render(view.camera.to(method.device))
@@ -53,9 +45,13 @@ def evaluate(
         for region, mask in view.masks.items():
             if mask.any():
                 scores = _scores(view, protocol.score(image, target, mask), rendering, mask)
-                regions.setdefault(region, []).append((float(mask.float().mean()), scores))
+                regions.setdefault(region, []).append(scores)
     metrics = Metrics(mean=_means(full), per_view=full, not_computed=dict(protocol.not_computed))
-    return metrics, {name: _masked(entries) for name, entries in regions.items()}
+    masked = {
+        region: MaskedScores.model_validate({"per_view": per_view, **_means(per_view)})
+        for region, per_view in regions.items()
+    }
+    return metrics, masked
 
 
 def normal_error(normal: Tensor, reference: Tensor, mask: Tensor | None = None) -> float | None:
@@ -84,19 +80,18 @@ def _scores(view: View, scores: Mapping[str, float | None], rendering: Rendering
     return ViewScores.model_validate({"view": view.name, **row})
 
 
-def _masked(entries: list[tuple[float, ViewScores]]) -> MaskedScores:
-    per_view = [scores for _, scores in entries]
-    fraction = sum(share for share, _ in entries) / len(entries)
-    return MaskedScores.model_validate({"fraction": fraction, "per_view": per_view, **_means(per_view)})
-
-
 def _means(views: Iterable[ViewScores]) -> Scores:
-    """The unweighted mean over views of each metric, None where a view lacks it."""
+    """The unweighted mean over views of each metric, None where a view's could not be computed."""
     columns: dict[str, list[float | None]] = {}
     for view in views:
         for name, value in view.scores.items():
             columns.setdefault(name, []).append(value)
-    return {name: None if None in values else sum(values) / len(values) for name, values in columns.items()}  # type: ignore[arg-type]
+    return {name: _mean(values) for name, values in columns.items()}
+
+
+def _mean(values: list[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if len(known) == len(values) else None
 
 
 def _save_pictures(folder: Path, view: View, rendering: Rendering) -> None:

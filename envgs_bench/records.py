@@ -126,7 +126,7 @@ class Provenance(BaseModel):
 class Record(_Part):
     """One run. Parts that a failed run did not reach are None; what it did compute is kept."""
 
-    schema_version: Literal[1] = SCHEMA_VERSION
+    schema_version: Literal[1] = 1
     status: Status
     error: Failure | None
     method: str
