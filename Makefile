@@ -38,7 +38,7 @@ lint: install
 	$(BIN)/ruff format --check .
 	@rm -rf $(TYPECHECK) && mkdir -p $(TYPECHECK)/envgs_bench
 	@ln -s $(CURDIR)/envgs_bench/* $(addprefix $(CURDIR)/,methods datasets metrics reports) $(TYPECHECK)/envgs_bench/
-	cd $(TYPECHECK) && MYPYPATH=. $(CURDIR)/$(BIN)/mypy --config-file $(CURDIR)/pyproject.toml -p envgs_bench
+	cd $(TYPECHECK) && MYPYPATH=. $(CURDIR)/$(BIN)/mypy --cache-dir $(CURDIR)/.mypy_cache --config-file $(CURDIR)/pyproject.toml -p envgs_bench
 
 bench: install
 	$(BIN)/envgs-bench bench core

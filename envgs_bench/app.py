@@ -68,6 +68,7 @@ def _application(config: DictConfig) -> None:
     alone = HydraConfig.get().launcher._target_.endswith("BasicLauncher")
     outcome = run_job(settings, make_display(alone))
     enter(outcome)
+    print(outcome, file=sys.stderr)
     if outcome.action == "ran" and outcome.status == "interrupted":
         raise KeyboardInterrupt  # no further job
 

@@ -45,14 +45,16 @@ class Bar:
         )
         self._progress = Progress(*columns, console=self._console, transient=True)
         self._progress.start()
-        self._task = self._progress.add_task("starting", total=None, title=title, numbers="")
+        self._title, self._stage = title, "starting"
+        self._task = self._progress.add_task(self._stage, total=None, title=title, numbers="")
 
     def update(self, event: dict[str, Any]) -> None:
         if self._progress is None:
             return
-        task = next(task for task in self._progress.tasks if task.id == self._task)
-        if task.description != event["stage"]:
-            self._progress.reset(self._task, description=event["stage"], total=event.get("steps"))
+        if event["stage"] != self._stage:
+            self._stage = event["stage"]
+            self._progress.remove_task(self._task)
+            self._task = self._progress.add_task(self._stage, total=event.get("steps"), title=self._title, numbers="")
         self._progress.update(self._task, completed=event.get("step", 0), numbers=numbers(event))
 
     def stop(self) -> None:

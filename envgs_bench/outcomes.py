@@ -39,6 +39,18 @@ class Outcome:
     def ok(self) -> bool:
         return self.status == "ok"
 
+    @property
+    def name(self) -> str:
+        return f"{self.dataset} · {self.method} · seed {self.seed}"
+
+    @property
+    def state(self) -> str:
+        """The status, with what was done where it was not to run."""
+        return self.status if self.action == "ran" else f"{self.status} ({self.action})".strip()
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.state}, {self.folder}"
+
 
 def outcome_of(folder: Path, settings: RunSettings, action: str, message: str = "") -> Outcome:
     """The outcome that the record in `folder` tells."""
@@ -96,14 +108,12 @@ def print_outcomes(outcomes: list[Outcome], console: Console) -> None:
     for title in ("PSNR dB", "frame ms", "training s"):
         table.add_column(title, justify="right")
     for outcome in outcomes:
-        status = outcome.status if outcome.action == "ran" else f"{outcome.status} ({outcome.action})".strip()
         numbers = (_cell(outcome.psnr, 2), _cell(outcome.frame_ms, 2), _cell(outcome.train_seconds, 1))
-        table.add_row(outcome.dataset, outcome.method, str(outcome.seed), status, *numbers)
+        table.add_row(outcome.dataset, outcome.method, str(outcome.seed), outcome.state, *numbers)
     console.print(table)
     for outcome in outcomes:
         if not outcome.ok:
-            name = f"{outcome.dataset} · {outcome.method} · seed {outcome.seed}"
-            text = f"{name}: {outcome.message}\n  {outcome.folder}"
+            text = f"{outcome.name}: {outcome.message}\n  {outcome.folder}"
             console.print(text, soft_wrap=True, highlight=False, markup=False)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from envgs_bench.testing import check_method
@@ -9,6 +11,14 @@ from envgs_bench.testing import check_method
 
 def test_a_method_that_conforms_passes() -> None:
     check_method("fakes.methods:MeanColor", {"rate": 0.25})
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings"),
+    [("2dgs", {}), ("3dgs", {}), ("envmap", {"envmap_size": 16}), ("envgs", {"env_grid": 4})],
+)
+def test_the_built_in_methods_pass(kind: str, settings: dict[str, Any]) -> None:
+    check_method(kind, settings, steps=20)
 
 
 @pytest.mark.parametrize(
