@@ -35,15 +35,14 @@ def training_curves(section: Section) -> list[dict[str, Any]]:
 def read_curve(run: Run) -> pd.DataFrame | None:
     """step, seconds, loss, psnr, primitives (of all sets), or None where the run left no readable curve."""
     try:
-        frame = pd.read_csv(run.folder / "curve.csv").apply(pd.to_numeric, errors="coerce")
+        frame = pd.read_csv(run.folder / "curve.csv", dtype="float64")
     except (OSError, ValueError):
         return None
-    if "step" not in frame or frame.dropna(subset=["step"]).empty:
+    if "step" not in frame or frame["step"].isna().all():
         return None
+    frame = frame[frame["step"].notna() & ~frame["step"].duplicated()].set_index("step")
     sets = [name for name in frame if str(name).startswith("primitives_")]
-    if sets:
-        frame["primitives"] = frame[sets].sum(axis=1, min_count=1)
-    return frame.dropna(subset=["step"]).drop_duplicates("step").set_index("step")
+    return frame.assign(primitives=frame[sets].sum(axis=1)) if sets else frame
 
 
 def merged_curves(frames: list[pd.DataFrame]) -> dict[str, Any]:
@@ -58,12 +57,12 @@ def merged_curves(frames: list[pd.DataFrame]) -> dict[str, Any]:
 
 
 def _band(frames: list[pd.DataFrame], steps: np.ndarray, name: str) -> dict[str, list[float | None]]:
-    columns = [frame[name].reindex(steps) for frame in frames if name in frame]
+    columns = [frame[name].reindex(steps).to_numpy() for frame in frames if name in frame]
     if not columns:
         return {"mean": [None] * len(steps)}
-    values = pd.concat(columns, axis=1)
-    bands = {"mean": values.mean(axis=1), "low": values.min(axis=1), "high": values.max(axis=1)}
-    return {key: [_plain(value) for value in series] for key, series in bands.items()}
+    values = np.ma.masked_invalid(columns)
+    bands = {"mean": values.mean(axis=0), "low": values.min(axis=0), "high": values.max(axis=0)}
+    return {key: [_plain(value) for value in np.ma.filled(band, np.nan)] for key, band in bands.items()}
 
 
 def _plain(value: float) -> float | None:

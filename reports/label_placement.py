@@ -8,6 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
+COVERED = 0.1  # of a label's area: what a label that can be left out may cover at most
+
 
 @dataclass(frozen=True)
 class Box:
@@ -36,27 +38,33 @@ def around(x: float, y: float, reach: float) -> Box:
 def place_labels(
     marks: Sequence[tuple[float, float]],
     sizes: Sequence[tuple[float, float]],
+    needed: Sequence[bool],
     frame: Box,
     obstacles: Sequence[Box] = (),
     gap: float = 9,
-) -> list[Box]:
+) -> list[Box | None]:
     """A box for each mark's label, chosen one after the other for the least overlap, then the nearest.
 
     Args:
         marks: centres, pixels.
         sizes: width and height of each label, pixels.
+        needed: False for labels to leave out (None) rather than to cover another label or mark.
         frame: labels stay within.
         obstacles: what labels should not cover, besides the marks.
     """
     taken = [around(x, y, gap * 0.8) for x, y in marks] + list(obstacles)
-    boxes = []
-    for (x, y), (width, height) in zip(marks, sizes, strict=True):
-        best = min(
-            _candidates(x, y, width, height, gap),
-            key=lambda item: item[0] + sum(item[1].overlap(other) for other in taken) + 10 * item[1].outside(frame),
-        )[1]
-        boxes.append(best)
-        taken.append(best)
+    boxes: list[Box | None] = []
+
+    def harm(box: Box) -> float:
+        return sum(box.overlap(other) for other in taken) + 10 * box.outside(frame)
+
+    for (x, y), (width, height), must in zip(marks, sizes, needed, strict=True):
+        best = min(_candidates(x, y, width, height, gap), key=lambda item: item[0] + harm(item[1]))[1]
+        if must or harm(best) < COVERED * width * height:
+            boxes.append(best)
+            taken.append(best)
+        else:
+            boxes.append(None)
     return boxes
 
 

@@ -18,10 +18,11 @@ from .columns import MAIN_COLUMNS, Column
 from .label_placement import Box, along, place_labels
 from .palette import Style, styles
 from .pareto import Point, front, knobs, points
-from .sections import Section
+from .sections import ALL, Section
 from .summary import Table
 
 INK, SOFT, GRID, GREY = "#1f2733", "#667085", "#e8ebf0", "#a5adba"
+CROWD = 12  # points, above which a dominated one goes without its name if there is no room for it
 MOST_ROWS = 4  # data sets drawn one by one; more are drawn as their averages
 FORMATS = ("png", "pdf")
 DPI = 200
@@ -85,6 +86,7 @@ def _figure(rows: list[list[Panel]]) -> Figure:
     for row, line in zip(rows, axes, strict=True):
         for axis in line[len(row) :]:
             axis.set_axis_off()
+            axis.text(0.5, 0.5, "no masked region", transform=axis.transAxes, color=GREY, ha="center")
         for column, (panel, axis) in enumerate(zip(row, line, strict=False)):
             _prepare(axis, panel, first=column == 0)
     figure.draw_without_rendering()
@@ -118,7 +120,9 @@ def _prepare(axis: Axes, panel: Panel, first: bool) -> None:
         words = "no run finished: " + ", ".join(f"{row.method} (0/{row.attempts})" for row in failed)
         axis.text(0.985, 0.03, words, transform=axis.transAxes, fontsize=8.5, color=SOFT, ha="right", style="italic")
     if first:
-        axis.set_title(panel.table.title, loc="left", fontsize=12, fontweight="bold", pad=20)
+        count = len(panel.table.datasets)
+        title = panel.table.title + (f": average of {count}" if count > 1 and panel.table.title != ALL else "")
+        axis.set_title(title, loc="left", fontsize=12, fontweight="bold", pad=20)
         axis.text(0, 1.03, panel.section.device, transform=axis.transAxes, fontsize=8.5, color=SOFT)
 
 
@@ -166,7 +170,7 @@ def _limits(axis: Axes, places: list[Point]) -> None:
     ys = [value for p in places for value in (p.y, *(p.y_interval or ()))]
     ratio = max(max(xs) / min(xs), 1.6)
     margin = max(0.14 * (max(ys) - min(ys)), 0.25)
-    axis.set_xlim(min(xs) / ratio**0.16, max(xs) * ratio**0.3)
+    axis.set_xlim(min(xs) / ratio**0.22, max(xs) * ratio**0.3)
     axis.set_ylim(min(ys) - 1.3 * margin, max(ys) + 1.3 * margin)
 
 
@@ -193,8 +197,12 @@ def _label(figure: Figure, axis: Axes, panel: Panel) -> None:
     area = axis.get_window_extent(renderer)
     frame = Box(area.x0, area.y0, area.x1, area.y1)
     points_px = figure.dpi / 72
-    boxes = place_labels(marks, sizes, frame, _obstacles(axis, places, best), gap=9 * points_px)
+    needed = [p in best or len(places) <= CROWD for p in places]
+    boxes = place_labels(marks, sizes, needed, frame, _obstacles(axis, places, best), gap=9 * points_px)
     for text, box, mark in zip(texts, boxes, marks, strict=True):
+        if box is None:
+            text.remove()
+            continue
         x, y = axis.transData.inverted().transform((box.left, box.bottom))
         text.set_position((float(x), float(y)))
         text.set_verticalalignment("bottom")

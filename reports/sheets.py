@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter
 from .pictures import Gallery, Shot, read_picture, slug
 
 CELL = 340  # width of a picture in a sheet, px
-MARGIN, GAP, HEAD, SIDE = 26, 10, 44, 96
+MARGIN, GAP, HEAD, SIDE = 26, 14, 44, 96
 MOST_COLUMNS = 7  # methods in one sheet
 ZOOM = 3.2  # the zoomed window is this fraction of the picture's edges
 INK, SOFT, FRAME, PAPER = "#1f2733", "#667085", "#ffd400", "#ffffff"

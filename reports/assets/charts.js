@@ -1,6 +1,8 @@
 "use strict";
 /* The interactive charts: accuracy against speed, and training curves. Data: window.REPORT (data.js). */
 (function () {
+  const CROWD = 12; // points, above which a beaten one's name that covers others is left to the hover
+
   function css(name) {
     return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   }
@@ -86,9 +88,9 @@
         name: point.row.method,
         x: [point.x],
         y: [point.y],
-        mode: options.names ? "markers+text" : "markers",
+        mode: options.names && options.places[i] ? "markers+text" : "markers",
         text: [best.includes(point) ? `<b>${name}</b>` : name],
-        textposition: options.places[i],
+        textposition: options.places[i] || "top left",
         textfont: { color: beaten ? css("--soft") : css("--ink") },
         cliponaxis: false,
         opacity: beaten ? 0.75 : 1,
@@ -142,8 +144,8 @@
     shape.xaxis.ticktext = shape.xaxis.tickvals.map((value) => value.toLocaleString("en", { maximumSignificantDigits: 3 }));
   }
 
-  /* Where each name goes: the first place around its mark that covers no other name and no other mark. */
-  function namePlaces(points, shape, plot, log) {
+  /* Where each name goes: the first place around its mark that covers no other name and no other mark; null: nowhere. */
+  function namePlaces(points, front, shape, plot, log) {
     const width = plot.clientWidth - 100;
     const height = plot.clientHeight - 80;
     const along = (value, range, size) => (size * (value - range[0])) / (range[1] - range[0]);
@@ -161,6 +163,8 @@
       const cost = (b) => taken.reduce((sum, other) => sum + area(b, other), 0) + 10 * Math.max(0, -b[0], b[2] - width);
       const names = Object.keys(sides);
       const best = names.reduce((a, b) => (cost(box(sides[b])) < cost(box(sides[a])) ? b : a));
+      const crowded = points.length > CROWD && cost(box(sides[best])) > 400;
+      if (crowded && !front.includes(point)) return null;
       taken.push(box(sides[best]));
       return best;
     });
@@ -200,7 +204,7 @@
       const best = front(points, x.better, y.better);
       const shape = layout(axisName(x), axisName(y), log ? "log" : "linear");
       frame(shape, points, log);
-      const places = namePlaces(points, shape, plot, log);
+      const places = namePlaces(points, best, shape, plot, log);
       const options = { names: pick("names").checked, dominated: pick("dominated").checked, places };
       window.Plotly.react(plot, paretoTraces(section, points, best, x, y, options), shape, CONFIG);
       plot.dataset.front = best.map((point) => point.row.method).join("|");
