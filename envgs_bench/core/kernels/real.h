@@ -5,9 +5,11 @@
 
 #ifdef __CUDACC__
 #define ENVGS_FN __device__ __forceinline__
+#define ENVGS_TABLE __constant__ constexpr
 #else
 #include <cmath>
 #define ENVGS_FN inline
+#define ENVGS_TABLE constexpr
 #endif
 
 namespace envgs {

@@ -1,0 +1,44 @@
+"""The CUDA backend: CUDA C++ compiled at first use, on torch's current stream. See docs/performance.md."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from ..backends import RasterizeOptions, TraceOptions
+from ..camera import Camera
+from ..differentiable import SetTensors, draw
+from ..gaussians import GaussianSet
+from ..rendering import Rendering
+from ..trace import Bvh
+from .bvh import SurfelTree
+from .compiler import why_unavailable
+from .raster_pass import RasterPass
+from .trace_pass import TracePass
+
+__all__ = ["build_bvh", "rasterize", "trace", "why_unavailable"]
+
+
+def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> Rendering:
+    with torch.cuda.device(gaussians.device):
+        flat = draw(RasterPass(gaussians, camera, options), gaussians)
+    shape = (camera.height, camera.width)
+    names = ("color", "alpha", "depth", "normal", "extras", "hits")
+    return replace(flat, **{name: getattr(flat, name).unflatten(0, shape) for name in names})
+
+
+def build_bvh(gaussians: GaussianSet) -> Bvh:
+    with torch.cuda.device(gaussians.device):
+        return Bvh("cuda", len(gaussians), SurfelTree(SetTensors.of(gaussians)))
+
+
+def trace(
+    gaussians: GaussianSet, origins: Tensor, directions: Tensor, bvh: Bvh | None, options: TraceOptions
+) -> Rendering:
+    if bvh is not None and bvh.backend != "cuda":
+        raise ValueError(f"the BVH was built by backend {bvh.backend!r}, this is 'cuda': build it with backend='cuda'")
+    with torch.cuda.device(gaussians.device):
+        tree = SurfelTree(SetTensors.of(gaussians)) if bvh is None else bvh.handle
+        return draw(TracePass(gaussians, origins, directions, tree, options), gaussians, origins, directions)

@@ -1,0 +1,150 @@
+// Builds the tree: where the centres lie, keys along the curve, (a sort), surfels packed in that order with their
+// boxes, and the levels above. Refitting to changed surfels repeats only the last two.
+#include "bvh.cuh"
+
+using namespace envgs;
+
+// statistics: `low` preset to all ones, the rest to zero.
+extern "C" __global__ void __launch_bounds__(256)
+    centre_statistics(const float* means, int count, CentreStatistics* statistics) {
+    float low[3], high[3], sum[3] = {}, squares[3] = {}, finite = 0.0f;
+    for (int k = 0; k < 3; ++k) low[k] = kInfinity, high[k] = -kInfinity;
+    for (int i = blockIdx.x * blockDim.x + threadIdx.x; i < count; i += gridDim.x * blockDim.x) {
+        float p[3] = {means[3l * i], means[3l * i + 1], means[3l * i + 2]};
+        if (!(absolute(p[0]) < kInfinity && absolute(p[1]) < kInfinity && absolute(p[2]) < kInfinity)) continue;
+        finite += 1.0f;
+#pragma unroll
+        for (int k = 0; k < 3; ++k) {
+            low[k] = minimum(low[k], p[k]), high[k] = maximum(high[k], p[k]);
+            sum[k] += p[k], squares[k] += p[k] * p[k];
+        }
+    }
+    __shared__ CentreStatistics block;
+    for (int i = threadIdx.x; i < sizeof(block) / 4; i += blockDim.x) reinterpret_cast<u32*>(&block)[i] = i < 3 ? ~0u : 0;
+    __syncthreads();
+    for (int k = 0; k < 3; ++k) {
+        atomicMin(&block.low[k], sortable_bits(low[k]));
+        atomicMax(&block.high[k], sortable_bits(high[k]));
+    }
+    float values[7] = {sum[0], sum[1], sum[2], squares[0], squares[1], squares[2], finite};
+    float total = TransposedSum<7>::of(values);
+    if (lane_id() < 7) atomicAdd(block.sum + lane_id(), total);
+    __syncthreads();
+    if (threadIdx.x < 3) {
+        atomicMin(&statistics->low[threadIdx.x], block.low[threadIdx.x]);
+        atomicMax(&statistics->high[threadIdx.x], block.high[threadIdx.x]);
+    }
+    if (threadIdx.x < 7) atomicAdd(statistics->sum + threadIdx.x, block.sum[threadIdx.x]);
+}
+
+// Position along a Hilbert curve of 2^(3·bits) cells (Skilling 2004).
+ENVGS_FN u32 hilbert_position(u32 (&x)[3], int bits) {
+    u32 top = 1u << (bits - 1);
+    for (u32 q = top; q > 1; q >>= 1) {
+        u32 p = q - 1;
+#pragma unroll
+        for (int k = 0; k < 3; ++k) {
+            if (x[k] & q) {
+                x[0] ^= p;
+            } else {
+                u32 t = (x[0] ^ x[k]) & p;
+                x[0] ^= t;
+                x[k] ^= t;
+            }
+        }
+    }
+    x[1] ^= x[0];
+    x[2] ^= x[1];
+    u32 t = 0;
+    for (u32 q = top; q > 1; q >>= 1)
+        if (x[2] & q) t ^= q - 1;
+    u32 position = 0;
+    for (int bit = bits - 1; bit >= 0; --bit)
+#pragma unroll
+        for (int k = 0; k < 3; ++k) position = position << 1 | ((x[k] ^ t) >> bit & 1);
+    return position;
+}
+
+extern "C" __global__ void hilbert_keys(const float* means, const float* opacities, int count,
+                                        const CentreStatistics* statistics, u32* keys) {
+    int i = blockIdx.x * blockDim.x + threadIdx.x;
+    if (i >= count) return;
+    u32 cell[3];
+    Extent(*statistics).quantise(load3(means + 3l * i), 10, cell);
+    keys[i] = support_of(opacities[i]) > 0.0f ? hilbert_position(cell, 10) : 0xffffffffu;
+}
+
+struct Box {
+    float low[3], high[3];
+};
+
+ENVGS_FN Box empty_box() {
+    return {{kInfinity, kInfinity, kInfinity}, {-kInfinity, -kInfinity, -kInfinity}};
+}
+
+// Around the supporting disc: along each axis r·√((s_u·t_u)² + (s_v·t_v)²), and a hair for rounding.
+ENVGS_FN Box box_of(const TracedSurfel& s, Vec3<float> axis_u, Vec3<float> axis_v) {
+    float u[3] = {axis_u.x, axis_u.y, axis_u.z}, v[3] = {axis_v.x, axis_v.y, axis_v.z};
+    float mean[3] = {s.mean.x, s.mean.y, s.mean.z};
+    Box box;
+    bool finite = s.support > 0.0f;
+    for (int k = 0; k < 3; ++k) {
+        float half = square_root(s.support * (u[k] * u[k] + v[k] * v[k]));
+        half += 2e-6f * (absolute(mean[k]) + half);
+        box.low[k] = mean[k] - half, box.high[k] = mean[k] + half;
+        finite = finite && box.low[k] > -kInfinity && box.high[k] < kInfinity;
+    }
+    return finite ? box : empty_box();
+}
+
+// The union over a warp, written by its first lane.
+ENVGS_FN void store_union(Box box, float* boxes, int stride, int at) {
+#pragma unroll
+    for (int k = 0; k < 3; ++k) {
+        float low = warp_min(box.low[k]), high = warp_max(box.high[k]);
+        if (lane_id() == 0) boxes[long(k) * stride + at] = low, boxes[long(k + 3) * stride + at] = high;
+    }
+}
+
+// order [count]: the primitives along the curve. A thread a surfel; further threads pad the two lowest levels.
+extern "C" __global__ void __launch_bounds__(256)
+    pack_surfels(const float* means, const float* quaternions, const float* scales, const float* opacities, int count,
+                 const u32* order, TracedSurfel* surfels, float* boxes) {
+    Levels levels = Levels::of(count);
+    int stride = levels.total(), slot = blockIdx.x * blockDim.x + threadIdx.x;
+    Box box = empty_box();
+    if (slot < count) {
+        Gaussians g = {means, quaternions, scales, opacities, nullptr, nullptr, count};
+        int i = order[slot];
+        float inverse_norm;
+        float2 scale = reinterpret_cast<const float2*>(scales)[i];
+        Axes<float> axes = axes_of(normalized(quaternion_at(g, i), inverse_norm));
+        TracedSurfel s = {surfel_frame(axes, scale.x, scale.y), mean_at(g, i), support_of(opacities[i]), opacities[i], i};
+        box = box_of(s, scale.x * axes.u, scale.y * axes.v);
+        surfels[slot] = s;
+    }
+    if (slot < levels.offset[1]) {
+#pragma unroll
+        for (int k = 0; k < 3; ++k) {
+            boxes[long(k) * stride + slot] = box.low[k];
+            boxes[long(k + 3) * stride + slot] = box.high[k];
+        }
+    }
+    if (levels.count > 1 && slot / 32 < levels.offset[2] - levels.offset[1])
+        store_union(box, boxes, stride, levels.offset[1] + slot / 32);
+}
+
+// Level `level` + 1 from level `level`; further threads pad it.
+extern "C" __global__ void join_boxes(float* boxes, int count, int level) {
+    Levels levels = Levels::of(count);
+    int stride = levels.total(), at = blockIdx.x * blockDim.x + threadIdx.x;
+    if (at / 32 >= levels.offset[level + 2] - levels.offset[level + 1]) return;
+    Box box = empty_box();
+    if (levels.offset[level] + at < levels.offset[level + 1])
+#pragma unroll
+        for (int k = 0; k < 3; ++k) {
+            box.low[k] = boxes[long(k) * stride + levels.offset[level] + at];
+            box.high[k] = boxes[long(k + 3) * stride + levels.offset[level] + at];
+        }
+    store_union(box, boxes, stride, levels.offset[level + 1] + at / 32);
+}

@@ -1,0 +1,76 @@
+// The tree: surfels along a Hilbert curve through their centres, 32 to a leaf, and 32 boxes to a node above. Children
+// follow from positions, so there are no pointers to build; a warp tests a node's 32 boxes at once, a thread each, from
+// six coalesced loads.
+#pragma once
+#include "gaussians.cuh"
+#include "warp.cuh"
+
+namespace envgs {
+
+constexpr int kMaxLevels = 6;
+
+struct alignas(16) TracedSurfel {
+    SurfelFrame<float> frame;
+    Vec3<float> mean;
+    float support, opacity;  // support < 0 where never visible
+    int index;               // in the set
+    float unused;
+};
+static_assert(sizeof(TracedSurfel) == 64, "four 16-byte loads");
+
+// Level 0 holds a box a surfel, level l + 1 a box for 32 of level l; each level is padded to whole groups of 32 with
+// empty boxes, and the last is one group. Six planes of floats: low x, y, z, high x, y, z.
+struct Levels {
+    int offset[kMaxLevels + 1];  // of each level in a plane; the last is the planes' length
+    int count;
+
+    __device__ static Levels of(int surfels) {
+        Levels levels;
+        levels.count = 0;
+        int size = max((surfels + 31) / 32, 1), at = 0;
+        for (;;) {
+            levels.offset[levels.count++] = at;
+            at += size * 32;
+            if (size == 1) break;
+            size = (size + 31) / 32;
+        }
+        levels.offset[levels.count] = at;
+        return levels;
+    }
+    __device__ int total() const { return offset[count]; }
+};
+
+// Where the centres are: least, largest, sum and sum of squares of each axis, how many; the extremes as sortable bits.
+struct CentreStatistics {
+    u32 low[3], high[3];
+    float sum[3], squares[3];
+    float count;
+};
+
+// The box that positions are quantised in: three standard deviations about the centres' mean, so that a few stray
+// primitives do not take the curve's resolution from all others.
+struct Extent {
+    Vec3<float> low, size;
+
+    ENVGS_FN explicit Extent(const CentreStatistics& s) {
+        float l[3], h[3];
+        for (int k = 0; k < 3; ++k) {
+            float n = maximum(s.count, 1.0f), mean = s.sum[k] / n;
+            float deviation = square_root(maximum(s.squares[k] / n - mean * mean, 0.0f));
+            l[k] = maximum(from_sortable_bits(s.low[k]), mean - 3.0f * deviation);
+            h[k] = minimum(from_sortable_bits(s.high[k]), mean + 3.0f * deviation);
+        }
+        low = {l[0], l[1], l[2]};
+        size = {maximum(h[0] - l[0], 1e-20f), maximum(h[1] - l[1], 1e-20f), maximum(h[2] - l[2], 1e-20f)};
+    }
+    // `point` as whole numbers below 2^bits, clamped.
+    ENVGS_FN void quantise(Vec3<float> point, int bits, u32 (&cell)[3]) const {
+        float cells = float(1 << bits);
+        Vec3<float> p = point - low;
+        cell[0] = u32(minimum(maximum(p.x / size.x * cells, 0.0f), cells - 1.0f));
+        cell[1] = u32(minimum(maximum(p.y / size.y * cells, 0.0f), cells - 1.0f));
+        cell[2] = u32(minimum(maximum(p.z / size.z * cells, 0.0f), cells - 1.0f));
+    }
+};
+
+}  // namespace envgs

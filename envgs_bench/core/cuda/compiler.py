@@ -1,0 +1,109 @@
+"""From CUDA C++ to kernels, at first use: NVRTC through `cuda.core`, and a folder that remembers what it compiled."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import torch
+
+OLDEST_CAPABILITY = (8, 0)  # warp-wide integer reductions
+FOLDER = Path(__file__).parent
+OPTIONS = {"std": "c++17", "ftz": True, "prec_div": False, "prec_sqrt": False}
+
+
+def why_unavailable() -> str | None:
+    """One sentence for the user, or None where CUDA kernels can be compiled and run."""
+    if torch.version.cuda is None:
+        return "this PyTorch was built without CUDA; install a CUDA build of torch"
+    if not torch.cuda.is_available():
+        return "PyTorch sees no CUDA device; check the driver with nvidia-smi"
+    capability = torch.cuda.get_device_capability()
+    if capability < OLDEST_CAPABILITY:
+        return f"the GPU has compute capability {capability[0]}.{capability[1]}, 8.0 or newer is needed"
+    try:
+        _cuda_core()
+        from cuda.bindings import nvrtc
+
+        nvrtc.nvrtcVersion()
+    except Exception as error:  # a missing package, or a missing library deep inside one
+        return f"CUDA C++ cannot be compiled ({error}); install with: pip install 'envgs-bench[cuda]'"
+    return None
+
+
+@cache
+def compile_kernels(sources: tuple[str, ...], macros: tuple[tuple[str, str], ...], device: int) -> Any:
+    """The `cuda.core.ObjectCode` of these files of this folder, compiled as one module for the device's architecture.
+
+    Raises:
+        RuntimeError: the compiler refused; the message is its log.
+    """
+    major, minor = torch.cuda.get_device_capability(device)
+    architecture = f"sm_{major}{minor}"
+    core = _cuda_core()
+    path = cache_dir() / f"{_key(sources, macros, architecture)}.cubin"
+    try:
+        return core.ObjectCode.from_cubin(path.read_bytes())
+    except OSError:
+        pass  # not there yet, or no place for it
+    text = "".join(f'#include "{name}"\n' for name in sources)
+    options = core.ProgramOptions(
+        arch=architecture,
+        include_path=[str(FOLDER), str(FOLDER.parent)],
+        define_macro=[f"{name}={value}" for name, value in macros] or None,
+        **OPTIONS,
+    )
+    code = core.Program(text, "c++", options).compile("cubin")
+    _remember(path, code.code)
+    return code
+
+
+def cache_dir() -> Path:
+    """$ENVGS_BENCH_CACHE/kernels, or else ~/.cache/envgs-bench/kernels."""
+    return Path(os.environ.get("ENVGS_BENCH_CACHE") or "~/.cache/envgs-bench").expanduser() / "kernels"
+
+
+def _cuda_core() -> ModuleType:
+    import cuda.core as core
+
+    if hasattr(core, "Program"):
+        return core
+    import cuda.core.experimental as experimental  # before version 1
+
+    return experimental
+
+
+def _key(sources: tuple[str, ...], macros: tuple[tuple[str, str], ...], architecture: str) -> str:
+    """A hash of all that the machine code depends on."""
+    from cuda.bindings import driver, nvrtc
+
+    digest = hashlib.sha256()
+    for value in (sources, macros, architecture, OPTIONS, nvrtc.nvrtcVersion(), driver.cuDriverGetVersion()):
+        digest.update(repr(value).encode())
+    for name, text in _texts().items():
+        digest.update(name.encode())
+        digest.update(text)
+    return digest.hexdigest()[:32]
+
+
+@cache
+def _texts() -> Mapping[str, bytes]:
+    files = sorted([*FOLDER.glob("*.cu"), *FOLDER.glob("*.cuh"), *(FOLDER.parent / "kernels").glob("*.h")])
+    return {file.name: file.read_bytes() for file in files}
+
+
+def _remember(path: Path, code: bytes) -> None:
+    """Several processes may do this at once. A folder that cannot be written to costs later processes time, no more."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+            file.write(code)
+        os.replace(file.name, path)
+    except OSError:
+        pass

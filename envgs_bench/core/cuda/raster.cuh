@@ -1,0 +1,76 @@
+// What the rasterizer's kernels share: KIND is Surfels or Volumes.
+#pragma once
+#include "outline.cuh"
+#include "warp.cuh"
+
+namespace envgs {
+
+struct Surfels {
+    using Splat = SurfelSplat;
+    using Input = SurfelInput;
+    using Sums = SurfelSums<float>;
+    static constexpr int scale_count = 2;
+    ENVGS_FN static Input input(const Gaussians& g, int i) {
+        return {mean_at(g, i), quaternion_at(g, i), g.scales[2l * i], g.scales[2l * i + 1]};
+    }
+    ENVGS_FN static Vec3<float> normal(const Input& in) {
+        float inverse;
+        return axes_of(normalized(in.quaternion, inverse)).n;
+    }
+    ENVGS_FN static Ellipse ellipse(const View& view, const Input& in, const Splat& splat) {
+        float inverse;
+        Axes<float> axes = axes_of(normalized(in.quaternion, inverse));
+        return disc_ellipse(view, project(view, in.mean), in.scale_u * axes.u, in.scale_v * axes.v, splat.support);
+    }
+    ENVGS_FN static float low_pass_radius(const Splat& splat) {
+        return splat.screen_support > 0.0f ? square_root(0.5f * splat.support) : -1.0f;
+    }
+};
+
+struct Volumes {
+    using Splat = GaussianSplat;
+    using Input = GaussianInput;
+    using Sums = GaussianSums<float>;
+    static constexpr int scale_count = 3;
+    ENVGS_FN static Input input(const Gaussians& g, int i) {
+        return {mean_at(g, i), quaternion_at(g, i), load3(g.scales + 3l * i)};
+    }
+    ENVGS_FN static Vec3<float> normal(const Input& in) {
+        float inverse;
+        return shortest_axis_of(axes_of(normalized(in.quaternion, inverse)), in.scales);
+    }
+    ENVGS_FN static Ellipse ellipse(const View&, const Input&, const Splat& s) {
+        float scale = s.support / (s.xx * s.yy - s.xy * s.xy);
+        return {s.x, s.y, s.yy * scale, -s.xy * scale, s.xx * scale};
+    }
+    ENVGS_FN static float low_pass_radius(const Splat&) { return -1.0f; }
+};
+
+using Kind = KIND;
+
+// A visible primitive, ready to draw.
+struct alignas(16) Record {
+    Kind::Splat splat;
+    Vec3<float> color, normal;
+    float extras[kExtras > 0 ? kExtras : 1];
+};
+
+// What the backward pass adds up for a primitive over its pixels; an array of float to the warp sums.
+struct PrimitiveSums {
+    Kind::Sums geometry;
+    Vec3<float> color, normal;
+    float opacity;
+    float extras[kExtras + 1];
+};
+constexpr int kSums = sizeof(PrimitiveSums) / 4 - 1;
+constexpr int kSumsStride = 32;
+static_assert(kSums <= kSumsStride, "one sum a thread of a warp");
+
+// Device-side counters of one image.
+struct Counters {
+    u32 visible;
+    u32 drawn_instances;  // no more than there is room for
+    u64 instances;
+};
+
+}  // namespace envgs

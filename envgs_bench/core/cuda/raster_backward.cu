@@ -1,0 +1,44 @@
+// Differentiates: the walk of the forward pass once more, front to back (see blend.h). What a primitive's pixels of one
+// warp add to its gradient is summed in the warp, and leaves as one coalesced row of atomic additions.
+#include "tile_walk.cuh"
+
+using namespace envgs;
+
+extern "C" __global__ void __launch_bounds__(256)
+    differentiate_tiles(const uint2* ranges, const u32* instance_slots, const Record* records, const Outline* outlines,
+                        const View* view_at, int tiles_x, float transmittance_min, const float* background,
+                        const float* color, const float* alpha, const float* depth, const float* normal,
+                        const float* extras, const float* g_color, const float* g_alpha, const float* g_depth,
+                        const float* g_normal, const float* g_extras, float* sums) {
+    const View& view = *view_at;
+    Pixel pixel = own_pixel(view, blockIdx.x, tiles_x);
+    long pixels = long(view.width) * view.height;
+    Planes<const float> out = {color, alpha, depth, normal, extras, pixels};
+    Planes<const float> gradient = {g_color, g_alpha, g_depth, g_normal, g_extras, pixels};
+    Upstream g(out, gradient, pixel.inside ? pixel.at : 0, load3(background));
+    float x = pixel.x + 0.5f, y = pixel.y + 0.5f, near = view.near;
+    bool live = pixel.inside;
+    walk_tile(ranges[blockIdx.x], instance_slots, records, outlines, blockIdx.x % tiles_x * kTile,
+              blockIdx.x / tiles_x * kTile, live, [&](const Record& p, u32 slot) {
+                  auto at = evaluate(p.splat, x, y, near);
+                  bool hit = live && at.rho <= p.splat.support;
+                  if (!__any_sync(kFullWarp, hit)) return;
+                  PrimitiveSums sum = {};
+                  if (hit) {
+                      float a = response_alpha(p.splat.opacity, at.rho);
+                      float weight = g.transmittance * a;
+                      float value = g.value(p.color, at.t, at.side * p.normal, p.extras);
+                      float g_a = blend_backward(a, value, g.transmittance, g.remaining);
+                      AlphaGradient<float> own = alpha_backward(p.splat.opacity, a, g_a);
+                      sum.opacity = own.opacity;
+                      sum.color = weight * g.sum.color;
+                      sum.normal = (weight * at.side) * g.sum.normal;
+#pragma unroll
+                      for (int k = 0; k < kExtras; ++k) sum.extras[k] = weight * g.extras[k];
+                      add_pixel(sum.geometry, at, true, own.rho, weight * g.sum.depth);
+                      live = g.transmittance >= transmittance_min;
+                  }
+                  float total = TransposedSum<kSums>::of(reinterpret_cast<float*>(&sum));
+                  if (lane_id() < kSums) atomicAdd(sums + long(kSumsStride) * slot + lane_id(), total);
+              });
+}

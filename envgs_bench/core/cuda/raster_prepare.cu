@@ -1,0 +1,146 @@
+// Primitives before the tiles: which are visible, what they look like from here, and in which order they are drawn.
+#include "raster.cuh"
+
+using namespace envgs;
+
+// One thread. The camera stays on the device, so that drawing never waits for it.
+extern "C" __global__ void make_view(const float* world_to_camera, const float* intrinsics, int width, int height,
+                                     float near, int low_pass, View* view) {
+    const float* m = world_to_camera;
+    View v;
+    v.rotation = {load3(m), load3(m + 4), load3(m + 8)};
+    v.translation = {m[3], m[7], m[11]};
+    v.intrinsics = load_mat3(intrinsics);
+    v.centre = -transposed_times(v.rotation, v.translation);
+    // K is upper triangular with a last row of (0, 0, 1).
+    double fx = intrinsics[0], skew = intrinsics[1], cx = intrinsics[2], fy = intrinsics[4], cy = intrinsics[5];
+    Mat3<float> inverse = {{float(1 / fx), float(-skew / (fx * fy)), float((skew * cy - cx * fy) / (fx * fy))},
+                           {0.0f, float(1 / fy), float(-cy / fy)},
+                           {0.0f, 0.0f, 1.0f}};
+    v.pixel_to_direction = transposed(v.rotation) * inverse;
+    v.width = width, v.height = height, v.near = near, v.low_pass = low_pass;
+    *view = v;
+}
+
+// Pixels whose centres lie in the box; false where there are none, or the box is not finite.
+ENVGS_FN bool pixels_of(const View& view, PixelBox box, PixelRect& rect) {
+    if (!(box.x1 >= 0.5f && box.y1 >= 0.5f && box.x0 <= view.width - 0.5f && box.y0 <= view.height - 0.5f &&
+          box.x0 <= box.x1))
+        return false;
+    rect.column0 = int(ceilf(maximum(box.x0, 0.5f) - 0.5f));
+    rect.row0 = int(ceilf(maximum(box.y0, 0.5f) - 0.5f));
+    rect.column1 = int(floorf(minimum(box.x1, view.width - 0.5f) - 0.5f));
+    rect.row1 = int(floorf(minimum(box.y1, view.height - 0.5f) - 0.5f));
+    return rect.column0 <= rect.column1 && rect.row0 <= rect.row1;
+}
+
+// Visible primitives move up in the order of their index: their records, outlines, depths as sort keys and numbers of
+// tiles; slots [N] tells where a primitive went, −1 where nowhere, and indices [visible] the way back.
+extern "C" __global__ void __launch_bounds__(256)
+    prepare_primitives(const float* means, const float* quaternions, const float* scales, const float* opacities,
+                       const float* sh, const float* extras, int count, const View* view_at, Record* records,
+                       Outline* outlines, u32* depth_keys, u32* tile_counts, int* slots, int* indices, float* weights,
+                       Counters* counters, u64* state, u32* ticket) {
+    __shared__ View view;
+    __shared__ u32 first_slot;
+    u32 block = take_ticket(ticket);
+    for (int i = threadIdx.x; i < sizeof(View) / 4; i += blockDim.x)
+        reinterpret_cast<u32*>(&view)[i] = reinterpret_cast<const u32*>(view_at)[i];
+    __syncthreads();
+    Gaussians g = {means, quaternions, scales, opacities, sh, extras, count};
+    int i = block * blockDim.x + threadIdx.x;
+    Record record;
+    Outline outline;
+    u32 tiles = 0;
+    Vec3<float> to_centre;
+    if (i < count) {
+        Kind::Input input = Kind::input(g, i);
+        PixelBox box = prepare(view, input, opacities[i], record.splat);
+        if (pixels_of(view, box, outline.box)) {
+            outline.ellipse = Kind::ellipse(view, input, record.splat);
+            outline.x = record.splat.x, outline.y = record.splat.y;
+            outline.radius = Kind::low_pass_radius(record.splat);
+            tiles = count_tiles(outline);
+            record.normal = Kind::normal(input);
+            to_centre = input.mean - view.centre;
+        }
+    }
+    u32 total, before = block_exclusive_sum(tiles > 0, total);
+    u32 block_tiles, unused = block_exclusive_sum(min(tiles, 1u << 22), block_tiles);
+    if (threadIdx.x == 0) {
+        first_slot = sum_before_block(state, block, total);
+        if (block_tiles) atomicAdd(&counters->instances, u64(block_tiles));
+        if (block == gridDim.x - 1) counters->visible = first_slot + total;
+    }
+    __syncthreads();
+    if (i >= count) return;
+    weights[i] = 0.0f;
+    if (tiles == 0) {
+        slots[i] = -1;
+        return;
+    }
+    u32 slot = first_slot + before;
+    record.color = sh_color<kShDegree>(sh + long(kShFloats) * i, to_centre);
+#pragma unroll
+    for (int k = 0; k < kExtras; ++k) record.extras[k] = extras[long(kExtras) * i + k];
+    slots[i] = slot;
+    indices[slot] = i;
+    records[slot] = record;
+    outlines[slot] = outline;
+    depth_keys[slot] = sortable_bits(record.splat.depth);
+    tile_counts[slot] = tiles;
+}
+
+// Per primitive: from the sums over its pixels to the gradients of what it was given by. Every row of the results is
+// written, zeros where the primitive was not visible.
+extern "C" __global__ void __launch_bounds__(128)
+    finish_primitives(const float* means, const float* quaternions, const float* scales, const float* opacities,
+                      const float* sh, const float* extras, int count, const View* view_at, const Record* records,
+                      const int* slots, const float* sums, float* g_means, float* g_quaternions, float* g_scales,
+                      float* g_opacities, float* g_sh, float* g_extras, float* position_gradients) {
+    constexpr int row = kShFloats | 1;  // odd: neighbouring threads fall on neighbouring banks
+    __shared__ float staged[128 * row];
+    __shared__ View view;
+    for (int i = threadIdx.x; i < sizeof(View) / 4; i += blockDim.x)
+        reinterpret_cast<u32*>(&view)[i] = reinterpret_cast<const u32*>(view_at)[i];
+    float* g_own_sh = staged + row * threadIdx.x;
+    for (int k = 0; k < kShFloats; ++k) g_own_sh[k] = 0.0f;
+    __syncthreads();
+    Gaussians g = {means, quaternions, scales, opacities, sh, extras, count};
+    long first = long(blockIdx.x) * blockDim.x, i = first + threadIdx.x;
+    if (i < count) {
+        int slot = slots[i];
+        SplatGradient own = {};
+        PrimitiveSums sum = {};
+        if (slot >= 0) {
+            const float4* from = reinterpret_cast<const float4*>(sums + long(kSumsStride) * slot);
+            float values[kSumsStride];
+#pragma unroll
+            for (int k = 0; k < kSumsStride / 4; ++k) {
+                float4 four = from[k];
+                values[4 * k] = four.x, values[4 * k + 1] = four.y, values[4 * k + 2] = four.z;
+                values[4 * k + 3] = four.w;
+            }
+#pragma unroll
+            for (int k = 0; k < kSums; ++k) reinterpret_cast<float*>(&sum)[k] = values[k];
+            Kind::Input input = Kind::input(g, i);
+            own = finish(view, input, sum.geometry, sum.normal);
+            own.mean = own.mean + sh_color_backward<kShDegree>(sh + kShFloats * i, input.mean - view.centre,
+                                                               records[slot].color, sum.color, g_own_sh);
+        }
+        store3(g_means + 3 * i, own.mean);
+        store3(position_gradients + 3 * i, own.position_statistic);
+        reinterpret_cast<float4*>(g_quaternions)[i] = make_float4(own.quaternion.w, own.quaternion.x, own.quaternion.y,
+                                                                  own.quaternion.z);
+        const float own_scales[3] = {own.scales.x, own.scales.y, own.scales.z};
+#pragma unroll
+        for (int k = 0; k < Kind::scale_count; ++k) g_scales[Kind::scale_count * i + k] = own_scales[k];
+        g_opacities[i] = sum.opacity;
+#pragma unroll
+        for (int k = 0; k < kExtras; ++k) g_extras[kExtras * i + k] = sum.extras[k];
+    }
+    __syncthreads();
+    long floats = min(long(blockDim.x), count - first) * kShFloats;
+    for (int k = threadIdx.x; k < floats; k += blockDim.x)
+        g_sh[first * kShFloats + k] = staged[k / kShFloats * row + k % kShFloats];
+}

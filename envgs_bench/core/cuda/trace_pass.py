@@ -1,0 +1,107 @@
+"""Tracing: the kernels of one bundle of rays, forward and backward."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..backends import TraceOptions
+from ..differentiable import Drawn, Gradients, Planes, SetTensors
+from ..gaussians import GaussianSet
+from .bvh import SurfelTree
+from .launch import Kernels, aligned, blocks_for, kernels
+from .sorting import radix_sort
+
+PACKET = 32  # rays
+PAGE_HITS = 16  # hits a ray that a page holds
+PAGES_A_PACKET = 4  # at first
+
+# Pages that a packet of the latest bundle on a device took. A bundle gets a quarter more; should that turn out too
+# little, the backward pass traces once more with enough.
+_latest_pages: dict[torch.device, float] = {}
+
+
+class TracePass:
+    def __init__(
+        self, gaussians: GaussianSet, origins: Tensor, directions: Tensor, tree: SurfelTree, options: TraceOptions
+    ) -> None:
+        tensors = SetTensors.of(gaussians)
+        self.tensors = tensors._replace(quaternions=aligned(tensors.quaternions), scales=aligned(tensors.scales))
+        self.origins, self.directions = origins.detach().contiguous(), directions.detach().contiguous()
+        self.tree, self.options = tree, options
+        self.background = options.background.contiguous()
+        self.device, self.rays = gaussians.device, len(origins)
+        self.packets = blocks_for(self.rays, PACKET)
+
+    def _kernels(self, *sources: str) -> Kernels:
+        sh, extras = self.tensors.sh.shape[1], self.tensors.extras.shape[1]
+        return kernels(sources, self.device, SH_COEFFICIENTS=sh, EXTRAS=extras)
+
+    def forward(self, keep: bool) -> Drawn:
+        launch = self._kernels("trace_rays.cu", "trace_forward.cu")
+        self.order = self._order(launch)
+        self.appearances = self._appearances(launch)
+        pages = 0
+        if keep:
+            pages = int(self.packets * _latest_pages.get(self.device, PAGES_A_PACKET) * 1.25) + 64
+        drawn = self._trace(launch, pages)
+        if keep and not torch.cuda.is_current_stream_capturing():
+            self._wanted = torch.empty(1, dtype=torch.int32, pin_memory=True)
+            self._wanted.copy_(self.pages_used, non_blocking=True)
+            self._counted = torch.cuda.current_stream().record_event()
+        return drawn
+
+    def _order(self, launch: Kernels) -> Tensor:
+        keys = torch.empty(self.rays, dtype=torch.int32, device=self.device)
+        if self.rays == 0:
+            return keys
+        launch("ray_keys", blocks_for(self.rays, 256), 256, self.origins, self.directions, self.rays,
+               self.tree.statistics, keys)  # fmt: skip
+        return radix_sort(keys, None, torch.full((1,), self.rays, dtype=torch.int32, device=self.device), 32)[1]
+
+    def _appearances(self, launch: Kernels) -> Tensor:
+        sh, extras, count = self.tensors.sh, self.tensors.extras, self.tree.count
+        floats = -(-(3 * sh.shape[1] + extras.shape[1]) // 4) * 4
+        packed = torch.empty(count, floats, device=self.device)
+        launch("pack_appearances", blocks_for(packed.numel(), 256), 256, self.tree.order, sh, extras, count, packed)
+        return packed
+
+    def _trace(self, launch: Kernels, pages: int) -> Drawn:
+        tensors, tree, options = self.tensors, self.tree, self.options
+        planes = Planes.empty(tensors.means, self.rays, tensors.extras.shape[1])
+        hits = torch.empty(self.rays, dtype=torch.int32, device=self.device)
+        weights = torch.zeros_like(tensors.opacities)
+        self.page_slots = torch.empty(pages * PAGE_HITS * PACKET, dtype=torch.int32, device=self.device)
+        self.page_next = torch.empty(pages, dtype=torch.int32, device=self.device)
+        self.page_heads = torch.empty(2 * self.packets, dtype=torch.int32, device=self.device)
+        self.pages_used = torch.zeros(1, dtype=torch.int32, device=self.device)
+        launch("trace_rays", blocks_for(self.packets, 2), 64, self.origins, self.directions, self.order, self.rays,
+               tree.surfels, self.appearances, tree.boxes, tree.count, tree.statistics, float(options.t_min),
+               float(options.transmittance_min), self.background, *planes, hits, weights, self.page_slots,
+               self.page_next, self.page_heads, self.pages_used, pages)  # fmt: skip
+        self.weights, self.pages = weights, pages
+        return Drawn(planes, hits, weights)
+
+    def _check_pages(self) -> None:
+        self._counted.synchronize()
+        used = int(self._wanted)
+        _latest_pages[self.device] = used / max(self.packets, 1)
+        if used > self.pages:
+            self._trace(self._kernels("trace_rays.cu", "trace_forward.cu"), used)
+
+    def backward(self, planes: Planes, gradients: tuple[Tensor | None, ...]) -> Gradients:
+        if not torch.cuda.is_current_stream_capturing():
+            self._check_pages()
+        tensors, tree, count = self.tensors, self.tree, self.tree.count
+        launch = self._kernels("trace_rays.cu", "trace_backward.cu")
+        floats = -(-(19 + 3 * tensors.sh.shape[1] + tensors.extras.shape[1]) // 4) * 4
+        sums = tensors.means.new_zeros(count, floats)
+        g_origins, g_directions = torch.empty_like(self.origins), torch.empty_like(self.directions)
+        launch("differentiate_rays", blocks_for(self.packets, 4), 128, self.origins, self.directions, self.order,
+               self.rays, tree.surfels, self.appearances, self.background, *planes, *gradients, self.page_slots,
+               self.page_next, self.page_heads, self.pages_used, self.pages, sums, g_origins,
+               g_directions)  # fmt: skip
+        result, position = SetTensors(*map(torch.empty_like, tensors)), torch.empty_like(tensors.means)
+        launch("finish_surfels", blocks_for(count, 128), 128, tensors.quaternions, tensors.scales, count, self.weights,
+               sums, *result, position)  # fmt: skip
+        return Gradients(result, position, g_origins, g_directions)

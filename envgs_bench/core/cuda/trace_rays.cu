@@ -1,0 +1,89 @@
+// Before and after the rays: in which order they are traced, how surfels look, and from sums to gradients.
+#include "trace.cuh"
+
+using namespace envgs;
+
+// Rays that start alike and head alike get neighbouring keys: a Morton order over direction (octahedral map) and
+// origin. The tracer's packets are 32 rays along it, whatever order the caller's rays come in.
+extern "C" __global__ void ray_keys(const float* origins, const float* directions, int count,
+                                    const CentreStatistics* statistics, u32* keys) {
+    int i = blockIdx.x * blockDim.x + threadIdx.x;
+    if (i >= count) return;
+    Vec3<float> d = load3(directions + 3l * i);
+    u32 cell[5];
+    float norm = absolute(d.x) + absolute(d.y) + absolute(d.z);
+    float u = d.x / norm, v = d.y / norm;
+    if (d.z < 0.0f) {
+        float folded = copysignf(1.0f - absolute(v), u);
+        v = copysignf(1.0f - absolute(u), v);
+        u = folded;
+    }
+    cell[0] = u32(minimum(maximum((u + 1.0f) * 64.0f, 0.0f), 127.0f));
+    cell[1] = u32(minimum(maximum((v + 1.0f) * 64.0f, 0.0f), 127.0f));
+    u32 position[3];
+    Extent(*statistics).quantise(load3(origins + 3l * i), 6, position);
+    cell[2] = position[0], cell[3] = position[1], cell[4] = position[2];
+    u32 key = cell[0] >> 6 << 1 | cell[1] >> 6;
+    for (int bit = 5; bit >= 0; --bit)
+#pragma unroll
+        for (int k = 0; k < 5; ++k) key = key << 1 | (cell[k] >> bit & 1);
+    keys[i] = key;
+}
+
+// surfels' appearances in the tree's order; a thread a float.
+extern "C" __global__ void pack_appearances(const u32* order, const float* sh, const float* extras, int count,
+                                            float* appearances) {
+    long at = long(blockIdx.x) * blockDim.x + threadIdx.x;
+    long slot = at / kAppearance;
+    int k = at % kAppearance;
+    if (slot >= count) return;
+    long i = order[slot];
+    float value = 0.0f;
+    if (k < kShFloats) value = sh[i * kShFloats + k];
+    if (k >= kShFloats && k < kShFloats + kExtras) value = extras[i * kExtras + k - kShFloats];
+    appearances[at] = value;
+}
+
+// Every row of the results is written, zeros where no ray met the surfel.
+extern "C" __global__ void __launch_bounds__(128)
+    finish_surfels(const float* quaternions, const float* scales, int count, const float* weights, const float* sums,
+                   float* g_means, float* g_quaternions, float* g_scales, float* g_opacities, float* g_sh,
+                   float* g_extras, float* position_gradients) {
+    constexpr int row = kTraceSums + 1;  // odd: neighbouring threads fall on neighbouring banks
+    __shared__ float staged[128 * row];
+    __shared__ bool seen[128];
+    long first = long(blockIdx.x) * 128, i = first + threadIdx.x;
+    int here = min(128l, count - first);
+    seen[threadIdx.x] = threadIdx.x < here && weights[i] > 0.0f;
+    __syncthreads();
+    for (int k = threadIdx.x; k < here * kTraceSums; k += 128) {
+        int owner = k / kTraceSums;
+        staged[owner * row + k % kTraceSums] = seen[owner] ? sums[first * kTraceSums + k] : 0.0f;
+    }
+    __syncthreads();
+    if (threadIdx.x < here) {
+        const float* sum = staged + row * threadIdx.x;
+        SurfelGradient<float> g = {};
+        Quaternion<float> g_q = {};
+        if (seen[threadIdx.x]) {
+            float inverse_norm;
+            float4 raw = reinterpret_cast<const float4*>(quaternions)[i];
+            Quaternion<float> q = normalized<float>({raw.x, raw.y, raw.z, raw.w}, inverse_norm);
+            float2 scale = reinterpret_cast<const float2*>(scales)[i];
+            SurfelMoments<float> moments = {load3(sum), load3(sum + 3), load3(sum + 6), load3(sum + 9)};
+            g = surfel_backward(axes_of(q), scale.x, scale.y, moments, load3(sum + kNormalSum));
+            g_q = quaternion_gradient(q, inverse_norm, g.torque);
+        }
+        store3(g_means + 3 * i, g.mean + load3(sum + kDirectionSum));
+        store3(position_gradients + 3 * i, g.position_statistic);
+        reinterpret_cast<float4*>(g_quaternions)[i] = make_float4(g_q.w, g_q.x, g_q.y, g_q.z);
+        reinterpret_cast<float2*>(g_scales)[i] = make_float2(g.scale_u, g.scale_v);
+        g_opacities[i] = sum[kOpacitySum];
+    }
+    for (int k = threadIdx.x; k < here * kShFloats; k += 128)
+        g_sh[first * kShFloats + k] = staged[k / kShFloats * row + kShSums + k % kShFloats];
+#if EXTRAS > 0
+    for (int k = threadIdx.x; k < here * kExtras; k += 128)
+        g_extras[first * kExtras + k] = staged[k / kExtras * row + kShSums + kShFloats + k % kExtras];
+#endif
+}
