@@ -83,9 +83,9 @@ class RunSettings(BaseModel):
 
     @property
     def dataset_name(self) -> str:
-        """The configured name, or else the name of the folder that the data lie in."""
-        name = self.dataset.get("name") or (Path(self.dataset["root"]).name if self.dataset.get("root") else None)
-        return _slug(name or self.dataset["kind"])
+        """The configured name, which may have several parts (toy/chrome_room), or else that of the data's folder."""
+        name = self.dataset.get("name") or Path(self.dataset.get("root") or self.dataset["kind"]).name
+        return "/".join(_slug(part) for part in str(name).split("/"))
 
 
 def parse_settings(content: Any) -> RunSettings:

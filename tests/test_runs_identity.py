@@ -104,7 +104,8 @@ def test_a_method_of_ones_own_counts_by_its_source(tmp_path: Path, monkeypatch: 
 
 def test_names_are_the_configured_ones_or_the_folders() -> None:
     assert settings().dataset_name == "fox"
-    assert settings(dataset={"name": "red fox/1", "kind": "colmap", "root": "x"}).dataset_name == "red-fox-1"
+    assert settings(dataset={"name": "red fox", "kind": "colmap", "root": "x"}).dataset_name == "red-fox"
+    assert settings(dataset={"name": "toy/../room", "kind": "toy"}).dataset_name == "toy/unnamed/room"
     assert settings(dataset={"kind": "toy"}).dataset_name == "toy"
     assert settings(method={"name": "../up", "kind": "2dgs"}).method_name == "-up"
 
