@@ -14,7 +14,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, MissingMandatoryValue, OmegaConfBaseException
 from rich.console import Console
 
 from .display import make_display
@@ -45,6 +45,9 @@ def run(arguments: list[str]) -> int:
     except (CompactHydraException, OmegaConfBaseException, SettingsError) as error:
         print(f"envgs-bench run: {explain(error)}", file=sys.stderr)
         code = 2
+    except OSError as error:
+        print(f"envgs-bench run: {error}; give a folder that can be written as runs_dir=", file=sys.stderr)
+        code = 2
     except KeyboardInterrupt:
         code = INTERRUPTED
     finally:
@@ -58,9 +61,8 @@ def run(arguments: list[str]) -> int:
 
 @hydra.main(config_path=str(CONF), config_name="config", version_base="1.3")
 def _application(config: DictConfig) -> None:
-    settings = parse_settings(
-        {**OmegaConf.to_container(config, resolve=True), "overrides": list(HydraConfig.get().overrides.task)}  # type: ignore[dict-item]
-    )
+    content: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+    settings = parse_settings({**content, "overrides": list(HydraConfig.get().overrides.task)})
     try:
         get_protocol(settings.protocol)
     except ValueError as error:
@@ -98,6 +100,8 @@ def explain(error: Exception) -> str:
     if isinstance(error, OverrideParseException):
         return f"cannot read the override {error.override!r}, expected KEY=VALUE: {error.message}"
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
+    if isinstance(cause, MissingMandatoryValue):
+        return f"{cause.full_key} is missing: give it as {cause.full_key}=VALUE"
     if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.full_key:
         known = _keys(cause.parent_node)
         owner = cause.full_key.rpartition(".")[0] or "a run"

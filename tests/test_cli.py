@@ -53,6 +53,7 @@ def test_wrong_usage_ends_with_status_2(arguments: list[str], capsys: pytest.Cap
         (["stepz=3"], ["unknown key 'stepz'", "runs_dir, seed, steps", "Did you mean 'steps'?"]),
         (["method.settings.rat=1"], ["unknown key 'method.settings.rat'", "crash_at, rate"]),
         (["timing.frame=1"], ["unknown key 'timing.frame'", "timing has frames, seconds"]),
+        (["dataset=colmap"], ["dataset.root is missing: give it as dataset.root=VALUE"]),
         (["seed=-1"], ["seed=-1", "greater than or equal to 0"]),
         (["steps=many"], ["steps='many'", "valid integer"]),
         (["device=tpu"], ["device='tpu'", "'auto', 'cpu' or 'cuda'"]),
@@ -78,6 +79,14 @@ def test_one_wrong_option_of_a_sweep_stops_it_before_anything_runs(
     assert run(tmp_path, "method=fake,nope", flags=("-m",)) == 2
     assert "there is no method 'nope'" in capsys.readouterr().err
     assert records(tmp_path) == []
+
+
+def test_a_runs_dir_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    assert run(tmp_path / "file") == 2
+    message = capsys.readouterr().err
+    assert str(tmp_path / "file") in message
+    assert "runs_dir=" in message
 
 
 def test_flags_may_stand_between_overrides(capsys: pytest.CaptureFixture[str]) -> None:
