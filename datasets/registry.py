@@ -1,0 +1,50 @@
+"""Which data sources there are, and how a scene is loaded by its settings."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from envgs_bench.core import Scene
+
+from .settings import DatasetError
+
+Source = Callable[[Mapping[str, Any], Path], Scene]
+
+BUILT_IN = {
+    "toy": "envgs_bench.datasets.toy:load_toy",
+    "colmap": "envgs_bench.datasets.colmap:load_colmap",
+}
+
+
+def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
+    """A scene, made or read as its settings say, then cached.
+
+    Args:
+        settings: `kind` picks the source: one of `BUILT_IN`, or an import path "package.module:function" to a function
+            of these same two arguments. The other keys are the source's own.
+        cache_dir: where sources keep what took them time; made if missing.
+
+    Raises:
+        DatasetError: no such kind, a key the source does not have or of a wrong value, or data that cannot be used.
+    """
+    kind = settings.get("kind")
+    if not isinstance(kind, str):
+        raise DatasetError(f"dataset.kind={kind!r}: expected one of {', '.join(BUILT_IN)}")
+    return _source(kind)(settings, Path(cache_dir))
+
+
+def _source(kind: str) -> Source:
+    path = BUILT_IN.get(kind, kind)
+    if ":" not in path:
+        raise DatasetError(
+            f"dataset.kind={kind!r} is unknown: expected one of {', '.join(BUILT_IN)}, "
+            "or an import path, package.module:function"
+        )
+    module_name, _, function_name = path.partition(":")
+    try:
+        return getattr(importlib.import_module(module_name), function_name)
+    except (ImportError, AttributeError) as error:
+        raise DatasetError(f"dataset.kind={kind!r} cannot be imported from {path}: {error}") from error

@@ -1,0 +1,103 @@
+"""A point cloud as structure from motion would leave it: on textured, matt surfaces, noisy, lost on mirrors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from envgs_bench.core import View
+
+Array = NDArray[np.floating[Any]]
+
+COUNT = 6000
+GHOST_SHARE = 0.02  # of the points, seen in mirrors and triangulated behind them
+LONGEST_GHOST = 1.5  # world units behind the mirror
+FAR_DISTANCES = (15.0, 60.0)  # world units
+VISIBILITY = 0.02  # relative depth difference up to which a point counts as seen
+
+
+def sfm_points(views: list[View], noise: float, far_points: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Points [P, 3], world frame, and their colours [P, 3] in [0, 1], sRGB.
+
+    Most lie on surfaces without reflection, drawn where the pictures have strong gradients, kept if another view sees
+    them too, coloured by the mean over the views that do, and displaced by Gaussian noise of standard deviation
+    `noise` (world units). The rest is what real reconstructions also hold: ghosts behind mirrors, and `far_points`
+    on the sky, matched at whatever distance.
+    """
+    near = [_on_surfaces(view, 2 * COUNT // len(views) + 1, rng) for view in views]
+    points = np.concatenate(near)
+    colors, seen_by = _mean_colors(points, views)
+    kept = np.flatnonzero(seen_by >= 2)
+    kept = rng.permutation(kept)[:COUNT]
+    points = points[kept] + noise * rng.normal(size=(len(kept), 3))
+    extra = [_ghosts(view, round(COUNT * GHOST_SHARE / len(views)), rng) for view in views]
+    extra += [
+        _far(view, round(far_points * (index + 1) / len(views)) - round(far_points * index / len(views)), rng)
+        for index, view in enumerate(views)
+    ]
+    extra_points, extra_colors = (np.concatenate(arrays) for arrays in zip(*extra, strict=True))
+    return np.concatenate([points, extra_points]), np.concatenate([colors[kept], extra_colors])
+
+
+def _on_surfaces(view: View, count: int, rng: np.random.Generator) -> Array:
+    """Points at pixel centres of matt surfaces, the likelier the stronger the picture's gradient."""
+    picture = view.image.double().numpy().mean(-1) / 255
+    gradient = np.hypot(*np.gradient(picture))
+    likelihood = np.where(_matt(view), gradient.reshape(-1) + 0.005, 0.0)
+    usable = int((likelihood > 0).sum())
+    if not usable:
+        return np.empty((0, 3))
+    chosen = rng.choice(likelihood.size, min(count, usable), replace=False, p=likelihood / likelihood.sum())
+    return _unprojected(view, chosen, _depth(view)[chosen])
+
+
+def _ghosts(view: View, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Points behind mirrors, on the line of sight."""
+    pixels = np.flatnonzero(view.masks["reflective"].numpy())
+    chosen = rng.choice(pixels, min(count, pixels.size), replace=False)
+    behind = LONGEST_GHOST * rng.uniform(size=chosen.size)
+    return _unprojected(view, chosen, _depth(view)[chosen] + behind), _colors(view)[chosen]
+
+
+def _far(view: View, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Points on the sky, at any distance that a match of two views might give."""
+    pixels = np.flatnonzero(_depth(view) == 0)
+    chosen = rng.choice(pixels, min(count, pixels.size), replace=False)
+    distance = np.exp(rng.uniform(np.log(FAR_DISTANCES[0]), np.log(FAR_DISTANCES[1]), chosen.size))
+    return _unprojected(view, chosen, distance), _colors(view)[chosen]
+
+
+def _mean_colors(points: Array, views: list[View]) -> tuple[Array, Array]:
+    """Mean colour [P, 3] over the views that see each point, and how many do, [P]."""
+    total, seen_by = np.zeros_like(points), np.zeros(len(points))
+    for view in views:
+        pixels, depth = (values.numpy() for values in view.camera.project(torch.from_numpy(points).float()))
+        width, height = view.camera.width, view.camera.height
+        inside = (depth > 0) & (pixels >= 0).all(1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
+        flat = pixels[inside].astype(np.int64) @ np.array([1, width])
+        agrees = abs(_depth(view)[flat] - depth[inside]) < VISIBILITY * depth[inside]
+        visible = np.flatnonzero(inside)[agrees & _matt(view)[flat]]
+        total[visible] += _colors(view)[flat[agrees & _matt(view)[flat]]]
+        seen_by[visible] += 1
+    return total / np.maximum(seen_by, 1)[:, None], seen_by
+
+
+def _unprojected(view: View, pixels: NDArray[np.int64], depth: Array) -> Array:
+    origins, directions = (rays.reshape(-1, 3).double().numpy() for rays in view.camera.rays())
+    return origins[pixels] + depth[:, None] * directions[pixels]
+
+
+def _matt(view: View) -> NDArray[np.bool_]:
+    return (_depth(view) > 0) & ~view.masks["reflective"].numpy().reshape(-1)
+
+
+def _depth(view: View) -> Array:
+    assert view.depth is not None
+    return view.depth.double().numpy().reshape(-1)
+
+
+def _colors(view: View) -> Array:
+    return view.image.double().numpy().reshape(-1, 3) / 255

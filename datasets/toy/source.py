@@ -1,0 +1,83 @@
+"""The toy data source: from settings to a Scene."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import torch
+from pydantic import Field
+
+from envgs_bench.core import Camera, Scene, View
+
+from ..cache import cached_scene
+from ..settings import SourceSettings, parse_settings
+from ..split import split_views
+from .cameras import cameras_around
+from .lighting import bake
+from .points import sfm_points
+from .render import geometry, picture
+from .scenes import SCENES
+from .world import World
+
+VERSION = 1  # raise it with every change that alters a scene
+
+
+class ToySettings(SourceSettings):
+    """Settings of `kind: toy`."""
+
+    kind: Literal["toy"]
+    scene: Literal["chrome_room", "sky_ball", "diffuse_room"]
+    width: Annotated[int, Field(ge=8)] = 160  # pixels
+    height: Annotated[int, Field(ge=8)] = 120
+    views: Annotated[int, Field(ge=2)] = 48  # training and test views together
+    noise: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.01  # of the points, standard deviation in metres
+    seed: Annotated[int, Field(ge=0)] = 0  # of textures, sky, light, pixels and points
+    supersampling: Annotated[int, Field(ge=1)] = 3  # rays along each side of a pixel
+
+
+def load_toy(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
+    """A toy scene: pictures, exact normals and depth, the regions `reflective` and `near_field`, and a point cloud.
+
+    Raises:
+        DatasetError: an unknown key, or a value out of range.
+    """
+    choice = parse_settings(ToySettings, settings)
+    name = choice.name or f"toy/{choice.scene}"
+    key = {"source": "toy", "version": VERSION, **choice.model_dump(), "name": name}
+    return cached_scene(cache_dir, name, key, lambda: _make(choice, name))
+
+
+def _make(choice: ToySettings, name: str) -> Scene:
+    # one generator for each thing that is random, so that a change of one leaves the others as they are
+    streams = np.random.SeedSequence(choice.seed).spawn(3 + choice.views)
+    for_scene, for_light, for_points, *for_views = (np.random.default_rng(stream) for stream in streams)
+    description = SCENES[choice.scene](for_scene)
+    world = World(description.parts, description.sky)
+    bake(world, for_light)
+    cameras = cameras_around(description.orbit, choice.views, choice.width, choice.height)
+
+    def make_view(index: int) -> View:
+        return _view(world, cameras[index], f"{index:04d}", choice.supersampling, for_views[index])
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        views = list(pool.map(make_view, range(choice.views)))
+    train, test = split_views(views, name)
+    points, colors = sfm_points(train, choice.noise, description.far_points, for_points)
+    return Scene(name, train, test, torch.from_numpy(points).float(), torch.from_numpy(colors).float())
+
+
+def _view(world: World, camera: Camera, name: str, supersampling: int, rng: np.random.Generator) -> View:
+    exact = geometry(world, camera)
+    return View(
+        name=name,
+        camera=camera,
+        image=torch.from_numpy(picture(world, camera, supersampling, rng)),
+        masks={"reflective": torch.from_numpy(exact.reflective), "near_field": torch.from_numpy(exact.near_field)},
+        normal=torch.from_numpy(exact.normal).float(),
+        depth=torch.from_numpy(exact.depth).float(),
+    )
