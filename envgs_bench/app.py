@@ -54,9 +54,13 @@ def run(arguments: list[str]) -> int:
         sys.argv = program
         _restore("HYDRA_FULL_ERROR", full_error)
     outcomes = close_ledger()
+    if outcomes is None:  # nothing was to run: --cfg and the like, or wrong arguments
+        return code
     if outcomes:
         print_outcomes(outcomes, Console(width=None if sys.stdout.isatty() else 160))
-    return code or int(not all(outcome.ok for outcome in outcomes))
+    elif not code:
+        print("envgs-bench run: no job reported back; `envgs-bench report` shows what is there", file=sys.stderr)
+    return code or int(not outcomes or not all(outcome.ok for outcome in outcomes))
 
 
 @hydra.main(config_path=str(CONF), config_name="config", version_base="1.3")

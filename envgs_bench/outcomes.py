@@ -44,6 +44,11 @@ class Outcome:
         return f"{self.dataset} · {self.method} · seed {self.seed}"
 
     @property
+    def run(self) -> str:
+        """The hash in the folder's name, which tells runs of one method apart."""
+        return self.folder.rpartition("-")[2]
+
+    @property
     def state(self) -> str:
         """The status, with what was done where it was not to run."""
         return self.status if self.action == "ran" else f"{self.status} ({self.action})".strip()
@@ -80,7 +85,6 @@ class Ledger(Callback):
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
         folder = Path(config.runs_dir).expanduser().absolute()
-        folder.mkdir(parents=True, exist_ok=True)
         os.environ[LEDGER_VARIABLE] = str(folder / f".outcomes-{uuid.uuid4().hex[:8]}.jsonl")
 
     on_multirun_start = on_run_start
@@ -92,9 +96,11 @@ def enter(outcome: Outcome) -> None:
         ledger.write(json.dumps(asdict(outcome)) + "\n")
 
 
-def close_ledger() -> list[Outcome]:
-    """All outcomes of this call so far, in the order in which they came; the file is removed."""
-    path = Path(os.environ.pop(LEDGER_VARIABLE, ""))
+def close_ledger() -> list[Outcome] | None:
+    """All outcomes of this call so far, in the order in which they came, or None where no job was to run."""
+    if LEDGER_VARIABLE not in os.environ:
+        return None
+    path = Path(os.environ.pop(LEDGER_VARIABLE))
     if not path.is_file():
         return []
     outcomes = [Outcome(**json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
@@ -107,9 +113,10 @@ def print_outcomes(outcomes: list[Outcome], console: Console) -> None:
     table = Table("dataset", "method", "seed", "status")
     for title in ("PSNR dB", "frame ms", "training s"):
         table.add_column(title, justify="right")
+    table.add_column("run")
     for outcome in outcomes:
         numbers = (_cell(outcome.psnr, 2), _cell(outcome.frame_ms, 2), _cell(outcome.train_seconds, 1))
-        table.add_row(outcome.dataset, outcome.method, str(outcome.seed), outcome.state, *numbers)
+        table.add_row(outcome.dataset, outcome.method, str(outcome.seed), outcome.state, *numbers, outcome.run)
     console.print(table)
     for outcome in outcomes:
         if not outcome.ok:
