@@ -62,7 +62,7 @@ def write_page(
 
 
 def _section(section: Section, index: int, data: dict[str, Any], galleries: Sequence[Gallery]) -> dict[str, Any]:
-    charted = any(row.done for table in section.tables for row in table.rows)
+    charted = bool(data["charted"])
     parts = {
         "Chart": charted,
         "Tables": True,

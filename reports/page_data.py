@@ -36,15 +36,23 @@ def _section(section: Section, tables: list[dict[str, Any]], galleries: Sequence
             row["overrides"] = overrides.get(row["method"], [])
             for cell in row["cells"].values():
                 cell["partial_average"] = averaged and cell["done"] < cell["expected"]
+    charted = [i for i, table in enumerate(tables) if any(_drawn(row) for row in table["rows"])]
     return {
         "tables": tables,
-        "first_table": next((i for i, table in enumerate(tables) if len(table["datasets"]) == 1), 0),
+        "charted": charted,
+        "first_charted": next((i for i in charted if len(tables[i]["datasets"]) == 1), None),
         "styles": {m: {"color": style.color, "symbol": style.symbol} for m, style in styles(section.methods).items()},
         "knobs": knobs(list({item.method: item.label for item in section.runs}.values())),
         "galleries": [_gallery(gallery) for gallery in galleries],
         "curves": training_curves(section),
         "quantities": QUANTITIES,
     }
+
+
+def _drawn(row: dict[str, Any]) -> bool:
+    """Whether a chart can show the row: its frame time is known, and not the average over a part."""
+    cell = row["cells"].get("frame_ms")
+    return cell is not None and cell["mean"] is not None and not cell["partial_average"]
 
 
 def _gallery(gallery: Gallery) -> dict[str, Any]:

@@ -39,6 +39,7 @@ RC: dict[Any, Any] = {
     "xtick.color": SOFT,
     "ytick.color": SOFT,
     "pdf.fonttype": 42,
+    "text.parse_math": False,  # a name may hold a dollar sign
 }
 
 
@@ -117,11 +118,13 @@ def _prepare(axis: Axes, panel: Panel, first: bool) -> None:
     axis.set_ylabel(panel.accuracy.axis)
     failed = [row for row in panel.table.rows if row.attempts and not row.done]
     if failed:
-        words = "no run finished: " + ", ".join(f"{row.method} (0/{row.attempts})" for row in failed)
+        words = "no run finished: " + ", ".join(f"{_short(row.method)} (0/{row.attempts})" for row in failed)
         axis.text(0.985, 0.03, words, transform=axis.transAxes, fontsize=8.5, color=SOFT, ha="right", style="italic")
     if first:
         count = len(panel.table.datasets)
-        title = panel.table.title + (f": average of {count}" if count > 1 and panel.table.title != ALL else "")
+        title = _short(panel.table.title, 44) + (
+            f": average of {count}" if count > 1 and panel.table.title != ALL else ""
+        )
         axis.set_title(title, loc="left", fontsize=12, fontweight="bold", pad=20)
         axis.text(0, 1.03, panel.section.device, transform=axis.transAxes, fontsize=8.5, color=SOFT)
 
@@ -183,7 +186,7 @@ def _label(figure: Figure, axis: Axes, panel: Panel) -> None:
         axis.text(
             0,
             0,
-            p.label if p.complete else f"{p.label} ({p.done}/{p.attempts} runs)",
+            _short(p.label) + ("" if p.complete else f" ({p.done}/{p.attempts} runs)"),
             color=style[p.label].color if p in best or not p.complete else SOFT,
             fontsize=10 if len(places) <= 8 else 7.5,
             fontweight="bold" if p in best else "normal",
@@ -228,3 +231,7 @@ def _leader(axis: Axes, mark: tuple[float, float], box: Box, reach: float) -> No
     if (nearest[0] - mark[0]) ** 2 + (nearest[1] - mark[1]) ** 2 > reach**2:
         start, end = axis.transData.inverted().transform([mark, nearest])
         axis.plot([start[0], end[0]], [start[1], end[1]], color=GREY, linewidth=0.7, zorder=3)
+
+
+def _short(name: str, length: int = 30) -> str:
+    return name if len(name) <= length else name[: length - 1] + "…"

@@ -178,7 +178,7 @@
     const plot = group.querySelector(".chart");
     if (!plot) return () => {};
     const pick = (name) => group.querySelector(".chart-" + name);
-    fill(pick("table"), section.tables.map((table, i) => [String(i), table.name]), String(section.first_table));
+    fill(pick("table"), section.charted.map((i) => [String(i), section.tables[i].name]), String(section.first_charted));
     const current = () => section.tables[Number(pick("table").value)];
 
     function axes() {

@@ -1,0 +1,382 @@
+"""The reports' tables: pinned to the paper's own averages, to SciPy, and to one another."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+import subprocess
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.stats
+from reports_runs import METHODS, record, run_folder, write_failure, write_record, write_runs
+
+from envgs_bench.records import RecordError
+from envgs_bench.reports.columns import MAIN_COLUMNS
+from envgs_bench.reports.decimals import mean, rounded
+from envgs_bench.reports.intervals import bootstrap_interval
+from envgs_bench.reports.latex import latex
+from envgs_bench.reports.layout import entries, headings
+from envgs_bench.reports.markdown import markdown
+from envgs_bench.reports.published import paper_scene, paper_tables, published_means
+from envgs_bench.reports.report import build_report
+from envgs_bench.reports.runs import read_runs
+from envgs_bench.reports.sections import Section, split_sections
+from envgs_bench.reports.structured import structured
+from envgs_bench.reports.summary import Numbers, Row, Table, average_table, dataset_table
+
+ROOM = "toy/chrome_room"
+
+
+def sections_of(folder: Path) -> list[Section]:
+    return split_sections(read_runs(folder)[0])
+
+
+def table_of(scores: dict[str, list[float | None]], metric: str = "psnr", attempts: int | None = None) -> Table:
+    """One data set's table of one metric, from the values of each method over seeds."""
+    tidy = [(ROOM, m, s, "full", metric, v) for m, values in scores.items() for s, v in enumerate(values)]
+    runs = [
+        (ROOM, m, s, "ok" if s < len(v) else "failed") for m, v in scores.items() for s in range(attempts or len(v))
+    ]
+    frame = pd.DataFrame(tidy, columns=["dataset", "method", "seed", "region", "metric", "value"])
+    tried = pd.DataFrame(runs, columns=["dataset", "method", "seed", "status"])
+    return dataset_table(Numbers(frame.astype({"value": float}), tried), ROOM, scores)
+
+
+def row_of(table: Table, method: str) -> Row:
+    return next(row for row in table.rows if row.method == method)
+
+
+# ---------------------------------------------------------------------------------------------- the paper's tables
+
+
+def test_table_7_averages_to_every_psnr_of_tables_1_and_5() -> None:
+    """The builder over the per-scene table gives the printed means exactly: decimals, halves up."""
+    rows = paper_tables().query("table == '7' and metric == 'psnr' and value != ''")
+    tidy = pd.DataFrame(
+        {
+            "dataset": rows["dataset"] + "/" + rows["scene"],
+            "method": rows["method"],
+            "seed": 0,
+            "region": "full",
+            "metric": "psnr",
+            "value": rows["value"].astype(float),
+        }
+    )
+    numbers = Numbers(tidy, tidy.assign(status="ok")[["dataset", "method", "seed", "status"]])
+    printed = paper_tables().query("metric == 'psnr' and table in ('1', '5') and value != ''")
+    checked = 0
+    for table, dataset, method, value in printed[["table", "dataset", "method", "value"]].to_numpy():
+        members = [name for name in tidy["dataset"].unique() if name.split("/")[0] in dataset.split("+")]
+        if method in ("ENVIDR", "NDE"):  # Table 7 does not have them
+            continue
+        average = average_table(numbers, dataset, members, [method]).rows[0].cells["psnr"]
+        assert average.complete
+        assert str(rounded(average.mean, 3)) == value, (table, dataset, method)
+        checked += 1
+    assert checked == 19  # 9 methods on 2 data sets, and EnvGS on all 7 scenes
+
+
+def test_unreadable_cells_of_the_paper_are_empty() -> None:
+    rows = paper_tables()
+    unreadable = rows[rows["note"].str.startswith("unreadable")]
+    assert len(unreadable) == 9
+    assert (unreadable["value"] == "").all()
+    assert "EnvGS" not in published_means(["Ref-Real/sedan"], "lpips")
+
+
+@pytest.mark.parametrize(
+    ("name", "scene"),
+    [
+        ("Ref-Real/sedan", ("Ref-Real", "sedan")),
+        ("ref_real-gardenspheres", ("Ref-Real", "spheres")),
+        ("nerf_casting-toaster", ("NeRF-Casting", "toaster")),
+        ("shiny_blender-toaster", ("Shiny-Blender", "toaster")),
+        ("mipnerf360/garden", ("Mip-NeRF-360", "garden")),
+        ("garden", None),  # anybody's garden
+        ("toy/chrome_room", None),
+    ],
+)
+def test_a_paper_scene_needs_its_family(name: str, scene: tuple[str, str] | None) -> None:
+    assert paper_scene(name) == scene
+
+
+def test_published_psnr_stands_beside_ours(tmp_path: Path) -> None:
+    write_runs(tmp_path, ("Ref-Real/sedan",), seeds=(0,), pictures=False)
+    table = sections_of(tmp_path)[0].tables[0]
+    column = headings(table).index("PSNR paper (Δ)")
+    printed = (
+        paper_tables().query("table == '7' and scene == 'sedan' and metric == 'psnr'").set_index("method")["value"]
+    )
+    ours = row_of(table, "envgs").cells["psnr"].mean
+    assert ours is not None
+    expected = f"{printed['EnvGS']} ({rounded(ours, 3) - Decimal(printed['EnvGS']):+})".replace("-", "−")
+    assert entries(table, row_of(table, "envgs"))[column].text == expected
+    assert entries(table, row_of(table, "ZipNeRF"))[column].text == printed["ZipNeRF"]
+    assert row_of(table, "ZipNeRF").runs_text == "published"
+    write_runs(tmp_path / "strict", ("Ref-Real/sedan",), seeds=(0,), pictures=False, protocol=other_protocol())
+    strict = next(s for s in sections_of(tmp_path) if s.protocol.name == "strict")
+    assert not strict.tables[0].published
+
+
+# ------------------------------------------------------------------------------------- means, intervals and ranks
+
+
+@pytest.mark.parametrize(("value", "places", "text"), [("2.675", 2, "2.68"), ("0.0005", 3, "0.001"), ("-1.5", 0, "-2")])
+def test_halves_round_away_from_zero(value: str, places: int, text: str) -> None:
+    assert str(rounded(value, places)) == text
+    assert str(rounded(float(value), places)) == text
+
+
+def test_a_mean_is_exact_in_decimals() -> None:
+    assert mean([0.1, 0.2]) == Decimal("0.15")
+    assert rounded(mean([26.21, 26.215]), 2) == Decimal("26.21")  # 26.2125
+    with pytest.raises(ValueError, match="no values"):
+        mean([])
+
+
+def test_the_bootstrap_agrees_with_scipy() -> None:
+    values = np.random.default_rng(3).normal(27, 0.4, size=12)
+    ours = bootstrap_interval([values])
+    theirs = scipy.stats.bootstrap(
+        (values,), np.mean, n_resamples=20_000, method="percentile", rng=np.random.default_rng(0)
+    ).confidence_interval
+    np.testing.assert_allclose(ours, (theirs.low, theirs.high), atol=0.03)
+
+
+def test_the_bootstrap_keeps_data_sets_apart() -> None:
+    """Between strata that do not vary there is no uncertainty, however far apart they are."""
+    assert bootstrap_interval([[20.0, 20.0], [30.0, 30.0]]) == (25.0, 25.0)
+    assert bootstrap_interval([[20.0, 20.0], [30.0]]) is None
+    assert bootstrap_interval([]) is None
+
+
+def test_ranks_are_of_printed_numbers_and_ties_share_them() -> None:
+    table = table_of({"a": [27.004], "b": [26.996], "c": [26.5], "d": [26.4], "e": [26.4]})
+    assert [row.cells["psnr"].text for row in table.rows] == ["27.00", "27.00", "26.50", "26.40", "26.40"]
+    assert [row.cells["psnr"].rank for row in table.rows] == [1, 1, 3, None, None]
+
+
+def test_less_is_better_where_it_is() -> None:
+    table = table_of({"a": [0.2], "b": [0.1], "c": [0.3]}, metric="flip")
+    assert [row.cells["flip"].rank for row in table.rows] == [2, 1, 3]
+
+
+def test_a_lone_method_has_no_rank() -> None:
+    assert table_of({"a": [27.0]}).rows[0].cells["psnr"].rank is None
+
+
+def test_overlapping_intervals_are_marked() -> None:
+    table = table_of({"a": [27.0, 27.2, 27.4], "b": [26.9, 27.1, 27.3], "c": [20.0, 20.1, 20.2]})
+    assert [row.cells["psnr"].tied for row in table.rows] == [False, True, False]
+    assert table.rows[0].cells["psnr"].text == "27.20 ± 0.20"
+    assert entries(table, table.rows[1])[2].marked == "27.10 ± 0.20² ≈"
+
+
+def test_rows_that_failed_somewhere_compete_for_nothing() -> None:
+    table = table_of({"good": [27.0, 27.1], "lucky": [30.0], "bad": [25.0, 25.0]}, attempts=2)
+    assert [row.cells["psnr"].rank for row in table.rows] == [1, None, 2]
+    assert row_of(table, "lucky").runs_text == "1/2: 1 failed"
+
+
+def test_what_could_not_be_computed_is_neither_zero_nor_nan() -> None:
+    cell = table_of({"a": [None], "b": [0.2]}, metric="lpips").rows[0].cells["lpips"]
+    assert (cell.text, cell.mean, cell.rank) == ("n/c", None, None)
+
+
+def test_averages_are_over_complete_rows_only(tmp_path: Path) -> None:
+    write_runs(tmp_path, (ROOM, "toy/sky_ball"), ("3dgs", "envgs"), seeds=(0, 1), pictures=False)
+    write_failure(tmp_path, "toy/sky_ball", "envgs", 1, "timeout", "60 minutes")
+    section = sections_of(tmp_path)[0]
+    (average,) = section.averages
+    assert row_of(average, "envgs").cells["psnr"].text == "— (1/2)"
+    assert row_of(average, "envgs").cells["psnr"].rank is None
+    expected = section.tidy.query("method == '3dgs' and metric == 'psnr' and region == 'full'")
+    by_hand = expected.groupby("dataset")["value"].mean().mean()
+    assert float(row_of(average, "3dgs").cells["psnr"].mean or 0) == pytest.approx(by_hand, abs=1e-12)
+
+
+# ------------------------------------------------------------------------------------------- records into sections
+
+
+def other_protocol() -> dict[str, str]:
+    return {"name": "strict", "hash": "0123", "description": "8 bits"}
+
+
+def test_the_tidy_table_has_exactly_its_columns_and_the_records_numbers(tmp_path: Path) -> None:
+    write_runs(tmp_path / "runs", seeds=(0, 1), pictures=False)
+    build_report(tmp_path / "runs", tmp_path / "out")
+    with (tmp_path / "out/table.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == ["dataset", "method", "seed", "region", "metric", "value"]
+    found = {(r["method"], r["seed"], r["region"], r["metric"]): r["value"] for r in rows}
+    truth = record(ROOM, "envgs", 1)
+    assert float(found["envgs", "1", "full", "psnr"]) == truth["metrics"]["mean"]["psnr"]
+    assert float(found["envgs", "1", "near_field", "psnr"]) == truth["masked"]["near_field"]["psnr"]
+    assert float(found["envgs", "1", "reflective", "fraction"]) == 0.18
+    assert float(found["envgs", "1", "full", "primitives_env"]) == truth["cost"]["primitives"]["env"]
+    assert float(found["envgs", "1", "full", "frame_ms"]) == truth["timing"]["frame_ms"]
+    assert found["envgs", "1", "full", "lpips"] == ""
+    assert {r["method"] for r in rows} == set(METHODS)
+
+
+def test_protocols_and_devices_never_share_a_table(tmp_path: Path) -> None:
+    write_runs(tmp_path / "runs", pictures=False)
+    write_runs(tmp_path / "runs/b", seeds=(0, 1), pictures=False, protocol=other_protocol())
+    elsewhere = record(ROOM, "envgs", 0)["provenance"] | {"device": {"type": "cuda", "name": "made-up GPU"}}
+    write_runs(tmp_path / "runs/c", seeds=(0,), pictures=False, provenance=elsewhere)
+    sections = sections_of(tmp_path / "runs")
+    assert [(s.protocol.name, s.device, len(s.runs)) for s in sections] == [
+        ("envgs", "made-up CPU, 2 threads", 12),
+        ("strict", "made-up CPU, 2 threads", 8),
+        ("envgs", "made-up GPU", 4),
+    ]
+    assert all(row.attempts == 3 for row in sections[0].tables[0].rows)
+    build_report(tmp_path / "runs", tmp_path / "out")
+    lengths = {path.name: len(path.read_text().splitlines()) for path in (tmp_path / "out").glob("table*.csv")}
+    assert sorted(lengths) == sorted(s.csv_name(i) for i, s in enumerate(sections))
+    assert lengths["table.csv"] == 1 + len(sections[0].tidy)
+
+
+def test_runs_with_different_settings_never_share_a_row(tmp_path: Path) -> None:
+    for size in (128, 256):
+        config = {"method": {"name": "envmap", "settings": {"envmap_size": size}}, "dataset": {"kind": "toy"}}
+        for seed in (0, 1):
+            write_record(tmp_path / f"{size}-{seed}", record(ROOM, "envmap", seed, config=config))
+    write_runs(tmp_path, methods=("envgs",), seeds=(0,), pictures=False, config={"dataset": {"kind": "toy"}})
+    section = sections_of(tmp_path)[0]
+    assert section.methods == ["envmap [envmap_size=128]", "envmap [envmap_size=256]", "envgs"]
+    assert [row.runs_text for row in section.tables[0].rows] == ["2/2", "2/2", "1/1"]
+
+
+def test_data_of_another_size_is_another_data_set(tmp_path: Path) -> None:
+    for views in (24, 48):
+        config = {"method": {"name": "envgs"}, "dataset": {"kind": "toy", "views": views}}
+        write_record(tmp_path / str(views), record(ROOM, "envgs", 0, config=config))
+    assert sections_of(tmp_path)[0].datasets == [f"{ROOM} [views=24]", f"{ROOM} [views=48]"]
+
+
+def test_the_newest_of_two_equal_runs_counts(tmp_path: Path) -> None:
+    write_runs(tmp_path, methods=("envgs",), seeds=(0,), pictures=False)
+    later = record(ROOM, "envgs", 0)
+    later["provenance"]["finished"] = "2026-02-01T00:00:00+00:00"
+    later["metrics"]["mean"]["psnr"] = 11.0
+    write_record(tmp_path / "again", later)
+    section = sections_of(tmp_path)[0]
+    assert row_of(section.tables[0], "envgs").cells["psnr"].text == "11.00"
+    assert len(section.superseded) == 1
+
+
+def test_methods_come_in_the_ladders_order(tmp_path: Path) -> None:
+    write_runs(tmp_path, methods=("zebra", "envgs", "envmap", "aardvark", "2dgs", "3dgs"), seeds=(0,), pictures=False)
+    assert sections_of(tmp_path)[0].methods == ["3dgs", "2dgs", "envmap", "envgs", "aardvark", "zebra"]
+
+
+def test_broken_records_are_listed_and_not_fatal(tmp_path: Path) -> None:
+    write_runs(tmp_path / "runs", methods=("3dgs",), seeds=(0, 1), pictures=False)
+    truncated = run_folder(tmp_path / "runs", ROOM, "3dgs", 1) / "record.json"
+    truncated.write_text(truncated.read_text()[:200])
+    killed = tmp_path / "runs" / ROOM / "2dgs" / "seed0-killed"
+    killed.mkdir(parents=True)
+    (killed / "config.yaml").write_text("method: {}\n")
+    (killed / "log.txt").write_text("step 12\n")
+    report = build_report(tmp_path / "runs", tmp_path / "out")
+    assert {item.path for item in report.broken} == {truncated.parent, killed}
+    assert "2 unreadable" in str(report)
+    for name in ("table.md", "index.html"):
+        text = (tmp_path / "out" / name).read_text()
+        assert "truncated" in text
+        assert "seed0-killed" in text
+
+
+def test_a_report_of_nothing_says_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"no readable record.json under it: run `envgs-bench run` first"):
+        build_report(tmp_path, tmp_path / "out")
+    with pytest.raises(RecordError, match="no such folder"):
+        build_report(tmp_path / "missing", tmp_path / "out")
+
+
+def test_a_report_of_failures_alone_is_a_report(tmp_path: Path) -> None:
+    write_failure(tmp_path / "runs", ROOM, "envgs", 0, "out_of_memory", "tried to allocate 12 GB")
+    report = build_report(tmp_path / "runs", tmp_path / "out")
+    assert not (tmp_path / "out/pareto.png").exists()
+    assert "tried to allocate 12 GB" in report.page.read_text()
+    assert "0/1: 1 out of memory" in (tmp_path / "out/table.md").read_text()
+
+
+# -------------------------------------------------------------------------------------------- one table, all formats
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory: pytest.TempPathFactory) -> Section:
+    folder = tmp_path_factory.mktemp("mixed")
+    write_runs(folder, (ROOM, "toy/diffuse_room"), pictures=False)
+    write_failure(folder, ROOM, "envmap", 2, "diverged", "loss is nan | <b>_x_</b>")
+    return sections_of(folder)[0]
+
+
+def plain(text: str) -> str:
+    """The number in a Markdown or LaTeX cell, without its marks."""
+    text = re.sub(r"\\(best|second|third)\{(.*?)\}(?= |$)", r"\2", text.strip().removesuffix(r"\\").strip())
+    text = text.replace(r"$\pm$", "±").replace("---", "—").replace(r"$\approx$", "").replace("\\_", "_")
+    return re.sub(r"[*¹²³≈]", "", text).strip()
+
+
+def test_every_format_prints_the_same_numbers(mixed: Section) -> None:
+    expected = [
+        [plain(entry.text) for entry in entries(table, row)]
+        for table in (*mixed.averages, *mixed.tables)
+        for row in table.rows
+    ]
+    pipes = [line for line in markdown([mixed], []).splitlines() if line.startswith("| ")]
+    cells = [[plain(cell) for cell in line.strip("| ").split(" | ")] for line in pipes]
+    assert [line for line in cells if line[0] in METHODS] == expected
+    lines = [line for line in latex([mixed]).splitlines() if line.endswith(r"\\") and not line.startswith("method")]
+    assert [[plain(cell) for cell in line.split(" & ")] for line in lines] == expected
+    content = json.loads(json.dumps(structured([mixed], [])))
+    texts = [
+        [row["method"], row["runs"], *(row["cells"][column["key"]]["text"] for column in table["columns"])]
+        for table in content["sections"][0]["tables"]
+        for row in table["rows"]
+    ]
+    assert texts == expected
+
+
+def test_the_json_holds_what_stands_behind_a_number(mixed: Section) -> None:
+    table = next(t for t in structured([mixed], [])["sections"][0]["tables"] if t["title"] == ROOM)
+    row = next(row for row in table["rows"] if row["method"] == "envgs")
+    values = mixed.tidy.query(f"dataset == '{ROOM}' and method == 'envgs' and region == 'full'")
+    megabytes = values.query("metric == 'model_bytes'")["value"] / 1e6
+    cell = row["cells"]["model_bytes"]
+    assert cell["mean"] == pytest.approx(megabytes.mean())
+    assert cell["std"] == pytest.approx(megabytes.std(ddof=1))
+    assert cell["interval"][0] <= cell["mean"] <= cell["interval"][1]
+    assert cell["text"].startswith(f"{megabytes.mean():.1f}")
+
+
+def test_markdown_marks_failures_and_reasons(mixed: Section) -> None:
+    text = markdown([mixed], [])
+    assert "2/3: 1 diverged" in text
+    assert "n/c: LPIPS was not computed: no VGG-16 weights on this machine" in text
+    assert r"loss is nan \| &lt;b&gt;\_x\_&lt;/b&gt;" in text
+
+
+def test_every_column_says_what_it_is() -> None:
+    assert len({column.key for column in MAIN_COLUMNS}) == len(MAIN_COLUMNS)
+    assert all(column.title and column.axis for column in MAIN_COLUMNS)
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex")
+def test_the_latex_compiles(mixed: Section, tmp_path: Path) -> None:
+    document = r"\documentclass{article}\usepackage{booktabs}\usepackage[table]{xcolor}\begin{document}\tiny" "\n"
+    (tmp_path / "paper.tex").write_text(document + latex([mixed]) + "\n" + r"\end{document}")
+    run = subprocess.run(
+        ["pdflatex", "-halt-on-error", "-interaction=nonstopmode", "paper.tex"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stdout[-2000:]
