@@ -49,7 +49,7 @@ def cached_scene(cache_dir: Path, name: str, key: Mapping[str, Any], make: Calla
 
 def _write(path: Path, content: dict[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}-{uuid.uuid4().hex}")
+    temporary = path.with_name(f"{path.stem}-{uuid.uuid4().hex}.part")
     try:
         torch.save(content, temporary)
         os.replace(temporary, path)
