@@ -28,7 +28,7 @@ DEFAULT_PRIMITIVES = {
     "rasterize_3d": [20_000],
     "build": [20_000, 300_000],
 }
-ORACLE_SIZES: list[Size] = [(80, 60)]  # where the torch oracle and a native backend are timed side by side
+ORACLE_SIZES: list[Size] = [(40, 30)]  # where the torch oracle and a native backend are timed side by side
 ORACLE_PRIMITIVES = [20_000]
 SWEEP_PRIMITIVES = [2_000, 6_000, 20_000, 60_000, 300_000]
 SWEEP_SIZES: list[Size] = [(80, 60), (160, 120), (320, 240), (640, 480)]

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from .drawing import Drawing, alphas, cutoffs
 
-PAIRS_AT_ONCE = 1 << 21  # bounds the memory of a brute-force search
+PAIRS_AT_ONCE = 1 << 20  # bounds the memory of a brute-force search
 
 
 @dataclass(frozen=True)
