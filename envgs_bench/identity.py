@@ -6,9 +6,11 @@ import hashlib
 import importlib.util
 import json
 from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+from .methods.registry import ENTRY_POINT_GROUP
 from .metrics import WeightsUnavailable, find_weights
 from .settings import PATH_KEYS, RunSettings
 
@@ -34,7 +36,7 @@ def run_id(settings: RunSettings, device: str) -> str:
         "device": device,
         "vgg16": _has_vgg16(),
         "code": code_version(),
-        "extensions": [_module_hash(kind) for kind in (settings.method.kind, settings.dataset["kind"])],
+        "extensions": [_extension_hash(kind) for kind in (settings.method.kind, settings.dataset["kind"])],
     }
     digest = hashlib.sha256(json.dumps(determining, sort_keys=True, default=str).encode()).hexdigest()
     return f"seed{settings.seed}-{digest[:8]}"
@@ -72,18 +74,26 @@ def _location(part: str) -> Path:
     return Path(spec.origin).parent
 
 
-def _module_hash(kind: str) -> str | None:
-    """The hash of the module's file where `kind` is an import path "package.module:Class", else None."""
-    module, colon, _ = kind.partition(":")
-    if not colon:
+def _extension_hash(kind: str) -> str | None:
+    """A hash of the Python sources of the package that a method or data source of somebody else's comes from.
+
+    `kind` is an import path "package.module:name" or the name of an entry point; None for what this package brings.
+    """
+    path = {point.name: point.value for point in entry_points(group=ENTRY_POINT_GROUP)}.get(kind, kind)
+    if ":" not in path:
         return None
     try:
-        spec = importlib.util.find_spec(module)
-    except ImportError:
+        spec = importlib.util.find_spec(path.partition(":")[0].partition(".")[0])
+    except (ImportError, ValueError):
+        spec = None
+    if spec is None:
         return None  # loading it will say so
-    if spec is None or spec.origin is None or not Path(spec.origin).is_file():
-        return None
-    return hashlib.sha256(Path(spec.origin).read_bytes()).hexdigest()
+    folders = [Path(folder) for folder in spec.submodule_search_locations or ()]
+    files = sorted(file for folder in folders for file in folder.rglob("*.py")) or [Path(spec.origin or "")]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.read_bytes() if file.is_file() else b"")
+    return digest.hexdigest()
 
 
 def _with_fingerprints(node: dict[str, Any]) -> dict[str, Any]:

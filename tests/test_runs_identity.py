@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Any
 
@@ -95,11 +96,20 @@ def test_the_code_version_covers_methods_and_kernels() -> None:
 
 def test_a_method_of_ones_own_counts_by_its_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(tmp_path)
-    given = settings(method={"name": "mine", "kind": "mine_alone:Method", "settings": {}})
-    (tmp_path / "mine_alone.py").write_text("a = 1\n")
-    before = run_id(given, "cpu")
-    (tmp_path / "mine_alone.py").write_text("a = 2\n")
-    assert run_id(given, "cpu") != before
+    (tmp_path / "mine_alone").mkdir()
+    for name in ("__init__.py", "method.py", "losses.py"):
+        (tmp_path / "mine_alone" / name).touch()
+    points = EntryPoints([EntryPoint("mine", "mine_alone.method:Method", identity.ENTRY_POINT_GROUP)])
+    monkeypatch.setattr(identity, "entry_points", lambda group: points)
+
+    def identities() -> list[str]:
+        kinds = ("mine", "mine_alone.method:Method")
+        return [run_id(settings(method={"name": "mine", "kind": kind}), "cpu") for kind in kinds]
+
+    before = identities()
+    assert identities() == before
+    (tmp_path / "mine_alone" / "losses.py").write_text("a = 2\n")
+    assert all(now != then for now, then in zip(identities(), before, strict=True))
 
 
 def test_names_are_the_configured_ones_or_the_folders() -> None:
