@@ -61,5 +61,5 @@ def test_without_weights_methods_train_without_it(
 @pytest.mark.parametrize("kind", ["train", "test"])
 def test_a_scene_without_views_is_refused(kind: str) -> None:
     scene = replace(tiny_scene(), **{kind: []})
-    with pytest.raises(ValueError, match="data set tiny has no (training|test) views: it needs at least two images"):
+    with pytest.raises(ValueError, match=r"data set tiny has no (training|test) views: it needs at least two images"):
         worker._check_scene(scene)
