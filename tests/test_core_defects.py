@@ -8,6 +8,7 @@ import pytest
 import torch
 from core_scenes import (
     FIELDS,
+    ORACLE,
     colored,
     facing_surfels,
     gradients_of,
@@ -236,3 +237,20 @@ def test_one_backward_pass_does_not_disturb_another(rasterizer, columns):
     for one, other, different in zip(of_first, again, of_second, strict=True):
         torch.testing.assert_close(one, other)
         assert not torch.equal(one, different)
+
+
+def test_a_ray_from_a_surfels_own_centre_has_a_colour_and_gradients(tracer):
+    """There is no direction to look its colour up in: Y of the zero vector, and nothing to differentiate."""
+    gaussians = replace(random_set(3, degree=3, seed=8), opacities=torch.full((3,), 0.6))
+    results = []
+    for each in (tracer, ORACLE):
+        leaves = each.take(gaussians)
+        origins, directions = each.take(gaussians.means), each.take(torch.tensor([[0.2, 0.5, 1.0]]).expand(3, 3))
+        drawn = each.trace(leaves, origins, directions)
+        assert (drawn.hits >= 1).all()
+        loss_of(drawn).backward()
+        results.append((drawn, gradients_of(leaves, origins=origins, directions=directions)))
+    (drawn, gradients), (expected, expected_gradients) = results
+    assert relative_error(drawn.color, expected.color) < 1e-5
+    for name, gradient in gradients.items():
+        assert relative_error(gradient, expected_gradients[name]) < 1e-3, name
