@@ -1,0 +1,219 @@
+"""The shipped toy scenes: what their views, regions and points promise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from envgs_bench.core import Scene, View
+from envgs_bench.datasets import DatasetError, load_scene
+from envgs_bench.datasets.toy import lighting, sky, source, textures
+from envgs_bench.datasets.toy.points import sfm_points
+
+SMALL = {"kind": "toy", "width": 64, "height": 48, "views": 17, "noise": 0.0}
+Load = Callable[..., Scene]
+
+
+@pytest.fixture(scope="module")
+def load(tmp_path_factory: pytest.TempPathFactory) -> Load:
+    """Loads a small toy scene through one cache, so that each is made once."""
+    cache = tmp_path_factory.mktemp("cache")
+
+    def load_small(scene: str, **settings: Any) -> Scene:
+        return load_scene({**SMALL, "scene": scene, **settings}, cache)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lighting, "GATHERED_RAYS", 16)  # grainier light, coarser textures and sky: made sooner
+        patch.setattr(textures, "PER_METRE", 64)
+        patch.setattr(sky, "ROWS", 256)
+        patch.setattr(sky, "COLUMNS", 512)
+        yield load_small
+
+
+def views_of(scene: Scene) -> list[View]:
+    return sorted([*scene.train, *scene.test], key=lambda view: view.name)
+
+
+def seen_from(view: View, other: View) -> tuple[np.ndarray, np.ndarray]:
+    """For each pixel of `view`: is its surface seen by `other`, and the colours [N, 3] × 2 of those that are."""
+    origins, directions = view.camera.rays()
+    pixels, depth = other.camera.project(origins + view.depth[..., None] * directions)
+    column, row = pixels.floor().long().clamp(min=0).unbind(-1)
+    inside = (view.depth > 0) & (depth > 0) & (pixels >= 0).all(-1)
+    inside &= (column < other.camera.width) & (row < other.camera.height)
+    column, row = column.clamp(max=other.camera.width - 1), row.clamp(max=other.camera.height - 1)
+    seen = inside & ((other.depth[row, column] - depth).abs() < 0.02 * depth)
+    return seen, torch.stack([view.rgb(), other.rgb()[row, column]])
+
+
+def neighbourhood_range(view: View) -> torch.Tensor:
+    """Largest minus smallest value among each pixel and its eight neighbours, [H, W], over all channels."""
+    picture = view.rgb().permute(2, 0, 1)[None]
+    return sum(torch.nn.functional.max_pool2d(sign * picture, 3, 1, 1) for sign in (1, -1)).amax((0, 1))
+
+
+@pytest.mark.parametrize("name", ["chrome_room", "sky_ball", "diffuse_room"])
+def test_views_are_complete_and_every_eighth_tests(load: Load, name: str) -> None:
+    scene = load(name)
+    assert scene.name == f"toy/{name}"
+    assert [view.name for view in scene.test] == ["0000", "0008", "0016"]
+    assert [view.name for view in views_of(scene)] == [f"{index:04d}" for index in range(17)]
+    for view in views_of(scene):
+        assert view.image.shape == (48, 64, 3)
+        assert view.image.dtype == torch.uint8
+        assert view.image.float().std() > 30
+        hit = view.depth > 0
+        length = view.normal.norm(dim=-1)
+        assert torch.allclose(length, hit.float(), atol=1e-5)
+        assert ((view.normal * view.camera.rays()[1]).sum(-1)[hit] < 0).all()
+        assert view.depth[hit].min() > 0.4  # clear of the rasterizer's near plane
+        assert set(view.masks) == {"reflective", "near_field"}
+        assert not (view.masks["near_field"] & ~view.masks["reflective"]).any()
+        assert not (view.masks["reflective"] & ~hit).any()
+
+
+def test_regions_say_what_a_scene_is_for(load: Load) -> None:
+    def share(name: str, region: str) -> float:
+        return float(torch.stack([view.masks[region] for view in views_of(load(name))]).float().mean())
+
+    assert share("chrome_room", "reflective") > 0.2
+    assert share("chrome_room", "near_field") > 0.9 * share("chrome_room", "reflective")
+    assert share("sky_ball", "reflective") > 0.2
+    assert share("sky_ball", "near_field") < 0.001
+    assert share("diffuse_room", "reflective") == 0
+
+
+def test_normals_are_those_of_the_depth_map(load: Load) -> None:
+    view = load("diffuse_room").train[3]
+    origins, directions = view.camera.rays()
+    points = origins + view.depth[..., None] * directions
+    across, down = points[1:-1, 2:] - points[1:-1, :-2], points[2:, 1:-1] - points[:-2, 1:-1]
+    crossed = torch.nn.functional.normalize(torch.linalg.cross(down, across), dim=-1)
+    cosine = (crossed * view.normal[1:-1, 1:-1]).sum(-1)[view.depth[1:-1, 1:-1] > 0]
+    assert cosine.median() > 0.9999
+    assert (cosine > 0.99).float().mean() > 0.7  # the rest lies along edges
+
+
+def test_matt_surfaces_look_the_same_from_everywhere_and_mirrors_do_not(load: Load) -> None:
+    """Depth carries pixels of one view into the next: matt ones keep their colour, reflections move."""
+    matt, mirror = [], []
+    scene = load("chrome_room")
+    ordered = views_of(scene)
+    for view, other in pairwise(ordered):
+        seen, (ours, theirs) = seen_from(view, other)
+        # level patches only: elsewhere the two pixels cover different areas of a pattern
+        level = neighbourhood_range(view) < 0.15
+        difference = (ours - theirs).abs().mean(-1)
+        matt.append(difference[seen & level & ~view.masks["reflective"]])
+        mirror.append(difference[seen & level & view.masks["reflective"]])
+    assert torch.cat(matt).numel() > 300
+    assert torch.cat(mirror).numel() > 100
+    assert torch.cat(matt).median() < 0.03
+    assert torch.cat(mirror).median() > 2 * torch.cat(matt).median()
+
+
+def test_points_lie_on_matt_surfaces_that_two_views_see(load: Load) -> None:
+    scene = load("diffuse_room")
+    points = scene.points[: -len(scene.train)]  # far points come last
+    seen_by = torch.zeros(len(points))
+    for view in scene.train:
+        pixels, depth = view.camera.project(points)
+        inside = (depth > 0) & (pixels >= 0).all(1) & (pixels < torch.tensor([64, 48])).all(1)
+        column, row = pixels[inside].long().unbind(-1)
+        index = inside.nonzero()[:, 0]
+        seen_by[index] += ((view.depth[row, column] - depth[inside]).abs() < 0.02 * depth[inside]).float()
+    assert len(points) > 1000
+    assert (seen_by >= 2).float().mean() > 0.98
+
+
+def test_points_colours_are_those_of_the_pictures(load: Load) -> None:
+    scene = load("diffuse_room")
+    view = scene.test[1]
+    pixels, depth = view.camera.project(scene.points)
+    inside = (depth > 0) & (pixels >= 0).all(1) & (pixels < torch.tensor([64, 48])).all(1)
+    column, row = pixels[inside].long().unbind(-1)
+    visible = (view.depth[row, column] - depth[inside]).abs() < 0.01 * depth[inside]
+    difference = (view.rgb()[row, column] - scene.point_colors[inside])[visible].abs().mean()
+    assert visible.sum() > 100
+    assert difference < 0.15
+    assert scene.point_colors.min() >= 0
+    assert scene.point_colors.max() <= 1
+
+
+def test_point_noise_has_the_asked_deviation(load: Load) -> None:
+    views = load("diffuse_room").train
+    exact, noisy = (sfm_points(views, noise, 0, np.random.default_rng(0))[0] for noise in (0.0, 0.05))
+    difference = noisy - exact
+    assert difference.std() == pytest.approx(0.05, rel=0.05)
+    assert abs(difference.mean()) < 0.005
+
+
+def test_mirrors_leave_few_points_and_those_lie_behind_them(load: Load) -> None:
+    scene = load("chrome_room")
+    on_mirror, ghosts = 0, 0
+    for view in scene.train:
+        pixels, depth = view.camera.project(scene.points)
+        inside = (depth > 0) & (pixels >= 0).all(1) & (pixels < torch.tensor([64, 48])).all(1)
+        column, row = pixels[inside].long().unbind(-1)
+        there = view.masks["reflective"][row, column]
+        offset = (depth[inside] - view.depth[row, column])[there]
+        on_mirror += int((offset.abs() < 0.01).sum())
+        ghosts += int((offset > 0.05).sum())
+    assert ghosts > 0
+    assert on_mirror < 0.02 * len(scene.points) * len(scene.train)
+
+
+def test_the_seed_decides_everything(load: Load, tmp_path: Path) -> None:
+    def fields(scene: Scene) -> list[torch.Tensor]:
+        per_view = [
+            (v.image, v.depth, v.normal, v.masks["near_field"], v.camera.world_to_camera) for v in views_of(scene)
+        ]
+        return [scene.points, scene.point_colors, *(tensor for view in per_view for tensor in view)]
+
+    settings = {**SMALL, "scene": "sky_ball", "width": 16, "height": 12, "views": 4}
+    first, second = (load_scene(settings, tmp_path / place) for place in ("a", "b"))
+    cached = load_scene(settings, tmp_path / "a")
+    assert all(torch.equal(a, b) for a, b in zip(fields(first), fields(second), strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(fields(first), fields(cached), strict=True))
+    assert cached.name == first.name
+    other = load_scene({**settings, "seed": 1}, tmp_path / "a")
+    assert not torch.equal(other.train[0].image, first.train[0].image)
+
+
+def test_a_cached_scene_is_not_made_again(load: Load, monkeypatch: pytest.MonkeyPatch) -> None:
+    load("sky_ball")
+    monkeypatch.setattr(source, "_make", lambda *_: pytest.fail("made again"))
+    assert len(load("sky_ball").train) == 14
+
+
+def test_no_reflective_or_sky_pixels_is_no_obstacle_to_points(load: Load) -> None:
+    views = [
+        replace(view, masks={"reflective": torch.ones_like(view.depth, dtype=torch.bool)})
+        for view in load("diffuse_room").train
+    ]
+    points, colors = sfm_points(views, 0.01, 3, np.random.default_rng(0))
+    assert points.shape == colors.shape
+    assert np.isfinite(points).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"scene": "glass_room"}, "dataset.scene='glass_room'.*chrome_room"),
+        ({}, "dataset.scene: is missing"),
+        ({"scene": "sky_ball", "widht": 64}, "dataset.widht: there is no such key; the keys are .*width"),
+        ({"scene": "sky_ball", "width": 0}, "dataset.width=0"),
+        ({"scene": "sky_ball", "views": 1}, "dataset.views=1"),
+        ({"scene": "sky_ball", "noise": float("nan")}, "dataset.noise=nan"),
+    ],
+)
+def test_wrong_settings_are_named(tmp_path: Path, settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(DatasetError, match=message):
+        load_scene({"kind": "toy", **settings}, tmp_path)
