@@ -40,6 +40,8 @@ class Camera:
         rotation = pose[:3, :3]
         if not torch.allclose(rotation @ rotation.T, torch.eye(3, dtype=torch.float64), atol=1e-3):
             raise ValueError("Camera.world_to_camera[:3, :3] is not a rotation (its rows are not orthonormal)")
+        if torch.linalg.det(rotation) < 0:
+            raise ValueError("Camera.world_to_camera[:3, :3] is not a rotation but a mirror (its determinant is −1)")
         if k[2].tolist() != [0.0, 0.0, 1.0] or k[0, 0] <= 0 or k[1, 1] <= 0:
             raise ValueError("Camera.intrinsics needs positive focal lengths and a last row of (0, 0, 1)")
 

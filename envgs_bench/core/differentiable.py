@@ -89,7 +89,12 @@ class _Draw(torch.autograd.Function):
         result = ctx.draw_pass.backward(planes, contiguous)
         ctx.slot[0].position_gradients = result.position_gradients
         wanted = (*result.set, result.origins, result.directions)
-        return (None, None, None, *(g if need else None for g, need in zip(wanted, ctx.needs_input_grad[3:], strict=True)))
+        return (
+            None,
+            None,
+            None,
+            *(g if need else None for g, need in zip(wanted, ctx.needs_input_grad[3:], strict=True)),
+        )
 
 
 def draw(

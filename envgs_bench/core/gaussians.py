@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -46,7 +47,7 @@ class GaussianSet:
                     f"but means is {self.means.dtype} on {self.means.device}: convert one"
                 )
         n = self.means.shape[0] if self.means.ndim == 2 else -1
-        expected = {
+        expected: dict[str, list[tuple[int, ...]]] = {
             "means": [(n, 3)],
             "quaternions": [(n, 4)],
             "scales": [(n, 2), (n, 3)],
@@ -75,7 +76,7 @@ class GaussianSet:
     def device(self) -> torch.device:
         return self.means.device
 
-    def map(self, function) -> GaussianSet:
+    def map(self, function: Callable[[Tensor], Tensor]) -> GaussianSet:
         """The set with `function` applied to each of its tensors: `gaussians.map(lambda x: x[keep])`."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         return replace(self, **{name: function(value) for name, value in values.items() if value is not None})

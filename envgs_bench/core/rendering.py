@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from torch import Tensor
 
@@ -37,3 +39,9 @@ class Rendering:
     hits: Tensor  # [...] int32, blended primitives of each pixel or ray
     statistics: Statistics
     layers: dict[str, Tensor] = field(default_factory=dict)  # a method's named parts: "base", "reflection", "beta"
+
+    def map(self, function: Callable[[Tensor], Tensor]) -> Rendering:
+        """The rendering with `function` applied to each of the core's fields: the same pixels or rays in another shape."""
+        names = ("color", "alpha", "depth", "normal", "extras", "hits")
+        changed: dict[str, Any] = {name: function(getattr(self, name)) for name in names}
+        return replace(self, **changed)

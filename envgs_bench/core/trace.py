@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -75,7 +75,9 @@ def trace(
             )
     module = load_backend(backend, gaussians.device, gaussians.means.dtype)
     if bvh is not None and bvh.primitives != len(gaussians):
-        raise ValueError(f"the BVH was built over {bvh.primitives} primitives, the set has {len(gaussians)}: rebuild it")
+        raise ValueError(
+            f"the BVH was built over {bvh.primitives} primitives, the set has {len(gaussians)}: rebuild it"
+        )
     options = TraceOptions(checked_background(background, gaussians), t_min, transmittance_min)
     flat = module.trace(gaussians, origins.reshape(-1, 3), directions.reshape(-1, 3), bvh, options)
     return _reshaped(flat, origins.shape[:-1])
@@ -88,7 +90,6 @@ def _check_surfels(gaussians: GaussianSet) -> None:
 
 def _reshaped(rendering: Rendering, shape: torch.Size) -> Rendering:
     def unflatten(values: Tensor) -> Tensor:
-        return values.reshape(*shape, *values.shape[1:])
+        return values.reshape((*shape, *values.shape[1:]))
 
-    names = ("color", "alpha", "depth", "normal", "extras", "hits")
-    return replace(rendering, **{name: unflatten(getattr(rendering, name)) for name in names})
+    return rendering.map(unflatten)

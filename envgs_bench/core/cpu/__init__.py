@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from torch import Tensor
 
@@ -30,9 +28,7 @@ def why_unavailable() -> str | None:
 
 def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> Rendering:
     flat = draw(_RasterPass(gaussians, camera, options), gaussians)
-    shape = (camera.height, camera.width)
-    names = ("color", "alpha", "depth", "normal", "extras", "hits")
-    return replace(flat, **{name: getattr(flat, name).unflatten(0, shape) for name in names})
+    return flat.map(lambda plane: plane.unflatten(0, (camera.height, camera.width)))
 
 
 def build_bvh(gaussians: GaussianSet) -> Bvh:
@@ -89,7 +85,9 @@ class _TracePass:
         self.origins, self.directions = origins.detach().contiguous(), directions.detach().contiguous()
         threads = torch.get_num_threads()
         if bvh is not None and bvh.backend != "cpu":
-            raise ValueError(f"the BVH was built by backend {bvh.backend!r}, this is 'cpu': build it with backend='cpu'")
+            raise ValueError(
+                f"the BVH was built by backend {bvh.backend!r}, this is 'cpu': build it with backend='cpu'"
+            )
         handle = _native.Bvh(tuple(self.tensors), threads) if bvh is None else bvh.handle
         self.native = _native.TracePass(
             handle,

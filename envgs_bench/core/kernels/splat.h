@@ -51,12 +51,18 @@ ENVGS_FN Vec3<float> project_backward(const Projection& p, float g_x, float g_y,
     return g_x * dx + g_y * dy + g_depth * p.world_to_pixel.row2;
 }
 
+// 1/|v|, and 0 for the zero vector, which so has the direction 0 and gets no gradient.
+ENVGS_FN float inverse_length(Vec3<float> v) {
+    float l = length(v);
+    return l > 0.0f ? 1.0f / l : 0.0f;
+}
+
 // The colour of SH coefficients seen along v = mean − origin. `sh` is [K][3].
 template <int Degree>
 ENVGS_FN Vec3<float> sh_color(const float* sh, Vec3<float> v) {
     constexpr int K = (Degree + 1) * (Degree + 1);
     float basis[K];
-    sh_basis<Degree>((1.0f / length(v)) * v, basis);
+    sh_basis<Degree>(inverse_length(v) * v, basis);
     Vec3<float> c = {0.5f, 0.5f, 0.5f};
     for (int k = 0; k < K; ++k) c = c + basis[k] * load3(sh + 3 * k);
     return {maximum(c.x, 0.0f), maximum(c.y, 0.0f), maximum(c.z, 0.0f)};
@@ -66,7 +72,7 @@ ENVGS_FN Vec3<float> sh_color(const float* sh, Vec3<float> v) {
 template <int Degree>
 ENVGS_FN Vec3<float> sh_color_backward(const float* sh, Vec3<float> v, Vec3<float> color, Vec3<float> g, float* g_sh) {
     constexpr int K = (Degree + 1) * (Degree + 1);
-    float inverse = 1.0f / length(v);
+    float inverse = inverse_length(v);
     Vec3<float> d = inverse * v;
     g = {color.x > 0.0f ? g.x : 0.0f, color.y > 0.0f ? g.y : 0.0f, color.z > 0.0f ? g.z : 0.0f};
     float basis[K], g_basis[K];
