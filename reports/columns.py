@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import Literal
 
@@ -58,6 +58,16 @@ MAIN_COLUMNS = (
     ),
     Column("model_bytes", "full", "MB", 1, "lower", "model size, MB", "10⁶ bytes", ranked=False, scale=Decimal("1e-6")),
 )
-SUMMARY_COLUMNS = tuple(c for c in MAIN_COLUMNS if c.metric in ("psnr", "ssim", "flip", "lpips") and c.region == "full")
+SCORES = ("psnr", "ssim", "flip", "lpips")
+SUMMARY_COLUMNS = tuple(c for c in MAIN_COLUMNS if c.metric in SCORES and c.region == "full")
 COST_COLUMNS = tuple(c for c in MAIN_COLUMNS if c.metric in ("frame_ms", "train_seconds", "model_bytes"))
 COST_KEYS = ("frame_ms", "train_seconds", "primitives", "primitives_env", "model_bytes")
+
+
+def region_columns(region: str) -> tuple[Column, ...]:
+    """The full image's scores, inside one region."""
+    name = region.replace("_", "-")
+    return tuple(
+        replace(column, region=region, title=f"{column.title} {name}", axis=f"{column.axis}, {name} region")
+        for column in SUMMARY_COLUMNS
+    )

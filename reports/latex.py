@@ -37,7 +37,7 @@ def latex(sections: Sequence[Section]) -> str:
     """One tabular a table, after a comment that names it, its protocol and its device."""
     parts = [PREAMBLE]
     for section in sections:
-        for table in (*section.averages, *section.tables):
+        for table in section.all_tables:
             parts += [f"% {_comment(table.title)}. {_comment(section.title)}", _tabular(table), ""]
     return "\n".join(parts)
 

@@ -23,9 +23,7 @@ def markdown(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> str
 
 def _section(section: Section) -> list[str]:
     lines = [f"## {_escaped(section.title)}", "", _escaped(section.protocol.description), ""]
-    for table in section.averages:
-        lines += [f"### Average over {_escaped(table.title)} ({len(table.datasets)} data sets)", "", *_table(table), ""]
-    for table in section.tables:
+    for table in section.all_tables:
         lines += [f"### {_escaped(table.title)}", "", _escaped(caption(section, table)), "", *_table(table), ""]
         for note in notes(section, table):
             lines += [_escaped(note), ""]
@@ -37,7 +35,7 @@ def _section(section: Section) -> list[str]:
             error = item.run.record.error
             why = f": {error.type}: {error.message}" if error else ""
             status = item.run.record.status.replace("_", " ")
-            lines.append(_escaped(f"* {item.dataset}, {item.method}, seed {item.run.record.seed}: {status}{why}"))
+            lines.append("* " + _escaped(f"{item.dataset}, {item.method}, seed {item.run.record.seed}: {status}{why}"))
         lines.append("")
     return lines
 
@@ -57,6 +55,6 @@ def _emphasised(entry: Entry) -> str:
 def _escaped(text: str) -> str:
     """Text of a record, harmless in a table's cell: no markup, no line breaks."""
     plain = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-    for character in "\\|`[]*_":
-        plain = plain.replace(character, f"\\{character}")
+    for markup, harmless in (("\\", "\\\\"), ("|", r"\|"), ("`", r"\`"), ("*", r"\*"), ("](", r"]\(")):
+        plain = plain.replace(markup, harmless)
     return plain

@@ -84,7 +84,7 @@ def _section(section: Section, index: int, data: dict[str, Any], galleries: Sequ
         "csv": section.csv_name(index),
         "parts": [name for name, there in parts.items() if there],
         "charted": charted,
-        "tables": [_table(section, table) for table in (*section.averages, *section.tables)],
+        "tables": [_table(section, table) for table in section.all_tables],
         "galleries": galleries,
         "has_curves": bool(data["curves"]),
         "statuses": Counter(item.run.record.status for item in section.runs).most_common(),
@@ -104,6 +104,7 @@ def _section(section: Section, index: int, data: dict[str, Any], galleries: Sequ
 def _table(section: Section, table: Table) -> dict[str, Any]:
     return {
         "title": table.title,
+        "open": table in (*section.averages, *section.tables),
         "caption": caption(section, table),
         "headings": [
             {"text": text, "explanation": why} for text, why in zip(headings(table), explanations(table), strict=True)

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from .columns import MAIN_COLUMNS, Column
 from .label_placement import Box, along, place_labels
@@ -107,7 +107,8 @@ def _prepare(axis: Axes, panel: Panel, first: bool) -> None:
         _mark(axis, point, style[point.label], dominated=point.complete and point not in best)
     axis.set_xscale("log")
     _limits(axis, places)
-    axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    low, high = axis.get_xlim()
+    axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)) if high > 6 * low else MaxNLocator(5, steps=(1, 2, 5, 10)))
     axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.xaxis.set_minor_formatter(NullFormatter())
     axis.grid(color=GRID, linewidth=0.8)

@@ -81,6 +81,11 @@ def read_picture(path: Path) -> np.ndarray | None:
         return None
 
 
+def ordered_layers(names: Iterable[str]) -> list[str]:
+    """The names of LAYERS first and in their order, then the others."""
+    return sorted(names, key=lambda name: (LAYERS.index(name) if name in LAYERS else len(LAYERS), name))
+
+
 def slug(name: str) -> str:
     """A short name of letters, digits, dots and underscores: safe in paths and addresses."""
     return re.sub(r"[^A-Za-z0-9._]+", "-", name).strip("-.")[:60] or "unnamed"
@@ -140,8 +145,7 @@ def _layers(folder: Path, view: str) -> dict[str, Path]:
     prefix = f"{view}-"
     files = sorted((folder / "layers").glob("*.png")) if (folder / "layers").is_dir() else []
     found = {path.stem.removeprefix(prefix): path for path in files if path.stem.startswith(prefix)}
-    order = [*(name for name in LAYERS if name in found), *(name for name in found if name not in LAYERS)]
-    return {name: found[name] for name in order}
+    return {name: found[name] for name in ordered_layers(found)}
 
 
 def _safe(view: str) -> bool:

@@ -14,7 +14,7 @@ from envgs_bench.records import ProtocolName
 from .labels import Label, label_runs, method_order
 from .published import PROTOCOL, paper_scene
 from .runs import Run
-from .summary import Numbers, Table, average_table, dataset_table, with_published
+from .summary import Numbers, Table, average_table, dataset_table, region_table, with_published
 from .tidy import attempts_table, tidy_table
 
 ALL = "all data sets"
@@ -79,6 +79,16 @@ class Section:
             self._beside_paper(average_table(self.numbers, title, datasets, self.methods))
             for title, datasets in groups.items()
         ]
+
+    @cached_property
+    def region_tables(self) -> list[Table]:
+        found = [region_table(self.numbers, name, self.methods) for name in self.datasets]
+        return [table for table in found if table is not None]
+
+    @property
+    def all_tables(self) -> list[Table]:
+        """In the order of every format: averages, data sets, regions."""
+        return [*self.averages, *self.tables, *self.region_tables]
 
     @property
     def families(self) -> dict[str, list[str]]:

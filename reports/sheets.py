@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import uniform_filter
 
-from .pictures import Gallery, Shot, read_picture, slug
+from .pictures import Gallery, Shot, ordered_layers, read_picture, slug
 
 CELL = 340  # width of a picture in a sheet, px
 MARGIN, GAP, HEAD, SIDE = 26, 14, 44, 96
@@ -88,7 +88,7 @@ def _comparison(gallery: Gallery, shot: Shot) -> Image.Image:
 
 
 def _layer_sheet(shot: Shot) -> Image.Image:
-    names = list(dict.fromkeys(name for layers in shot.layers.values() for name in layers))
+    names = ordered_layers({name for layers in shot.layers.values() for name in layers})
     lines = []
     shape = None
     for method in list(shot.layers)[:MOST_COLUMNS]:

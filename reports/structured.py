@@ -19,7 +19,7 @@ def structured(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> d
                 "title": section.title,
                 "protocol": section.protocol.model_dump(),
                 "device": section.device,
-                "tables": [_table(table) for table in (*section.averages, *section.tables)],
+                "tables": [_table(table) for table in section.all_tables],
             }
             for section in sections
         ],

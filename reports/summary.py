@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from .columns import COST_COLUMNS, MAIN_COLUMNS, SUMMARY_COLUMNS, Column
+from .columns import COST_COLUMNS, MAIN_COLUMNS, SUMMARY_COLUMNS, Column, region_columns
 from .decimals import mean
 from .intervals import bootstrap_interval, overlap
 from .published import paper_method, published_means
@@ -119,6 +119,10 @@ class Numbers:
     def statuses(self, dataset: str, method: str) -> Counter[str]:
         return self._statuses.get((dataset, method), Counter())
 
+    def regions(self, dataset: str) -> list[str]:
+        """The data set's masked regions, by name."""
+        return sorted({region for name, _, region, _ in self._known if name == dataset and region != "full"})
+
     def cell(self, column: Column, dataset: str, method: str) -> Cell:
         key = (dataset, method, column.region, column.metric)
         values = tuple(self._values.get(key, ()))
@@ -145,12 +149,15 @@ class Numbers:
 
 def dataset_table(numbers: Numbers, dataset: str, methods: Iterable[str]) -> Table:
     """One data set's table: the methods that were tried, in the given order, and the columns that any of them has."""
-    rows = []
-    for method in methods:
-        statuses = numbers.statuses(dataset, method)
-        if statuses:
-            rows.append(Row(method, {c.key: numbers.cell(c, dataset, method) for c in MAIN_COLUMNS}, statuses))
-    return _ranked_table(dataset, MAIN_COLUMNS, rows, (dataset,))
+    return _ranked_table(dataset, MAIN_COLUMNS, _rows(numbers, dataset, methods, MAIN_COLUMNS), (dataset,))
+
+
+def region_table(numbers: Numbers, dataset: str, methods: Iterable[str]) -> Table | None:
+    """Every score inside every region, in the layout of the paper's Table 2; None where no run has a region."""
+    columns = tuple(column for region in numbers.regions(dataset) for column in region_columns(region))
+    rows = _rows(numbers, dataset, methods, columns)
+    table = _ranked_table(f"{dataset}: inside the regions", columns, rows, (dataset,))
+    return table if table.columns else None
 
 
 def average_table(numbers: Numbers, title: str, datasets: Sequence[str], methods: Iterable[str]) -> Table:
@@ -177,6 +184,14 @@ def with_published(table: Table) -> Table:
     ours = {paper_method(row.method) for row in rows}
     rows += [Row(method, {}, published=value) for method, value in published.items() if method not in ours]
     return replace(table, rows=tuple(rows))
+
+
+def _rows(numbers: Numbers, dataset: str, methods: Iterable[str], columns: Sequence[Column]) -> list[Row]:
+    return [
+        Row(method, {column.key: numbers.cell(column, dataset, method) for column in columns}, statuses)
+        for method in methods
+        if (statuses := numbers.statuses(dataset, method))
+    ]
 
 
 def _ranked_table(title: str, columns: Sequence[Column], rows: Sequence[Row], datasets: tuple[str, ...]) -> Table:

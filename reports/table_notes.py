@@ -7,12 +7,14 @@ from math import log10
 from .sections import Section
 from .summary import Table
 
+QUIET_CORES = 0.2  # what others may use of a machine that counts as ours
+
 
 def caption(section: Section, table: Table) -> str:
     """Size and number of pictures of a data set, or the number of data sets of an average."""
     if len(table.datasets) > 1:
         return f"average over {len(table.datasets)} data sets, complete rows only"
-    records = [item.run.record for item in section.of(table.title) if item.run.ok]
+    records = [item.run.record for item in section.of(table.datasets[0]) if item.run.ok]
     sizes = sorted({f"{record.timing.width}×{record.timing.height}" for record in records if record.timing})
     views = sorted({len(record.metrics.per_view) for record in records if record.metrics})
     steps = sorted({record.steps for record in records})
@@ -28,17 +30,44 @@ def notes(section: Section, table: Table) -> list[str]:
     for dataset in table.datasets:
         for metric, reasons in section.not_computed(dataset).items():
             found.append(f"n/c: {metric.upper()} was not computed: {'; '.join(reasons)}.")
-    if len(table.datasets) == 1:
-        shares = {
-            name: item.run.record.masked[name].fraction
-            for item in section.of(table.title)
-            for name in item.run.record.masked
-        }
-        for name, share in shares.items():
-            extra = f"; composited on white that alone adds {-10 * log10(share):.1f} dB of PSNR" if share > 0 else ""
-            found.append(f"The {name.replace('_', '-')} region is {share:.1%} of the pixels{extra}.")
+    found += _shares(section, table)
+    if any(column.metric == "frame_ms" for column in table.columns):
+        found += _company(section, table)
     if table.published:
         found.append(
             "PSNR paper: printed in the EnvGS paper, and ours minus it. Rows marked published: by the paper only."
         )
     return list(dict.fromkeys(found))
+
+
+def _shares(section: Section, table: Table) -> list[str]:
+    """How much of the pixels the table's regions are. White around a region has no error: it adds −10·log₁₀(share)."""
+    regions = {column.region for column in table.columns}
+    shares: dict[str, float] = {}
+    for item in section.runs:
+        if item.dataset in table.datasets:
+            shares |= {name: scores.fraction for name, scores in item.run.record.masked.items() if name in regions}
+    words = [
+        f"{name.replace('_', '-')} {share:.1%}" + (f" ({-10 * log10(share):.1f} dB)" if share > 0 else "")
+        for name, share in sorted(shares.items())
+    ]
+    if not words:
+        return []
+    return [f"Of the pixels: {', '.join(words)}; in brackets what compositing the region on white adds to its PSNR."]
+
+
+def _company(section: Section, table: Table) -> list[str]:
+    """Times taken while others used the machine are no better than upper bounds, and say so."""
+    provenances = [
+        item.run.record.provenance for item in section.runs if item.dataset in table.datasets and item.run.ok
+    ]
+    busy = max((p.machine.get("others_cores") or 0 for p in provenances), default=0)
+    shared = sum(isinstance(p.device, dict) and bool(p.device.get("shared")) for p in provenances)
+    found = []
+    if busy >= QUIET_CORES:
+        found.append(f"Others kept up to {busy:.1f} processor cores busy meanwhile: times are upper bounds.")
+    if shared:
+        found.append(
+            f"Others used the device during {shared} of {len(provenances)} runs: their times are upper bounds."
+        )
+    return found

@@ -122,7 +122,7 @@ class Page(HTMLParser):
 
 def test_the_page_prints_the_tables_numbers(report: Report) -> None:
     page = Page(report.page.read_text())
-    for table in (*report.sections[0].averages, *report.sections[0].tables):
+    for table in report.sections[0].all_tables:
         head, *body = page.tables[table.title]
         assert [text.strip() for text in head] == headings(table)
         for row, cells in zip(table.rows, body, strict=True):

@@ -29,6 +29,7 @@ from envgs_bench.reports.runs import read_runs
 from envgs_bench.reports.sections import Section, split_sections
 from envgs_bench.reports.structured import structured
 from envgs_bench.reports.summary import Numbers, Row, Table, average_table, dataset_table
+from envgs_bench.reports.table_notes import notes
 
 ROOM = "toy/chrome_room"
 
@@ -329,9 +330,7 @@ def plain(text: str) -> str:
 
 def test_every_format_prints_the_same_numbers(mixed: Section) -> None:
     expected = [
-        [plain(entry.text) for entry in entries(table, row)]
-        for table in (*mixed.averages, *mixed.tables)
-        for row in table.rows
+        [plain(entry.text) for entry in entries(table, row)] for table in mixed.all_tables for row in table.rows
     ]
     pipes = [line for line in markdown([mixed], []).splitlines() if line.startswith("| ")]
     cells = [[plain(cell) for cell in line.strip("| ").split(" | ")] for line in pipes]
@@ -359,11 +358,27 @@ def test_the_json_holds_what_stands_behind_a_number(mixed: Section) -> None:
     assert cell["text"].startswith(f"{megabytes.mean():.1f}")
 
 
+def test_region_tables_hold_the_masked_scores(mixed: Section) -> None:
+    table = next(table for table in mixed.region_tables if table.title.startswith(ROOM))
+    assert [column.title for column in table.columns][:3] == ["PSNR near-field", "SSIM near-field", "FLIP near-field"]
+    truth = [record(ROOM, "envgs", seed)["masked"]["reflective"]["psnr"] for seed in (0, 1, 2)]
+    assert row_of(table, "envgs").cells["psnr_reflective"].strata == (tuple(truth),)
+    assert "reflective 18.0% (7.4 dB)" in " ".join(notes(mixed, table))
+
+
+def test_times_beside_others_are_said_to_be(tmp_path: Path) -> None:
+    content = record(ROOM, "envgs", 0)
+    content["provenance"]["machine"]["others_cores"] = 1.5
+    write_record(tmp_path / "busy", content)
+    (section,) = sections_of(tmp_path)
+    assert "Others kept up to 1.5 processor cores busy" in " ".join(notes(section, section.tables[0]))
+
+
 def test_markdown_marks_failures_and_reasons(mixed: Section) -> None:
     text = markdown([mixed], [])
     assert "2/3: 1 diverged" in text
     assert "n/c: LPIPS was not computed: no VGG-16 weights on this machine" in text
-    assert r"loss is nan \| &lt;b&gt;\_x\_&lt;/b&gt;" in text
+    assert r"loss is nan \| &lt;b&gt;_x_&lt;/b&gt;" in text
 
 
 def test_every_column_says_what_it_is() -> None:

@@ -121,12 +121,25 @@
     };
   }
 
+  /* 1, 2 and 5 times powers of ten; on an axis too short for three of them, even steps. */
+  function ticks(low, high) {
+    const found = [];
+    for (let power = Math.floor(Math.log10(low)); power <= Math.log10(high); power += 1) {
+      [1, 2, 5].forEach((digit) => found.push(Number((digit * 10 ** power).toPrecision(1))));
+    }
+    if (found.filter((value) => value >= low && value <= high).length > 2) return found;
+    const unit = 10 ** Math.floor(Math.log10((high - low) / 4));
+    const step = [1, 2, 5, 10].map((digit) => digit * unit).find((size) => (high - low) / size <= 6);
+    const count = Math.floor(high / step) - Math.ceil(low / step) + 1;
+    return Array.from({ length: count }, (_, i) => Number(((Math.ceil(low / step) + i) * step).toPrecision(6)));
+  }
+
   /* Ranges with room for names, and ticks at 1, 2 and 5 on a logarithmic axis. */
   function frame(shape, points, log) {
     const ends = (cell, value) => [value, ...(cell.interval || [])];
     const xs = points.flatMap((p) => ends(p.cx, p.x));
     const ys = points.flatMap((p) => ends(p.cy, p.y));
-    const pad = Math.max(0.16 * (Math.max(...ys) - Math.min(...ys)), 1e-9);
+    const pad = Math.max(0.16 * (Math.max(...ys) - Math.min(...ys)), 0.01 * Math.abs(Math.max(...ys)), 1e-9);
     shape.yaxis.range = [Math.min(...ys) - pad, Math.max(...ys) + pad];
     if (!log) {
       const room = Math.max(0.16 * (Math.max(...xs) - Math.min(...xs)), 1e-9);
@@ -137,10 +150,7 @@
     const high = Math.log10(Math.max(...xs));
     const room = Math.max(0.16 * (high - low), 0.1);
     shape.xaxis.range = [low - room, high + room];
-    shape.xaxis.tickvals = [];
-    for (let power = Math.floor(low) - 1; power <= Math.ceil(high) + 1; power += 1) {
-      [1, 2, 5].forEach((digit) => shape.xaxis.tickvals.push(Number((digit * 10 ** power).toPrecision(1))));
-    }
+    shape.xaxis.tickvals = ticks(10 ** (low - room), 10 ** (high + room));
     shape.xaxis.ticktext = shape.xaxis.tickvals.map((value) => value.toLocaleString("en", { maximumSignificantDigits: 3 }));
   }
 
