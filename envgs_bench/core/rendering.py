@@ -41,7 +41,7 @@ class Rendering:
     layers: dict[str, Tensor] = field(default_factory=dict)  # a method's named parts: "base", "reflection", "beta"
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Rendering:
-        """The rendering with `function` applied to each of the core's fields: the same pixels or rays in another shape."""
+        """The rendering with `function` applied to each of the core's fields: the same rays in another shape."""
         names = ("color", "alpha", "depth", "normal", "extras", "hits")
         changed: dict[str, Any] = {name: function(getattr(self, name)) for name in names}
         return replace(self, **changed)
