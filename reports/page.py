@@ -107,7 +107,8 @@ def _table(section: Section, table: Table) -> dict[str, Any]:
         "open": table in (*section.averages, *section.tables),
         "caption": caption(section, table),
         "headings": [
-            {"text": text, "explanation": why} for text, why in zip(headings(table), explanations(table), strict=True)
+            {"text": text.replace(" ↑", "\N{NO-BREAK SPACE}↑").replace(" ↓", "\N{NO-BREAK SPACE}↓"), "explanation": why}
+            for text, why in zip(headings(table), explanations(table), strict=True)
         ],
         "rows": [_row(table, row) for row in table.rows],
         "notes": notes(section, table),

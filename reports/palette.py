@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -27,14 +27,28 @@ MARKS = (("v", "triangle-down"), ("P", "cross"), ("X", "x"), ("p", "pentagon"), 
 
 
 def styles(methods: Sequence[str]) -> dict[str, Style]:
-    """A style for each of the methods, by name for the ladder's, in turn for the others."""
+    """A style for each of the methods, by name for the ladder's, in turn for the others.
+
+    Variants of one method (`envgs [steps=9]`) share its colour, each lighter than the one before, and its mark.
+    """
     chosen: dict[str, Style] = {}
-    others = 0
+    families: dict[str, list[str]] = {}
     for method in methods:
-        if method in LADDER:
-            chosen[method] = LADDER[method]
+        families.setdefault(method.split(" [")[0], []).append(method)
+    others = 0
+    for name, members in families.items():
+        if name in LADDER:
+            style = LADDER[name]
         else:
             marker, symbol = MARKS[others % len(MARKS)]
-            chosen[method] = Style(COLORS[others % len(COLORS)], marker, symbol)
+            style = Style(COLORS[others % len(COLORS)], marker, symbol)
             others += 1
+        for index, method in enumerate(members):
+            chosen[method] = replace(style, color=_lighter(style.color, 0.55 * index / len(members)))
     return chosen
+
+
+def _lighter(color: str, share: float) -> str:
+    """#rrggbb moved towards white by `share` in [0, 1]."""
+    parts = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
+    return "#" + "".join(f"{round(part + (255 - part) * share):02X}" for part in parts)

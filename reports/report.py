@@ -45,7 +45,7 @@ def build_report(runs: Path, out: Path) -> Report:
 
     Args:
         runs: a folder with runs at any depth.
-        out: created where missing; files of an earlier report are replaced.
+        out: created where missing; files of the same names are replaced.
 
     Raises:
         RecordError: `runs` is no folder.

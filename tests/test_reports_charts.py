@@ -65,6 +65,10 @@ def test_colours_and_marks_tell_methods_apart() -> None:
     assert len({style.color for style in chosen.values()}) == 8
     assert len({style.marker for style in chosen.values()}) == 8
     assert chosen["envgs"] == styles(["envgs"])["envgs"]
+    variants = styles(["envgs [steps=1]", "envgs [steps=2]"])
+    assert variants["envgs [steps=1]"] == chosen["envgs"]
+    assert variants["envgs [steps=2]"].marker == chosen["envgs"].marker
+    assert variants["envgs [steps=2]"].color != chosen["envgs"].color
 
 
 @given(st.lists(st.tuples(st.integers(40, 960), st.integers(40, 760)), max_size=12, unique=True))

@@ -124,7 +124,7 @@ def test_the_page_prints_the_tables_numbers(report: Report) -> None:
     page = Page(report.page.read_text())
     for table in report.sections[0].all_tables:
         head, *body = page.tables[table.title]
-        assert [text.strip() for text in head] == headings(table)
+        assert [text.strip().replace("\N{NO-BREAK SPACE}", " ") for text in head] == headings(table)
         for row, cells in zip(table.rows, body, strict=True):
             for entry, cell in zip(entries(table, row), cells, strict=True):
                 mark = str(entry.rank or "")

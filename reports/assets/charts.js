@@ -109,8 +109,8 @@
     const xs = points.map((p) => p.x);
     const ys = points.map((p) => p.y);
     const far = xColumn.better === "lower" ? Math.max(...xs) * 100 : Math.min(...xs) / 100;
-    const span = Math.max(...ys) - Math.min(...ys) || 1;
-    const bottom = yColumn.better === "higher" ? Math.min(...ys) - span : Math.max(...ys) + span;
+    const beyond = 10 * Math.max(...ys.map(Math.abs));
+    const bottom = yColumn.better === "higher" ? -beyond : beyond;
     return {
       x: [faster[0].x, ...faster.map((p) => p.x), far],
       y: [bottom, ...faster.map((p) => p.y), faster[faster.length - 1].y],
