@@ -130,7 +130,19 @@ def _read_model(folder: Path) -> pycolmap.Reconstruction:
     try:
         return pycolmap.Reconstruction(str(folder))
     except Exception as error:  # pycolmap raises whatever its C++ does
+        odd = _not_finite(folder)
+        if odd:
+            raise DatasetError(f"{odd}: this line holds a number that is not finite; repair or remove it") from error
         raise DatasetError(f"{folder}: cannot be read as a COLMAP model ({error}); export it again") from error
+
+
+def _not_finite(folder: Path) -> str | None:
+    """`file:line` of the first nan or inf in a text model, which pycolmap's reader stops at without saying so."""
+    for path in sorted(folder.glob("*.txt")):
+        for number, line in enumerate(path.read_text(errors="replace").splitlines(), start=1):
+            if not line.startswith("#") and {"nan", "inf"} & {word.lstrip("+-") for word in line.lower().split()}:
+                return f"{path}:{number}"
+    return None
 
 
 def _points(model: pycolmap.Reconstruction, folder: Path) -> tuple[torch.Tensor, torch.Tensor]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 from PIL import Image
+from scipy import sparse
 
 from .settings import DatasetError
 
@@ -70,10 +72,26 @@ def undistort(pixels: Bytes, camera: pycolmap.Camera) -> Bytes:
 
 
 def shrink(pixels: Bytes, width: int, height: int) -> Bytes:
-    """The picture at a smaller size; each pixel is the mean of the area it covers, of the sRGB bytes as they are."""
+    """The picture at a smaller size; each pixel is the mean of the area it covers, of the sRGB bytes as they are.
+
+    Exact for sizes that do not divide, where Pillow's box filter takes whole pixels and so moves the picture by up to
+    half of one against its intrinsics.
+    """
     if pixels.shape[:2] == (height, width):
         return pixels
-    return np.asarray(Image.fromarray(pixels).resize((width, height), Image.Resampling.BOX))
+    flat = pixels.reshape(*pixels.shape[:2], -1).astype(np.float32)
+    rows = _overlaps(flat.shape[0], height) @ flat.reshape(flat.shape[0], -1)
+    sideways = rows.reshape(height, flat.shape[1], -1).swapaxes(0, 1).reshape(flat.shape[1], -1)
+    columns = (_overlaps(flat.shape[1], width) @ sideways).reshape(width, height, -1).swapaxes(0, 1)
+    return np.round(columns).astype(np.uint8).reshape(height, width, *pixels.shape[2:])
+
+
+@cache
+def _overlaps(length: int, bins: int) -> sparse.csr_array:
+    """[bins, length]: the share of each of a line's `length` pixels in the means over its `bins` equal parts."""
+    edges, pieces = np.linspace(0, length, bins + 1), np.arange(length)
+    common = np.minimum(edges[1:, None], pieces + 1) - np.maximum(edges[:-1, None], pieces)
+    return sparse.csr_array(np.maximum(common, 0) * (bins / length), dtype=np.float32)
 
 
 class Siblings:
