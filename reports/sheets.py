@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
@@ -71,7 +72,8 @@ def _comparison(gallery: Gallery, shot: Shot) -> Image.Image:
     if fitting:
         errors = [np.abs(picture / 255.0 - target / 255.0).mean(-1) for picture in fitting.values()]
         rows, columns = zoom_window(errors, _weight(shot, target.shape[:2]))
-    maps = {method: flip_map(picture, target) for method, picture in fitting.items()}
+    with ThreadPoolExecutor() as pool:  # the evaluator lets other threads run
+        maps = dict(zip(fitting, pool.map(lambda picture: flip_map(picture, target)[0], fitting.values()), strict=True))
     notes = ["", *(f"{shot.psnr[m]:.2f} dB" if m in shot.psnr else "" for m in methods)]
     failed = list(gallery.missing)[: MOST_COLUMNS - len(methods)]
 
@@ -81,7 +83,7 @@ def _comparison(gallery: Gallery, shot: Shot) -> Image.Image:
 
     whole = line((_framed(target, rows, columns), ""), lambda m: _framed(fitting[m], rows, columns))
     zoomed = line((target[rows, columns], ""), lambda m: fitting[m][rows, columns])
-    flips = line((None, "FLIP error map\nblack 0, white 1"), lambda m: maps[m][0])
+    flips = line((None, "FLIP error map\nblack 0, white 1"), lambda m: maps[m])
     titles = ["ground truth", *methods, *failed]
     lines = [("", whole), ("zoom", zoomed), ("FLIP", flips)]
     return _grid(titles, notes + [""] * len(failed), lines, target.shape[0] / target.shape[1])
