@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from .columns import Column
 from .decimals import rounded
 from .summary import Cell, Row, Table
 
@@ -30,8 +31,8 @@ def headings(table: Table) -> list[str]:
     titles = ["method", "runs"]
     for column in table.columns:
         titles.append(f"{column.title} {column.arrow}" if column.ranked else column.title)
-        if column.key == "psnr" and table.published:
-            titles.append("PSNR paper (Δ)")
+        if column.key in table.published:
+            titles.append(f"{column.title} paper (Δ)")
     return titles
 
 
@@ -41,8 +42,8 @@ def explanations(table: Table) -> list[str]:
     for column in table.columns:
         words = [column.axis, column.explanation, f"{column.better} is better" if column.ranked else ""]
         texts.append("; ".join(word for word in words if word))
-        if column.key == "psnr" and table.published:
-            texts.append("the paper's PSNR, dB, and ours minus it")
+        if column.key in table.published:
+            texts.append(f"{column.axis}: the paper's, and ours minus it")
     return texts
 
 
@@ -52,8 +53,9 @@ def entries(table: Table, row: Row) -> list[Entry]:
     for column in table.columns:
         cell = row.cells.get(column.key)
         line.append(_entry(cell) if cell is not None else Entry(""))
-        if column.key == "psnr" and table.published:
-            line.append(Entry(published_text(row), sort=None if row.published is None else float(row.published)))
+        if column.key in table.published:
+            theirs = row.published.get(column.key)
+            line.append(Entry(published_text(row, column), sort=None if theirs is None else float(theirs)))
     return line
 
 
@@ -62,13 +64,12 @@ def _entry(cell: Cell) -> Entry:
     return Entry(cell.text, cell.rank, cell.tied, sort=float(cell.mean) if shown and cell.mean is not None else None)
 
 
-def published_text(row: Row) -> str:
+def published_text(row: Row, column: Column) -> str:
     """ "27.220 (−0.135)": what the paper printed, and ours minus it."""
-    if row.published is None:
+    if column.key not in row.published:
         return ""
-    text = str(rounded(row.published, PUBLISHED_PLACES))
-    ours = row.cells.get("psnr")
+    theirs = rounded(row.published[column.key], PUBLISHED_PLACES)
+    ours = row.cells.get(column.key)
     if ours is None or not ours.complete or ours.mean is None:
-        return text
-    difference = rounded(ours.mean, PUBLISHED_PLACES) - rounded(row.published, PUBLISHED_PLACES)
-    return f"{text} ({difference:+})".replace("-", "−")
+        return str(theirs)
+    return f"{theirs} ({rounded(ours.mean, PUBLISHED_PLACES) - theirs:+})".replace("-", "−")

@@ -12,6 +12,7 @@ import pandas as pd
 
 from .decimals import mean
 
+PUBLISHED_METRICS = ("psnr", "ssim", "lpips")
 SCENE_TABLES = ("3", "7", "8", "9")  # the tables with a column a scene
 PROTOCOL = "envgs"  # the protocol whose numbers compare with the paper's
 FAMILY_NAMES = {

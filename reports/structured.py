@@ -47,7 +47,7 @@ def _row(row: Row) -> dict[str, Any]:
         "runs": row.runs_text,
         "done": row.done,
         "attempts": row.attempts,
-        "published_psnr": None if row.published is None else float(row.published),
+        "published": {metric: float(value) for metric, value in row.published.items()},
         "cells": {key: _cell(cell) for key, cell in row.cells.items()},
     }
 

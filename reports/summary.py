@@ -14,7 +14,7 @@ import pandas as pd
 from .columns import COST_COLUMNS, MAIN_COLUMNS, SUMMARY_COLUMNS, Column, region_columns
 from .decimals import mean
 from .intervals import bootstrap_interval, overlap
-from .published import paper_method, published_means
+from .published import PUBLISHED_METRICS, paper_method, published_means
 
 Key = tuple[str, str, str, str]  # dataset, method, region, metric
 
@@ -68,7 +68,7 @@ class Row:
     method: str
     cells: dict[str, Cell]  # by the column's key; empty for a method that only the paper ran
     statuses: Counter[str] = field(default_factory=Counter)
-    published: Decimal | None = None  # the paper's PSNR, dB
+    published: dict[str, Decimal] = field(default_factory=dict)  # the paper's psnr, ssim, lpips
 
     @property
     def done(self) -> int:
@@ -97,8 +97,9 @@ class Table:
     datasets: tuple[str, ...]
 
     @property
-    def published(self) -> bool:
-        return any(row.published is not None for row in self.rows)
+    def published(self) -> set[str]:
+        """The metrics of which some row has the paper's value."""
+        return {metric for row in self.rows for metric in row.published}
 
 
 class Numbers:
@@ -173,16 +174,19 @@ def average_table(numbers: Numbers, title: str, datasets: Sequence[str], methods
 
 
 def with_published(table: Table) -> Table:
-    """The table with the paper's PSNR beside ours, and below it the methods that only the paper ran.
+    """The table with the paper's values beside ours, and below it the methods that only the paper ran.
 
     The same table where a data set is not of the paper.
     """
-    published = published_means(table.datasets, "psnr")
+    published: dict[str, dict[str, Decimal]] = {}
+    for metric in PUBLISHED_METRICS:
+        for method, value in published_means(table.datasets, metric).items():
+            published.setdefault(method, {})[metric] = value
     if not published:
         return table
-    rows = [replace(row, published=published.get(paper_method(row.method))) for row in table.rows]
+    rows = [replace(row, published=published.get(paper_method(row.method), {})) for row in table.rows]
     ours = {paper_method(row.method) for row in rows}
-    rows += [Row(method, {}, published=value) for method, value in published.items() if method not in ours]
+    rows += [Row(method, {}, published=values) for method, values in published.items() if method not in ours]
     return replace(table, rows=tuple(rows))
 
 

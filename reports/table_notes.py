@@ -34,9 +34,7 @@ def notes(section: Section, table: Table) -> list[str]:
     if any(column.metric == "frame_ms" for column in table.columns):
         found += _company(section, table)
     if table.published:
-        found.append(
-            "PSNR paper: printed in the EnvGS paper, and ours minus it. Rows marked published: by the paper only."
-        )
+        found.append("Paper: printed in the EnvGS paper, and ours minus it. Rows marked published: by the paper only.")
     return list(dict.fromkeys(found))
 
 

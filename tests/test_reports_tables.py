@@ -120,6 +120,7 @@ def test_published_psnr_stands_beside_ours(tmp_path: Path) -> None:
     assert entries(table, row_of(table, "envgs"))[column].text == expected
     assert entries(table, row_of(table, "ZipNeRF"))[column].text == printed["ZipNeRF"]
     assert row_of(table, "ZipNeRF").runs_text == "published"
+    assert {"SSIM paper (Δ)", "LPIPS paper (Δ)"} <= set(headings(table))
     write_runs(tmp_path / "strict", ("Ref-Real/sedan",), seeds=(0,), pictures=False, protocol=other_protocol())
     strict = next(s for s in sections_of(tmp_path) if s.protocol.name == "strict")
     assert not strict.tables[0].published
