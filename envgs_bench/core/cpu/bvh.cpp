@@ -117,14 +117,19 @@ std::pair<Part, Part> split(std::vector<Item>& items, const Part& part) {
     return {left, right};
 }
 
+// A leaf while the tree grows: its part of the items. The surfels themselves are copied once, at the end.
+struct LeafRange {
+    int begin, count;
+};
+
 struct Subtree {
     std::vector<BvhNode> nodes;
-    std::vector<BvhLeaf> leaves;
+    std::vector<LeafRange> leaves;
 };
 
 class Builder {
 public:
-    Builder(std::vector<Item>& items, const std::vector<TracedSurfel>& surfels) : items_(items), surfels_(surfels) {}
+    explicit Builder(std::vector<Item>& items) : items_(items) {}
 
     // The parts of one node: at most eight, in a fixed order.
     std::vector<Part> parts_of(const Part& whole) {
@@ -144,7 +149,10 @@ public:
 
     // Appends the tree over `part` and returns it as a child: a node or ~leaf.
     int build(const Part& part, Subtree& tree) {
-        if (part.count() <= kWidth) return add_leaf(part, tree);
+        if (part.count() <= kWidth) {
+            tree.leaves.push_back({part.begin, part.count()});
+            return ~int(tree.leaves.size() - 1);
+        }
         std::vector<Part> parts = parts_of(part);
         int node = int(tree.nodes.size());
         tree.nodes.push_back(node_of(parts));
@@ -169,32 +177,30 @@ public:
     }
 
 private:
-    int add_leaf(const Part& part, Subtree& tree) {
-        BvhLeaf leaf = {};
-        for (int lane = 0; lane < kWidth; ++lane) {
-            leaf.support[lane] = -1.0f;
-            leaf.index[lane] = -1;
-            if (lane >= part.count()) continue;
-            int index = index_of(items_[part.begin + lane]);
-            const TracedSurfel& s = surfels_[index];
-            const float* rows[4] = {&s.frame.u.x, &s.frame.v.x, &s.frame.n.x, &s.mean.x};
-            for (int axis = 0; axis < 3; ++axis) {
-                leaf.u[axis][lane] = rows[0][axis];
-                leaf.v[axis][lane] = rows[1][axis];
-                leaf.n[axis][lane] = rows[2][axis];
-                leaf.mean[axis][lane] = rows[3][axis];
-            }
-            leaf.support[lane] = s.support;
-            leaf.opacity[lane] = s.opacity;
-            leaf.index[lane] = index;
-        }
-        tree.leaves.push_back(leaf);
-        return ~int(tree.leaves.size() - 1);
-    }
-
     std::vector<Item>& items_;
-    const std::vector<TracedSurfel>& surfels_;
 };
+
+BvhLeaf leaf_of(const std::vector<Item>& items, LeafRange range, const std::vector<TracedSurfel>& surfels) {
+    BvhLeaf leaf = {};
+    for (int lane = 0; lane < kWidth; ++lane) {
+        leaf.support[lane] = -1.0f;
+        leaf.index[lane] = -1;
+        if (lane >= range.count) continue;
+        int index = index_of(items[range.begin + lane]);
+        const TracedSurfel& s = surfels[index];
+        const float* rows[4] = {&s.frame.u.x, &s.frame.v.x, &s.frame.n.x, &s.mean.x};
+        for (int axis = 0; axis < 3; ++axis) {
+            leaf.u[axis][lane] = rows[0][axis];
+            leaf.v[axis][lane] = rows[1][axis];
+            leaf.n[axis][lane] = rows[2][axis];
+            leaf.mean[axis][lane] = rows[3][axis];
+        }
+        leaf.support[lane] = s.support;
+        leaf.opacity[lane] = s.opacity;
+        leaf.index[lane] = index;
+    }
+    return leaf;
+}
 
 // The box of the supporting disc: along each axis r·√((s_u·t_u)² + (s_v·t_v)²), and a hair for rounding.
 Item item_of(const TracedSurfel& s, Axes<float> axes, float scale_u, float scale_v, int index) {
@@ -225,8 +231,11 @@ bool is_finite(const Item& item) {
 }  // namespace
 
 Bvh::Bvh(const Gaussians& g, int threads) : surfels(g.count) {
-    std::vector<std::vector<Item>> found(threads);
+    // Each worker packs the visible surfels of its range to the range's front; then the gaps are closed.
+    std::vector<Item> items(g.count);
+    std::vector<std::pair<int, int>> packed(threads);
     parallel_ranges(threads, g.count, [&](int begin, int end, int worker) {
+        int to = begin;
         for (int i = begin; i < end; ++i) {
             TracedSurfel& s = surfels[i];
             float inverse_norm, scale_u = g.scales[2 * i], scale_v = g.scales[2 * i + 1];
@@ -234,31 +243,39 @@ Bvh::Bvh(const Gaussians& g, int threads) : surfels(g.count) {
             s = {surfel_frame(axes, scale_u, scale_v), mean_at(g, i), support_of(g.opacities[i]), g.opacities[i]};
             if (!(s.support > 0.0f)) continue;
             Item item = item_of(s, axes, scale_u, scale_v, i);
-            if (is_finite(item)) found[worker].push_back(item);
+            if (is_finite(item)) items[to++] = item;
         }
+        packed[worker] = {begin, to};
     });
-    std::vector<Item> items;
-    items.reserve(g.count);
-    for (const auto& part : found) items.insert(items.end(), part.begin(), part.end());
-    if (items.empty()) return;
+    int count = 0;
+    for (auto [begin, end] : packed) {
+        if (count != begin) std::copy(items.begin() + begin, items.begin() + end, items.begin() + count);
+        count += end - begin;
+    }
+    if (!count) return;
 
-    Builder builder(items, surfels);
-    Part whole = part_of(items, 0, int(items.size()));
-    std::vector<Part> parts = builder.parts_of(whole);
+    Builder builder(items);
+    std::vector<Part> parts = builder.parts_of(part_of(items, 0, count));
     std::vector<Subtree> trees(parts.size());
     std::vector<int> roots(parts.size());
     parallel_interleaved(threads, int(parts.size()), [&](int i, int) { roots[i] = builder.build(parts[i], trees[i]); });
+
+    std::vector<LeafRange> ranges;
     nodes.push_back(Builder::node_of(parts));
     for (size_t i = 0; i < parts.size(); ++i) {
-        int node_offset = int(nodes.size()), leaf_offset = int(leaves.size());
+        int node_offset = int(nodes.size()), leaf_offset = int(ranges.size());
         auto moved = [&](int child) { return child >= 0 ? child + node_offset : child - leaf_offset; };
         nodes[0].child[i] = moved(roots[i]);
         for (BvhNode node : trees[i].nodes) {
             for (int& child : node.child) child = moved(child);
             nodes.push_back(node);
         }
-        leaves.insert(leaves.end(), trees[i].leaves.begin(), trees[i].leaves.end());
+        ranges.insert(ranges.end(), trees[i].leaves.begin(), trees[i].leaves.end());
     }
+    leaves.resize(ranges.size());
+    parallel_ranges(threads, int(ranges.size()), [&](int begin, int end, int) {
+        for (int i = begin; i < end; ++i) leaves[i] = leaf_of(items, ranges[i], surfels);
+    });
 }
 
 }  // namespace envgs
