@@ -25,8 +25,9 @@ def evaluate(
 ) -> tuple[Metrics, dict[str, MaskedScores]]:
     """Scores of `views` and of every region that their masks name.
 
-    Writes renders/<view>.png, targets/<view>.png and layers/<view>-<layer>.png into `folder`, 8-bit sRGB. Where a view
-    brings exact normals, `normal_degrees` is added to its scores: see `normal_error`.
+    Writes renders/<view>.png, targets/<view>.png, layers/<view>-<layer>.png and masks/<view>-<region>.png into `folder`,
+    8-bit, colours in sRGB. Where a view brings exact normals, `normal_degrees` is added to its scores: see
+    `normal_error`.
 
     Raises:
         Diverged: a render is not finite.
@@ -97,6 +98,8 @@ def _mean(values: list[float | None]) -> float | None:
 def _save_pictures(folder: Path, view: View, rendering: Rendering) -> None:
     save_png(folder / "renders" / f"{view.name}.png", rendering.color)
     save_png(folder / "targets" / f"{view.name}.png", view.rgb())
+    for region, mask in view.masks.items():
+        save_png(folder / "masks" / f"{view.name}-{region}.png", mask)
     for name, layer in rendering.layers.items():
         save_png(folder / "layers" / f"{view.name}-{name}.png", layer)
     save_png(folder / "layers" / f"{view.name}-normal.png", functional.normalize(rendering.normal, dim=-1) / 2 + 0.5)
