@@ -188,8 +188,8 @@ def _toys(rng: np.random.Generator) -> list[Part]:
         base = (distance * np.cos(bearing), distance * np.sin(bearing), 0.0)
         for face in box(base, (size, size, size), bearing_degrees + 25):
             x, y = tex.grid(size, size)
-            letters = tex.glyphs(x, y * 1.25, size / 2.001, (ink,), paper, rng)
-            parts.append(_painted(face, tex.weathered(tex.framed(letters, ink, 0.08 * size), rng)))
+            letter = tex.glyphs(x, 1.25 * y, 1.001 * size, (ink,), paper, rng)
+            parts.append(_painted(face, tex.weathered(tex.framed(letter, ink, 0.05 * size), rng)))
     return parts
 
 
