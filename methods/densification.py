@@ -11,10 +11,14 @@ from torch.nn import functional
 
 from envgs_bench.core import Camera, Statistics
 
-from .parameters import GaussianParameters, normalised
+from .parameters import GaussianParameters
+from .vectors import unit
 
 SPLIT_IN = 2
 OVERSIZED_SPLIT_IN = 5
+SHRINK_OF_TWO = 1.6  # 3DGS's divisor of the scales in a split in two; in five it grows with the area to cover
+LARGEST_GROWTH = 0.1  # of the set, in one densification: a short run, whose gradients are large, grows no faster
+EXCHANGED_AT_CAP = 0.05
 LEAST_WEIGHTED = 0.1  # an oversized primitive in this least-weighted share is removed and not split
 
 
@@ -78,33 +82,51 @@ def densify(
 
     In this order: small primitives with a large gradient are cloned, large ones split in two (scales ÷ 1.6); those
     below `min_opacity` are pruned; oversized ones are pruned if among the least-weighted tenth, otherwise split in
-    five (scales ÷ 4); and above `max_primitives` those with the least mean blending weight go. A new primitive counts
-    with its parent's weight.
+    five; and above `max_primitives` those with the least mean blending weight go. Parts share their parent's weight.
+    Either way of growing adds at most a tenth to the set, where the gradients or the weights are largest; at the cap a
+    twentieth, which takes the place of the least-weighted.
     """
     weights = record.mean_weight()
-    grows = record.mean_gradient() >= rule.gradient_threshold
+    grows = _growing(record.mean_gradient(), rule)
     small = _largest_scale(parameters) <= rule.clone_below * radius
 
     clones = torch.nonzero(grows & small)[:, 0]
     parameters.append(parameters.rows(clones))
+    weights[clones] /= 2
     weights = torch.cat([weights, weights[clones]])
     splits = functional.pad(grows & ~small, (0, len(clones)))
     weights = _split(parameters, weights, splits, SPLIT_IN, generator)
 
-    weights = _keep(
-        parameters, weights, parameters.tensors["opacity_logits"] >= math.log(rule.min_opacity / (1 - rule.min_opacity))
-    )
+    opaque = parameters.tensors["opacity_logits"].detach().sigmoid() >= rule.min_opacity
+    weights = _keep(parameters, weights, opaque)
 
     oversized = _largest_scale(parameters) > rule.oversized_above * radius
     if bool(oversized.any()):
         unimportant = oversized & (weights <= _quantile(weights, LEAST_WEIGHTED))
         weights = _keep(parameters, weights, ~unimportant)
-        weights = _split(parameters, weights, oversized[~unimportant], OVERSIZED_SPLIT_IN, generator)
+        oversized = oversized[~unimportant]
+        most = math.ceil(LARGEST_GROWTH / (OVERSIZED_SPLIT_IN - 1) * len(oversized))
+        weights = _split(parameters, weights, _largest(oversized, weights, most), OVERSIZED_SPLIT_IN, generator)
 
     if len(parameters) > rule.max_primitives:
         top = torch.topk(weights, rule.max_primitives).indices.sort().values
         _keep(parameters, weights, top)
     return DensificationRecord(len(parameters), weights.device)
+
+
+def _growing(gradients: Tensor, rule: DensificationRule) -> Tensor:
+    """Which primitives [N] are cloned or split: of those above the threshold the largest that there is room for."""
+    room = max(rule.max_primitives - len(gradients), math.ceil(EXCHANGED_AT_CAP * len(gradients)))
+    room = min(room, math.ceil(LARGEST_GROWTH * len(gradients)))
+    return _largest(gradients >= rule.gradient_threshold, gradients, room)
+
+
+def _largest(rows: Tensor, values: Tensor, most: int) -> Tensor:
+    """The mask `rows`, where it is longer than `most` only those with the largest values."""
+    if int(rows.sum()) <= most:
+        return rows
+    chosen = torch.topk(torch.where(rows, values, -math.inf), most).indices
+    return torch.zeros_like(rows).index_fill(0, chosen, True)
 
 
 def _largest_scale(parameters: GaussianParameters) -> Tensor:
@@ -133,15 +155,15 @@ def _split(
     offsets = torch.randn(scales.shape, generator=generator).to(scales) * scales
     offsets = functional.pad(offsets, (0, 3 - offsets.shape[1]))
     new["means"] += _rotated(new["quaternions"], offsets)
-    new["log_scales"] -= math.log(0.8 * parts)
+    new["log_scales"] -= math.log(SHRINK_OF_TWO * math.sqrt(parts / 2))
     parameters.append(new)
-    weights = torch.cat([weights, weights[index]])
+    weights = torch.cat([weights, weights[index] / parts])
     return _keep(parameters, weights, ~functional.pad(rows, (0, len(index))))
 
 
 def _rotated(quaternions: Tensor, vectors: Tensor) -> Tensor:
     """Vectors [N, 3] turned by quaternions [N, 4] (wxyz): v + 2w(q × v) + 2q × (q × v)."""
-    q = normalised(quaternions)
+    q = unit(quaternions)
     w, xyz = q[:, :1], q[:, 1:]
     cross = torch.linalg.cross(xyz, vectors)
     return vectors + 2 * (w * cross + torch.linalg.cross(xyz, cross))

@@ -14,10 +14,12 @@ from .densification import DensificationRule, spatial_criterion
 from .initialization import quantile_box, random_points_in_grid
 from .reflection import ReflectionSettings, ReflectiveMethod
 
+PAPER_GRID = 32  # N of Sec. 4.3
+
 
 @dataclass(frozen=True)
 class EnvGSSettings(ReflectionSettings):
-    env_grid: int = 32  # N: the box is divided into N³ cells (paper, Sec. 4.3)
+    env_grid: int = 0  # N: the box is divided into N³ cells (paper: 32); 0: as many primitives as points, N ≤ 32
     env_per_cell: int = 5  # K: random primitives in each
     env_box_quantile: float = 0.995  # share of the points' range, on each axis, that the box covers
     env_densify_every: int = 500
@@ -35,11 +37,13 @@ class EnvGS(ReflectiveMethod):
     def __init__(self, settings: EnvGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
         self._box = (torch.zeros(3), torch.ones(3))
+        self._points = 0
         self._bvh: Bvh | None = None
 
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
         self.sets.pop("env", None)
+        self._points = len(scene.points)
         self._box = quantile_box(scene.points.float(), self.settings.env_box_quantile)
 
     def prepare(self) -> None:
@@ -48,9 +52,10 @@ class EnvGS(ReflectiveMethod):
 
     def _start_reflection(self) -> None:
         s = self.settings
-        points = random_points_in_grid(*self._box, s.env_grid, s.env_per_cell, self.generator)
+        grid = s.env_grid or min(PAPER_GRID, max(1, round((self._points / s.env_per_cell) ** (1 / 3))))
+        points = random_points_in_grid(*self._box, grid, s.env_per_cell, self.generator)
         colors = torch.rand(points.shape, generator=self.generator)
-        self.sets["env"] = self._new_set(points, colors, self._rule("env"), beta=None)
+        self.sets["env"] = self._new_set(points, colors, self._rule("env"), None, self.generator)
 
     def _reflected_color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict]:
         rendering = trace(
@@ -69,7 +74,10 @@ class EnvGS(ReflectiveMethod):
     def events(self, step: int) -> set[str]:
         s = self.settings
         happens = super().events(step)
-        if self.schedule.densifies(step, start=s.bootstrap, stop=s.densify_until, interval=s.env_densify_every):
+        recovers = self.schedule.recovers(step, interval=s.env_opacity_reset_every)
+        if not recovers and self.schedule.densifies(
+            step, start=s.bootstrap, stop=s.densify_until, interval=s.env_densify_every
+        ):
             happens.add("densify_env")
         if step > self.schedule.at(s.bootstrap) and self.schedule.resets(
             step, stop=s.densify_until, interval=s.env_opacity_reset_every

@@ -83,7 +83,9 @@ class GaussianMethod(Method):
         self.schedule = Schedule(steps)
         self.radius = scene.radius or _extent(scene.points)
         self.background = scene.background.to(self.device)
-        self.sets["base"] = self._new_set(scene.points, scene.point_colors, self._rule("base"), self._initial_beta())
+        self.sets["base"] = self._new_set(
+            scene.points, scene.point_colors, self._rule("base"), self._initial_beta(), generator=None
+        )
         self._prepared.clear()
 
     def training_step(self, view: View, step: int) -> dict[str, float]:
@@ -114,7 +116,10 @@ class GaussianMethod(Method):
     def events(self, step: int) -> set[str]:
         """What this run does after Adam's step number `step`."""
         s, happens = self.settings, set()
-        if self.schedule.densifies(step, start=s.densify_from, stop=s.densify_until, interval=s.densify_every):
+        recovers = self.schedule.recovers(step, interval=s.opacity_reset_every)
+        if not recovers and self.schedule.densifies(
+            step, start=s.densify_from, stop=s.densify_until, interval=s.densify_every
+        ):
             happens.add("densify_base")
         if self.schedule.resets(step, stop=s.densify_until, interval=s.opacity_reset_every):
             happens.add("reset_base_opacity")
@@ -178,6 +183,7 @@ class GaussianMethod(Method):
 
     def _set_rates(self, step: int) -> None:
         rate = self.schedule.position_rate(step, self.settings.position_lr, self.settings.position_lr_final)
+        rate *= self.schedule.rate_scale
         for trained in self.sets.values():
             trained.parameters.set_learning_rate("means", rate * self.radius)
 
@@ -225,12 +231,19 @@ class GaussianMethod(Method):
         return rendering.alpha.detach() if self.settings.normal_weighting == "alpha" else None
 
     def _is_finite(self, values: Tensor) -> bool:
+        """Whether losses and all gradients are finite: a sum is, unless one of its terms is not."""
         gradients = [p.grad for o in self._optimizers() for g in o.param_groups for p in g["params"]]
-        present = [gradient for gradient in gradients if gradient is not None and gradient.numel()]
-        largest = torch.nn.utils.get_total_norm(present, norm_type=float("inf"))
-        return bool(torch.isfinite(largest) & torch.isfinite(values).all())
+        sums = [gradient.sum() for gradient in gradients if gradient is not None]
+        return bool(torch.isfinite(torch.stack([values.sum(), *sums])).all())
 
-    def _new_set(self, points: Tensor, colors: Tensor, rule: DensificationRule, beta: float | None) -> TrainedSet:
+    def _new_set(
+        self,
+        points: Tensor,
+        colors: Tensor,
+        rule: DensificationRule,
+        beta: float | None,
+        generator: torch.Generator | None,
+    ) -> TrainedSet:
         tensors = initial_tensors(
             points.to(self.device, torch.float32),
             colors.to(self.device, torch.float32),
@@ -239,7 +252,7 @@ class GaussianMethod(Method):
             opacity=self.settings.initial_opacity,
             beta=beta,
             radius=self.radius,
-            generator=self.generator,
+            generator=generator,
         )
         return TrainedSet(GaussianParameters(tensors, self._rates(), self.radius), rule)
 
@@ -248,8 +261,15 @@ class GaussianMethod(Method):
         return DensificationRule(s.densify_threshold, s.min_opacity, s.max_primitives)
 
     def _rates(self) -> LearningRates:
-        s = self.settings
-        return LearningRates(s.position_lr, s.sh_lr, s.sh_lr / 20, s.opacity_lr, s.scale_lr, s.rotation_lr)
+        s, scale = self.settings, self.schedule.rate_scale
+        return LearningRates(
+            position=s.position_lr * scale,
+            sh_dc=s.sh_lr * scale,
+            sh_rest=s.sh_lr * scale / 20,
+            opacity=s.opacity_lr,
+            scale=s.scale_lr,
+            rotation=s.rotation_lr * scale,
+        )
 
 
 def _extent(points: Tensor) -> float:

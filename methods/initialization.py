@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from .parameters import inverse_sigmoid, sh_from_rgb
 
 NEIGHBOURS = 3
+PLANE_NEIGHBOURS = 8
 SMALLEST_SCALE = 1e-5  # of the scene radius: coincident points still need an extent
 
 
@@ -27,6 +29,20 @@ def neighbour_distance(points: Tensor, radius: float) -> Tensor:
     return rms.clamp_min(SMALLEST_SCALE * radius).to(points)
 
 
+def local_orientation(points: Tensor) -> Tensor:
+    """Quaternions [N, 4] (wxyz) whose third axis is the normal of the plane through a point's neighbours.
+
+    The normal is the direction in which a point and its 8 nearest neighbours vary least (principal components).
+    """
+    positions = points.detach().cpu().double().numpy()
+    count = min(PLANE_NEIGHBOURS + 1, len(positions))
+    around = positions[cKDTree(positions).query(positions, k=[*range(1, count + 1)], workers=-1)[1]]
+    centred = around - around.mean(axis=1, keepdims=True)
+    axes = np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)[1][:, :, ::-1].copy()
+    axes[:, :, 2] *= np.linalg.det(axes)[:, None]  # a rotation, not a reflection
+    return torch.from_numpy(Rotation.from_matrix(axes).as_quat(scalar_first=True)).to(points)
+
+
 def initial_tensors(
     points: Tensor,  # [N, 3]
     colors: Tensor,  # [N, 3] in [0, 1]
@@ -36,18 +52,19 @@ def initial_tensors(
     opacity: float,
     beta: float | None,
     radius: float,
-    generator: torch.Generator,
+    generator: torch.Generator | None,
 ) -> dict[str, Tensor]:
     """`GaussianParameters`' tensors for one primitive at each point.
 
-    Isotropic, with the neighbour distance as scale on its `axes` (2: surfels, 3: 3D Gaussians), a random orientation,
-    one opacity, the point's colour from every side, and, where `beta` is given, that blending weight.
+    Isotropic, with the neighbour distance as scale on its `axes` (2: surfels, 3: 3D Gaussians), one opacity, the
+    point's colour from every side, and, where `beta` is given, that blending weight. Orientations are random with a
+    generator; with None they follow the surface that the points lie on.
     """
     n = len(points)
     dc, rest = sh_from_rgb(colors, sh_degree)
     tensors = {
         "means": points.clone(),
-        "quaternions": torch.randn(n, 4, generator=generator).to(points),
+        "quaternions": torch.randn(n, 4, generator=generator).to(points) if generator else local_orientation(points),
         "log_scales": neighbour_distance(points, radius).log()[:, None].repeat(1, axes),
         "opacity_logits": inverse_sigmoid(torch.full_like(points[:, 0], opacity)),
         "sh_dc": dc,

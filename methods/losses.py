@@ -8,6 +8,8 @@ from torch.nn import functional
 
 from envgs_bench.core.ssim import ssim
 
+from .vectors import unit
+
 SSIM_SHARE = 0.2  # of the photometric loss, as 3DGS
 
 
@@ -46,7 +48,7 @@ def depth_normals(depth: Tensor, directions: Tensor) -> Tensor:
     right = points[1:-1, 2:] - points[1:-1, :-2]
     hit = depth.detach() > 0
     complete = hit[2:, 1:-1] & hit[:-2, 1:-1] & hit[1:-1, 2:] & hit[1:-1, :-2]
-    normals = functional.normalize(torch.linalg.cross(down, right), dim=-1) * complete[..., None]
+    normals = unit(torch.linalg.cross(down, right)) * complete[..., None]
     return functional.pad(normals, (0, 0, 1, 1, 1, 1))
 
 

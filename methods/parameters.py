@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from envgs_bench.core import GaussianSet
 
@@ -142,7 +141,3 @@ def sh_from_rgb(rgb: Tensor, degree: int) -> tuple[Tensor, Tensor]:
     """SH that shows `rgb` [N, 3] from every direction: the constant [N, 1, 3] and zeros [N, (degree+1)² − 1, 3]."""
     dc = ((rgb - 0.5) / SH_DC)[:, None]
     return dc, dc.new_zeros(len(rgb), (degree + 1) ** 2 - 1, 3)
-
-
-def normalised(quaternions: Tensor) -> Tensor:
-    return functional.normalize(quaternions, dim=-1)

@@ -13,12 +13,12 @@ from typing import ClassVar
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from envgs_bench.core import Camera, Rendering, Scene, Statistics
 
 from .gaussian_method import GaussianMethod, GaussianSettings
 from .parameters import LearningRates, inverse_sigmoid
+from .vectors import unit
 
 MIN_ALPHA = 1e-2  # a pixel with less alpha, or a shorter blended normal, has no surface to reflect at
 SABOTAGE_BELOW = 0.05  # β up to which a base colour is disturbed
@@ -172,7 +172,7 @@ class ReflectiveMethod(GaussianMethod):
         return self.settings.initial_beta
 
     def _rates(self) -> LearningRates:
-        return replace(super()._rates(), beta=self.settings.beta_lr)
+        return replace(super()._rates(), beta=self.settings.beta_lr * self.schedule.rate_scale)
 
     def _state(self) -> dict:
         return super()._state() | {"reflects": self.reflects}
@@ -210,8 +210,8 @@ def reflected_rays(
         normal, depth = normal.detach(), depth.detach()
     if len(pixels) < len(directions):
         directions, normal, depth = (values.index_select(0, pixels) for values in (directions, normal, depth))
-    normal = functional.normalize(normal, dim=-1)
+    normal = unit(normal)
     origins = torch.addcmul(camera.centre + offset * normal, depth, directions)
-    unit = functional.normalize(directions, dim=-1)
-    reflected = unit - 2 * (unit * normal).sum(-1, keepdim=True) * normal
+    incoming = unit(directions)
+    reflected = incoming - 2 * (incoming * normal).sum(-1, keepdim=True) * normal
     return pixels, origins, reflected

@@ -6,8 +6,8 @@ below a floor, because some things take a number of steps and not a share of the
 
 | interval | floor | why |
 |---|---|---|
-| densification | 20 steps | its criterion is a mean over views |
-| colour sabotage, normal propagation | 50 steps | the picture has to come back in between |
+| densification | 30 steps | its criterion is a mean over views |
+| colour sabotage, normal propagation | 100 steps | the picture has to come back in between |
 | opacity reset | 150 steps | an opacity climbs back from 0.01 at 0.05 a step |
 """
 
@@ -17,9 +17,10 @@ import math
 from dataclasses import dataclass
 
 REFERENCE_STEPS = 30_000
-DENSIFY_FLOOR = 20
-DISTURB_FLOOR = 50
+DENSIFY_FLOOR = 30
+DISTURB_FLOOR = 100
 RESET_FLOOR = 150
+RECOVERY = 100
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,25 @@ class Schedule:
         progress = min(step / self.steps, 1.0)
         return math.exp((1 - progress) * math.log(first) + progress * math.log(last))
 
+    @property
+    def rate_scale(self) -> float:
+        """By how much a shorter run raises the rates of positions, rotations, colours and β: √(30,000 / steps), ≥ 1.
+
+        Adam moves a parameter by about its learning rate a step, so fewer steps reach less far; the square root is
+        between keeping the steps and keeping the reach. Scales and opacities, which run away, keep their rates.
+        """
+        return max(1.0, math.sqrt(REFERENCE_STEPS / self.steps))
+
     def densifies(self, step: int, *, start: int, stop: int, interval: int) -> bool:
         """Whether a densification that runs every `interval` between `start` and `stop` (reference) falls on `step`."""
         return self.at(start) < step < self.at(stop) and self._falls_on(step, interval, DENSIFY_FLOOR)
+
+    def recovers(self, step: int, *, interval: int) -> bool:
+        """Whether `step` is within 100 steps after an opacity reset, when opacities say nothing about need.
+
+        A reference run resets every 3,000 steps and densifies every 100, so it never prunes in this time either.
+        """
+        return interval > 0 and step >= (every := self.every(interval, RESET_FLOOR)) and 0 < step % every < RECOVERY
 
     def resets(self, step: int, *, stop: int, interval: int) -> bool:
         """Whether an opacity reset, every `interval` until before `stop` (reference), falls on `step`."""
