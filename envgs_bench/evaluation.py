@@ -25,8 +25,8 @@ def evaluate(
 ) -> tuple[Metrics, dict[str, MaskedScores]]:
     """Scores of `views` and of every region that their masks name.
 
-    Writes renders/<view>.png, targets/<view>.png, layers/<view>-<layer>.png and masks/<view>-<region>.png into `folder`,
-    8-bit, colours in sRGB. Where a view brings exact normals, `normal_degrees` is added to its scores: see
+    Writes renders/<view>.png, targets/<view>.png, layers/<view>-<layer>.png and masks/<view>-<region>.png into
+    `folder`, 8-bit, colours in sRGB. Where a view brings exact normals, `normal_degrees` is added to its scores: see
     `normal_error`.
 
     Raises:
