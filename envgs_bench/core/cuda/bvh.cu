@@ -37,34 +37,6 @@ extern "C" __global__ void __launch_bounds__(256)
     if (threadIdx.x < 7) atomicAdd(statistics->sum + threadIdx.x, block.sum[threadIdx.x]);
 }
 
-// Position along a Hilbert curve of 2^(3·bits) cells (Skilling 2004).
-ENVGS_FN u32 hilbert_position(u32 (&x)[3], int bits) {
-    u32 top = 1u << (bits - 1);
-    for (u32 q = top; q > 1; q >>= 1) {
-        u32 p = q - 1;
-#pragma unroll
-        for (int k = 0; k < 3; ++k) {
-            if (x[k] & q) {
-                x[0] ^= p;
-            } else {
-                u32 t = (x[0] ^ x[k]) & p;
-                x[0] ^= t;
-                x[k] ^= t;
-            }
-        }
-    }
-    x[1] ^= x[0];
-    x[2] ^= x[1];
-    u32 t = 0;
-    for (u32 q = top; q > 1; q >>= 1)
-        if (x[2] & q) t ^= q - 1;
-    u32 position = 0;
-    for (int bit = bits - 1; bit >= 0; --bit)
-#pragma unroll
-        for (int k = 0; k < 3; ++k) position = position << 1 | ((x[k] ^ t) >> bit & 1);
-    return position;
-}
-
 extern "C" __global__ void hilbert_keys(const float* means, const float* opacities, int count,
                                         const CentreStatistics* statistics, u32* keys) {
     int i = blockIdx.x * blockDim.x + threadIdx.x;
@@ -82,7 +54,8 @@ ENVGS_FN Box empty_box() {
     return {{kInfinity, kInfinity, kInfinity}, {-kInfinity, -kInfinity, -kInfinity}};
 }
 
-// Around the supporting disc: along each axis r·√((s_u·t_u)² + (s_v·t_v)²), and a hair for rounding.
+// Around the supporting disc: along each axis r·√((s_u·t_u)² + (s_v·t_v)²), and a hair for the rounding of this and of
+// the shafts that it is held against.
 ENVGS_FN Box box_of(const TracedSurfel& s, Vec3<float> axis_u, Vec3<float> axis_v) {
     float u[3] = {axis_u.x, axis_u.y, axis_u.z}, v[3] = {axis_v.x, axis_v.y, axis_v.z};
     float mean[3] = {s.mean.x, s.mean.y, s.mean.z};
@@ -90,7 +63,7 @@ ENVGS_FN Box box_of(const TracedSurfel& s, Vec3<float> axis_u, Vec3<float> axis_
     bool finite = s.support > 0.0f;
     for (int k = 0; k < 3; ++k) {
         float half = square_root(s.support * (u[k] * u[k] + v[k] * v[k]));
-        half += 2e-6f * (absolute(mean[k]) + half);
+        half += 8e-6f * (absolute(mean[k]) + half);
         box.low[k] = mean[k] - half, box.high[k] = mean[k] + half;
         finite = finite && box.low[k] > -kInfinity && box.high[k] < kInfinity;
     }

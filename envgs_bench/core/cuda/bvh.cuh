@@ -73,4 +73,32 @@ struct Extent {
     }
 };
 
+// Position along a Hilbert curve of 2^(3·bits) cells (Skilling 2004).
+ENVGS_FN u32 hilbert_position(u32 (&x)[3], int bits) {
+    u32 top = 1u << (bits - 1);
+    for (u32 q = top; q > 1; q >>= 1) {
+        u32 p = q - 1;
+#pragma unroll
+        for (int k = 0; k < 3; ++k) {
+            if (x[k] & q) {
+                x[0] ^= p;
+            } else {
+                u32 t = (x[0] ^ x[k]) & p;
+                x[0] ^= t;
+                x[k] ^= t;
+            }
+        }
+    }
+    x[1] ^= x[0];
+    x[2] ^= x[1];
+    u32 t = 0;
+    for (u32 q = top; q > 1; q >>= 1)
+        if (x[2] & q) t ^= q - 1;
+    u32 position = 0;
+    for (int bit = bits - 1; bit >= 0; --bit)
+#pragma unroll
+        for (int k = 0; k < 3; ++k) position = position << 1 | ((x[k] ^ t) >> bit & 1);
+    return position;
+}
+
 }  // namespace envgs

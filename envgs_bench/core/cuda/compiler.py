@@ -28,7 +28,7 @@ def why_unavailable() -> str | None:
     if capability < OLDEST_CAPABILITY:
         return f"the GPU has compute capability {capability[0]}.{capability[1]}, 8.0 or newer is needed"
     try:
-        _cuda_core()
+        cuda_core()
         from cuda.bindings import nvrtc
 
         nvrtc.nvrtcVersion()
@@ -46,7 +46,7 @@ def compile_kernels(sources: tuple[str, ...], macros: tuple[tuple[str, str], ...
     """
     major, minor = torch.cuda.get_device_capability(device)
     architecture = f"sm_{major}{minor}"
-    core = _cuda_core()
+    core = cuda_core()
     path = cache_dir() / f"{_key(sources, macros, architecture)}.cubin"
     try:
         return core.ObjectCode.from_cubin(path.read_bytes())
@@ -69,7 +69,8 @@ def cache_dir() -> Path:
     return Path(os.environ.get("ENVGS_BENCH_CACHE") or "~/.cache/envgs-bench").expanduser() / "kernels"
 
 
-def _cuda_core() -> ModuleType:
+@cache
+def cuda_core() -> ModuleType:
     import cuda.core as core
 
     if hasattr(core, "Program"):

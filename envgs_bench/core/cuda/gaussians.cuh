@@ -41,10 +41,16 @@ ENVGS_FN void write3(float* planes, long at, long pixels, Vec3<float> v) {
 
 // The sums of a pixel or ray as they grow from front to back.
 struct Blended {
-    Vec3<float> color = {0.0f, 0.0f, 0.0f}, normal = {0.0f, 0.0f, 0.0f};
-    float depth = 0.0f, transmittance = 1.0f;
-    float extras[kExtras + 1] = {};
-    int hits = 0;
+    Vec3<float> color, normal;
+    float depth, transmittance;
+    int hits;
+    float extras[kExtras + 1];
+
+    ENVGS_FN static Blended nothing() {
+        Blended sums = {};
+        sums.transmittance = 1.0f;
+        return sums;
+    }
 
     ENVGS_FN void add(float weight, Vec3<float> c, float t, Vec3<float> facing_normal, const float* e) {
         color = color + weight * c;

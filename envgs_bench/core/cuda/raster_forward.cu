@@ -11,7 +11,7 @@ extern "C" __global__ void __launch_bounds__(256)
     const View& view = *view_at;
     Pixel pixel = own_pixel(view, blockIdx.x, tiles_x);
     float x = pixel.x + 0.5f, y = pixel.y + 0.5f, near = view.near;
-    Blended sums;
+    Blended sums = Blended::nothing();
     bool live = pixel.inside;
     walk_tile(ranges[blockIdx.x], instance_slots, records, outlines, blockIdx.x % tiles_x * kTile,
               blockIdx.x / tiles_x * kTile, live, [&](const Record& p, u32 slot) {

@@ -4,39 +4,30 @@
 
 using namespace envgs;
 
-// order [visible]: slots, nearest first. Threads of a block share the block's instances evenly, however unequal the
-// primitives are.
+// order [visible]: slots, nearest first; a thread a primitive.
 extern "C" __global__ void __launch_bounds__(256)
     emit_instances(const u32* order, const Outline* outlines, const u32* tile_counts, Counters* counters, u32 capacity,
                    int tiles_x, u32* tile_keys, u32* instance_slots, u64* state, u32* ticket) {
-    __shared__ u32 starts[257], slots[256];
     __shared__ u64 first_instance;
     u32 block = take_ticket(ticket), visible = counters->visible;
     if (u64(block) * 256 >= visible) return;
-    u32 at = block * 256 + threadIdx.x;
-    u32 slot = at < visible ? order[at] : 0, count = at < visible ? tile_counts[slot] : 0, total;
-    starts[threadIdx.x] = block_exclusive_sum(count, total);
-    slots[threadIdx.x] = slot;
+    u32 at = block * 256 + threadIdx.x, total;
+    u32 slot = at < visible ? order[at] : 0;
+    u32 before = block_exclusive_sum(at < visible ? tile_counts[slot] : 0, total);
     if (threadIdx.x == 0) {
-        starts[256] = total;
         first_instance = sum_before_block(state, block, total);
         if (at + 256 >= visible) counters->drawn_instances = u32(min(first_instance + total, u64(capacity)));
     }
     __syncthreads();
-    for (u32 k = threadIdx.x; k < total && first_instance + k < capacity; k += 256) {
-        int owner = 0;
-#pragma unroll
-        for (int step = 128; step > 0; step /= 2)
-            if (starts[owner + step] <= k) owner += step;
-        Outline outline = outlines[slots[owner]];
-        int skip = k - starts[owner], row = outline.box.row0 / kTile;
+    if (at >= visible) return;
+    Outline outline = outlines[slot];
+    u64 instance = first_instance + before;
+    for (int row = outline.box.row0 / kTile; row <= outline.box.row1 / kTile; ++row) {
         Columns columns = tiles_in(outline, row);
-        while (skip > columns.last - columns.first) {
-            skip -= columns.last - columns.first + 1;
-            columns = tiles_in(outline, ++row);
+        for (int column = columns.first; column <= columns.last && instance < capacity; ++column, ++instance) {
+            tile_keys[instance] = row * tiles_x + column;
+            instance_slots[instance] = slot;
         }
-        tile_keys[first_instance + k] = row * tiles_x + columns.first + skip;
-        instance_slots[first_instance + k] = slots[owner];
     }
 }
 

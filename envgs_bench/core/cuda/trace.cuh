@@ -11,13 +11,16 @@ struct alignas(16) Appearance {
     float values[kAppearance];
 };
 
-// One ray's hits are remembered page by page: a page holds kPageHits hits of each of a packet's 32 rays.
-constexpr int kPageHits = 16;
+constexpr int kRays = 8;  // of a packet
+
+// The rays' hits are remembered page by page: a page holds rows of one hit (a slot) for each ray of a packet.
+constexpr int kPageRows = 32;
+constexpr u32 kNoHit = ~0u;
 
 struct Pages {
-    u32* slots;      // [capacity][kPageHits][32]
+    u32* slots;      // [capacity][kPageRows][kRays]
     int* next;       // [capacity]
-    int2* heads;     // [packets] first page, and how many rows of 32 hits follow from there
+    int2* heads;     // [packets] first page, and how many rows follow from there
     u32* used;       // may pass capacity: then hits were lost
     u32 capacity;    // 0: nothing is kept
 };
@@ -27,9 +30,8 @@ struct Ray {
     int index;  // −1: none
 };
 
-// The ray of this thread; packets take rays along `order`.
-ENVGS_FN Ray own_ray(const float* origins, const float* directions, const u32* order, int count, int packet) {
-    int at = packet * 32 + lane_id();
+// Ray `at` along `order`; packets take rays in that order.
+ENVGS_FN Ray ordered_ray(const float* origins, const float* directions, const u32* order, int count, long at) {
     if (at >= count) return {{0.0f, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}, -1};
     int index = order[at];
     return {load3(origins + 3l * index), load3(directions + 3l * index), index};

@@ -21,21 +21,21 @@ extern "C" __global__ void __launch_bounds__(128)
                        const float* g_normal, const float* g_extras, const u32* page_slots, const int* page_next,
                        const int2* page_heads, const u32* pages_used, u32 page_capacity, float* sums,
                        float* g_origins, float* g_directions) {
-    int packet = blockIdx.x * 4 + warp_id();
-    if (packet * 32l >= rays) return;
-    Ray ray = own_ray(origins, directions, order, rays, packet);
-    long at = ray.index < 0 ? 0 : ray.index;
+    long place = long(blockIdx.x) * blockDim.x + threadIdx.x;
+    if (place >= rays) return;
+    Ray ray = ordered_ray(origins, directions, order, rays, place);
+    long at = ray.index;
     Planes<const float> out = {color, alpha, depth, normal, extras, rays};
     Planes<const float> gradient = {g_color, g_alpha, g_depth, g_normal, g_extras, rays};
     Upstream g(out, gradient, at, load3(background));
     // Hits were lost for want of pages: gradients that cannot be mistaken for the right ones.
     if (*pages_used > page_capacity) g.transmittance = __int_as_float(0x7fc00000);
     Vec3<float> g_origin = {0.0f, 0.0f, 0.0f}, g_direction = {0.0f, 0.0f, 0.0f};
-    int2 head = page_heads[packet];
-    for (int page = head.x, rows = head.y; rows > 0 && page >= 0; rows -= kPageHits) {
-        for (int k = 0; k < min(rows, kPageHits); ++k) {
-            u32 slot = page_slots[(long(page) * kPageHits + k) * 32 + lane_id()];
-            if (slot == ~0u) continue;
+    int2 head = page_heads[place / kRays];
+    for (int page = head.x, rows = head.y; rows > 0 && page >= 0; rows -= kPageRows) {
+        for (int k = 0; k < min(rows, kPageRows); ++k) {
+            u32 slot = page_slots[(long(page) * kPageRows + k) * kRays + place % kRays];
+            if (slot == kNoHit) continue;
             TracedSurfel s = surfels[slot];
             Appearance look = appearances[slot];
             PlaneHit<float> hit = intersect(s.frame, ray.origin - s.mean, ray.direction);
@@ -68,9 +68,8 @@ extern "C" __global__ void __launch_bounds__(128)
             g_origin = g_origin + world - g_v;
             g_direction = g_direction + hit.t * world;
         }
-        if (rows > kPageHits) page = page_next[page];
+        if (rows > kPageRows) page = page_next[page];
     }
-    if (ray.index < 0) return;
     store3(g_origins + 3 * at, g_origin);
     store3(g_directions + 3 * at, g_direction);
 }

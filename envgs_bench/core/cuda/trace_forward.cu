@@ -1,65 +1,128 @@
-// Traces: a warp a packet of 32 rays. Hits are found (packet.cuh), then blended nearest first, a thread a ray.
+// Traces: a warp a packet of rays. Hits are found (packet.cuh), then blended nearest first: the threads of a warp share
+// the packet's rays, and blend as many hits of a ray at a time.
 #include "packet.cuh"
 
 using namespace envgs;
 
-constexpr int kWarps = 2;
+constexpr int kWarps = 1, kBlocks = 20;
+constexpr int kShares = 32 / kRays;  // threads a ray; thread l works for ray l % kRays
 
-extern "C" __global__ void __launch_bounds__(32 * kWarps)
+// Products over a ray's threads: of those before this one.
+ENVGS_FN float product_before(float factor) {
+    float through = factor;
+#pragma unroll
+    for (int offset = kRays; offset < 32; offset *= 2) {
+        float below = __shfl_up_sync(kFullWarp, through, offset);
+        if (lane_id() >= offset) through *= below;
+    }
+    float before = __shfl_up_sync(kFullWarp, through, kRays);
+    return lane_id() < kRays ? 1.0f : before;
+}
+
+template <class T>
+ENVGS_FN T sum_over_shares(T value) {
+#pragma unroll
+    for (int offset = kRays; offset < 32; offset *= 2) value += __shfl_xor_sync(kFullWarp, value, offset);
+    return value;
+}
+
+// The pages of a packet as they fill.
+struct PageWriter {
+    Pages pages;
+    int first = -1, page = -1, rows = 0;
+
+    // Makes room for `kShares` more rows and returns where they begin, or null where there is no room.
+    __device__ u32* more_rows() {
+        if (pages.capacity == 0) return nullptr;
+        int row = rows % kPageRows;
+        if (row == 0) {
+            int taken = lane_id() == 0 ? atomicAdd(pages.used, 1) : 0;
+            taken = __shfl_sync(kFullWarp, taken, 0);
+            if (taken >= pages.capacity) taken = -1;
+            if (rows == 0) first = taken;
+            if (lane_id() == 0 && page >= 0) pages.next[page] = taken;
+            page = taken;
+        }
+        rows += kShares;
+        return page < 0 ? nullptr : pages.slots + (long(page) * kPageRows + row) * kRays;
+    }
+};
+
+extern "C" __global__ void __launch_bounds__(32 * kWarps, kBlocks)
     trace_rays(const float* origins, const float* directions, const u32* order, int rays, const TracedSurfel* surfels,
                const Appearance* appearances, const float* boxes, int surfel_count, const CentreStatistics* statistics,
                float t_min, float transmittance_min, const float* background, float* color, float* alpha, float* depth,
                float* normal, float* extras, int* hit_counts, float* weights, u32* page_slots, int* page_next,
                int2* page_heads, u32* pages_used, u32 page_capacity) {
     __shared__ PacketMemory memory[kWarps];
+    __shared__ Blended all_sums[32 * kWarps];  // not in registers, which the search is short of
     __shared__ Levels levels;
     if (threadIdx.x == 0) levels = Levels::of(surfel_count);
     __syncthreads();
     int packet_index = blockIdx.x * kWarps + warp_id();
-    if (packet_index * 32l >= rays) return;
-    Pages pages = {page_slots, page_next, page_heads, pages_used, page_capacity};
-    Ray ray = own_ray(origins, directions, order, rays, packet_index);
+    long first_ray = long(packet_index) * kRays;
+    if (first_ray >= rays) return;
+    PageWriter writer = {{page_slots, page_next, page_heads, pages_used, page_capacity}};
+    int share = lane_id() / kRays;
+    Ray ray = ordered_ray(origins, directions, order, rays, first_ray + lane_id() % kRays);
+    int index = ray.index;
+    const RayState& own = memory[warp_id()].rays[lane_id() % kRays];
     Extent extent(*statistics);
     float reach = kGroupReach * maximum(extent.size.x, maximum(extent.size.y, extent.size.z));
-    Packet packet(memory[warp_id()], levels, boxes, surfels, ray, t_min, reach);
-    Blended sums;
-    bool wanted = ray.index >= 0;
-    int first_page = -1, page = -1, listed = 0;
+    Packet packet(memory[warp_id()], levels, boxes, surfels, ray, t_min, transmittance_min, reach);
+    all_sums[threadIdx.x] = Blended::nothing();
+    float transmittance = 1.0f;
+    bool wanted = index >= 0;
     while (__any_sync(kFullWarp, wanted)) {
-        packet.search(wanted, sums.transmittance, transmittance_min);
-        wanted = wanted && packet.count() > 0;
+        packet.search(wanted, transmittance);
         bool ended = !wanted;
-        float t = 0.0f;
-        u32 slot = 0;
-        for (int k = 0; __any_sync(kFullWarp, !ended && k < packet.count()); ++k, ++listed) {
-            if (pages.capacity && listed % kPageHits == 0) {
-                int taken = lane_id() == 0 ? atomicAdd(pages.used, 1) : 0;
-                taken = __shfl_sync(kFullWarp, taken, 0);
-                if (taken >= pages.capacity) taken = -1;
-                if (listed == 0) first_page = taken;
-                if (lane_id() == 0 && page >= 0) pages.next[page] = taken;
-                page = taken;
+        int blended = 0;
+        Blended sums = all_sums[threadIdx.x];
+        for (int first = 0; __any_sync(kFullWarp, !ended && first < packet.count()); first += kShares) {
+            int k = first + share;
+            bool listed = !ended && k < packet.count();
+            u32 slot = listed ? packet.slot(k) : 0;
+            TracedSurfel s;
+            PlaneHit<float> hit;
+            float a = 0.0f;
+            if (listed) {
+                s = surfels[slot];
+                hit = intersect(s.frame, own.origin - s.mean, own.direction);
+                a = response_alpha(s.opacity, hit.u * hit.u + hit.v * hit.v);
             }
-            bool blends = !ended && k < packet.count();
+            float before = transmittance * product_before(1.0f - a);
+            bool blends = listed && before >= transmittance_min;
             if (blends) {
-                t = packet.t(k), slot = packet.slot(k);
-                TracedSurfel s = surfels[slot];
                 Appearance look = appearances[slot];
-                PlaneHit<float> hit = intersect(s.frame, ray.origin - s.mean, ray.direction);
-                float a = response_alpha(s.opacity, hit.u * hit.u + hit.v * hit.v);
-                float weight = sums.transmittance * a;
-                Vec3<float> c = sh_color<kShDegree>(look.values, s.mean - ray.origin);
-                sums.add(weight, c, t, (hit.d_z < 0.0f ? 1.0f : -1.0f) * s.frame.n, look.values + kShFloats);
-                sums.transmittance *= 1.0f - a;
-                atomicAdd(weights + s.index, weight);
-                ended = sums.transmittance < transmittance_min;
+                Vec3<float> c = sh_color<kShDegree>(look.values, s.mean - own.origin);
+                sums.add(before * a, c, hit.t, (hit.d_z < 0.0f ? 1.0f : -1.0f) * s.frame.n, look.values + kShFloats);
+                atomicAdd(weights + s.index, before * a);
             }
-            if (page >= 0) pages.slots[(long(page) * kPageHits + listed % kPageHits) * 32 + lane_id()] = blends ? slot : ~0u;
+            u32* rows = writer.more_rows();
+            if (rows) rows[lane_id()] = blends ? slot : kNoHit;
+            // Which of the ray's threads blended: always the first ones.
+            u32 threads = __ballot_sync(kFullWarp, blends) >> lane_id() % kRays;
+            int count = 0;
+#pragma unroll
+            for (int other = 0; other < kShares; ++other) count += threads >> other * kRays & 1;
+            float after = __shfl_sync(kFullWarp, before * (1.0f - a), max(count - 1, 0) * kRays + lane_id() % kRays);
+            if (count) transmittance = after;
+            blended += count;
+            ended = ended || transmittance < transmittance_min;
         }
+        all_sums[threadIdx.x] = sums;
         wanted = wanted && !ended && packet.dropped();
-        if (wanted) packet.resume_after(t, slot);
+        packet.resume_after(wanted ? blended - 1 : -1);
     }
-    if (pages.capacity && lane_id() == 0) pages.heads[packet_index] = make_int2(first_page, listed);
+    if (writer.pages.capacity && lane_id() == 0) page_heads[packet_index] = make_int2(writer.first, writer.rows);
+    Blended sums = all_sums[threadIdx.x];
+    sums.color = {sum_over_shares(sums.color.x), sum_over_shares(sums.color.y), sum_over_shares(sums.color.z)};
+    sums.normal = {sum_over_shares(sums.normal.x), sum_over_shares(sums.normal.y), sum_over_shares(sums.normal.z)};
+    sums.depth = sum_over_shares(sums.depth);
+#pragma unroll
+    for (int e = 0; e < kExtras; ++e) sums.extras[e] = sum_over_shares(sums.extras[e]);
+    sums.hits = sum_over_shares(sums.hits);
+    sums.transmittance = transmittance;
     Planes<float> out = {color, alpha, depth, normal, extras, rays};
-    if (ray.index >= 0) sums.store(out, hit_counts, ray.index, load3(background));
+    if (share == 0 && index >= 0) sums.store(out, hit_counts, index, load3(background));
 }

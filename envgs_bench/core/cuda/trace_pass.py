@@ -12,9 +12,9 @@ from .bvh import SurfelTree
 from .launch import Kernels, aligned, blocks_for, kernels
 from .sorting import radix_sort
 
-PACKET = 32  # rays
-PAGE_HITS = 16  # hits a ray that a page holds
-PAGES_A_PACKET = 4  # at first
+PACKET = 8  # rays
+PAGE_ROWS = 32  # hits a ray that a page holds
+PAGES_A_PACKET = 2  # at first
 
 # Pages that a packet of the latest bundle on a device took. A bundle gets a quarter more; should that turn out too
 # little, the backward pass traces once more with enough.
@@ -71,11 +71,11 @@ class TracePass:
         planes = Planes.empty(tensors.means, self.rays, tensors.extras.shape[1])
         hits = torch.empty(self.rays, dtype=torch.int32, device=self.device)
         weights = torch.zeros_like(tensors.opacities)
-        self.page_slots = torch.empty(pages * PAGE_HITS * PACKET, dtype=torch.int32, device=self.device)
+        self.page_slots = torch.empty(pages * PAGE_ROWS * PACKET, dtype=torch.int32, device=self.device)
         self.page_next = torch.empty(pages, dtype=torch.int32, device=self.device)
         self.page_heads = torch.empty(2 * self.packets, dtype=torch.int32, device=self.device)
         self.pages_used = torch.zeros(1, dtype=torch.int32, device=self.device)
-        launch("trace_rays", blocks_for(self.packets, 2), 64, self.origins, self.directions, self.order, self.rays,
+        launch("trace_rays", self.packets, 32, self.origins, self.directions, self.order, self.rays,
                tree.surfels, self.appearances, tree.boxes, tree.count, tree.statistics, float(options.t_min),
                float(options.transmittance_min), self.background, *planes, hits, weights, self.page_slots,
                self.page_next, self.page_heads, self.pages_used, pages)  # fmt: skip
@@ -97,7 +97,7 @@ class TracePass:
         floats = -(-(19 + 3 * tensors.sh.shape[1] + tensors.extras.shape[1]) // 4) * 4
         sums = tensors.means.new_zeros(count, floats)
         g_origins, g_directions = torch.empty_like(self.origins), torch.empty_like(self.directions)
-        launch("differentiate_rays", blocks_for(self.packets, 4), 128, self.origins, self.directions, self.order,
+        launch("differentiate_rays", blocks_for(self.rays, 128), 128, self.origins, self.directions, self.order,
                self.rays, tree.surfels, self.appearances, self.background, *planes, *gradients, self.page_slots,
                self.page_next, self.page_heads, self.pages_used, self.pages, sums, g_origins,
                g_directions)  # fmt: skip

@@ -3,31 +3,28 @@
 
 using namespace envgs;
 
-// Rays that start alike and head alike get neighbouring keys: a Morton order over direction (octahedral map) and
-// origin. The tracer's packets are 32 rays along it, whatever order the caller's rays come in.
+// Rays whose two ends are alike get neighbouring keys: the origin, and the point where the ray leaves the box of the
+// surfels, which is near to what it hits. Both lie on Hilbert curves, and the key takes three bits of either in turn.
+// The tracer's packets are rays along this order, whatever order the caller's rays come in.
 extern "C" __global__ void ray_keys(const float* origins, const float* directions, int count,
                                     const CentreStatistics* statistics, u32* keys) {
     int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i >= count) return;
-    Vec3<float> d = load3(directions + 3l * i);
-    u32 cell[5];
-    float norm = absolute(d.x) + absolute(d.y) + absolute(d.z);
-    float u = d.x / norm, v = d.y / norm;
-    if (d.z < 0.0f) {
-        float folded = copysignf(1.0f - absolute(v), u);
-        v = copysignf(1.0f - absolute(u), v);
-        u = folded;
-    }
-    cell[0] = u32(minimum(maximum((u + 1.0f) * 64.0f, 0.0f), 127.0f));
-    cell[1] = u32(minimum(maximum((v + 1.0f) * 64.0f, 0.0f), 127.0f));
-    u32 position[3];
-    Extent(*statistics).quantise(load3(origins + 3l * i), 6, position);
-    cell[2] = position[0], cell[3] = position[1], cell[4] = position[2];
-    u32 key = cell[0] >> 6 << 1 | cell[1] >> 6;
-    for (int bit = 5; bit >= 0; --bit)
-#pragma unroll
-        for (int k = 0; k < 5; ++k) key = key << 1 | (cell[k] >> bit & 1);
-    keys[i] = key;
+    Extent extent(*statistics);
+    Vec3<float> o = load3(origins + 3l * i), d = load3(directions + 3l * i), high = extent.low + extent.size;
+    float x = ((d.x > 0.0f ? high.x : extent.low.x) - o.x) / d.x;
+    float y = ((d.y > 0.0f ? high.y : extent.low.y) - o.y) / d.y;
+    float z = ((d.z > 0.0f ? high.z : extent.low.z) - o.z) / d.z;
+    float leaves = kInfinity;
+    if (x > 0.0f) leaves = minimum(leaves, x);
+    if (y > 0.0f) leaves = minimum(leaves, y);
+    if (z > 0.0f) leaves = minimum(leaves, z);
+    u32 first[3], last[3];
+    extent.quantise(o, 5, first);
+    extent.quantise(o + leaves * d, 6, last);
+    u64 from = hilbert_position(first, 5), to = hilbert_position(last, 6), key = to >> 15;
+    for (int bit = 12; bit >= 0; bit -= 3) key = (key << 3 | (from >> bit & 7)) << 3 | (to >> bit & 7);
+    keys[i] = u32(key >> 1);
 }
 
 // surfels' appearances in the tree's order; a thread a float.
