@@ -33,13 +33,15 @@ def sfm_points(views: list[View], noise: float, far_points: int, rng: np.random.
     kept = np.flatnonzero(seen_by >= 2)
     kept = rng.permutation(kept)[:COUNT]
     points = points[kept] + noise * rng.normal(size=(len(kept), 3))
-    extra = [_ghosts(view, round(COUNT * GHOST_SHARE / len(views)), rng) for view in views]
-    extra += [
-        _far(view, round(far_points * (index + 1) / len(views)) - round(far_points * index / len(views)), rng)
-        for index, view in enumerate(views)
-    ]
+    shares = zip(views, _shares(round(COUNT * GHOST_SHARE), len(views)), _shares(far_points, len(views)), strict=True)
+    extra = [found for view, ghosts, far in shares for found in (_ghosts(view, ghosts, rng), _far(view, far, rng))]
     extra_points, extra_colors = (np.concatenate(arrays) for arrays in zip(*extra, strict=True))
     return np.concatenate([points, extra_points]), np.concatenate([colors[kept], extra_colors])
+
+
+def _shares(total: int, parts: int) -> list[int]:
+    """`total` in whole parts, as equal as can be."""
+    return np.diff(np.linspace(0, total, parts + 1).round().astype(int)).tolist()
 
 
 def _on_surfaces(view: View, count: int, rng: np.random.Generator) -> Array:
