@@ -166,7 +166,8 @@ class GaussianMethod(Method):
             terms["normal"] = settings.normal_weight * normal_loss(rendering.normal, reference, weight)
         if settings.mono_weight > 0 and view.normal is not None:
             reference = view.normal.to(rendering.normal)
-            terms["mono"] = settings.mono_weight * normal_loss(rendering.normal, reference, weight)
+            mono_weight = settings.mono_weight * self.schedule.rate_scale
+            terms["mono"] = mono_weight * normal_loss(rendering.normal, reference, weight)
         if self.perceptual and settings.perceptual_weight > 0 and step > self.schedule.at(settings.perceptual_from):
             terms["perceptual"] = settings.perceptual_weight * self.perceptual(rendering.color, target)
         return terms

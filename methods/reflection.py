@@ -37,7 +37,7 @@ class ReflectionSettings(GaussianSettings):
 
     bootstrap: int = 3_000  # steps with the base set alone
     joint: bool = True  # reflected rays pass gradients on to the base set's normals and positions
-    initial_beta: float = 1e-3
+    initial_beta: float = 0.1  # 1e-3 where little reflects, 0.01 to 0.1 where much does
     beta_lr: float = 1e-2
     beta_threshold: float = 1 / 255  # an image traces no ray whose β is below; in training every surface reflects
     ray_offset: float = 1e-3  # a reflected ray starts this far above the surface, × scene radius
@@ -47,7 +47,7 @@ class ReflectionSettings(GaussianSettings):
     sabotage: bool = True
     propagate: bool = True
     propagate_hold: int = 200  # steps after a propagation in which opacities rest
-    beta_reset: str = "min"  # with an opacity reset, β to at most its start (min), to at least it (max), or none
+    beta_reset: str = "none"  # with an opacity reset, β to at most its start (min), to at least it (max), or none
     beta_reset_from: int = 6_000
 
 

@@ -7,7 +7,7 @@ below a floor, because some things take a number of steps and not a share of the
 | interval | floor | why |
 |---|---|---|
 | densification | 30 steps | its criterion is a mean over views |
-| colour sabotage, normal propagation | 100 steps | the picture has to come back in between |
+| colour sabotage, normal propagation | 200 steps, or half their time | the picture has to come back in between |
 | opacity reset | 150 steps | an opacity climbs back from 0.01 at 0.05 a step |
 """
 
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 REFERENCE_STEPS = 30_000
 DENSIFY_FLOOR = 30
-DISTURB_FLOOR = 100
+DISTURB_FLOOR = 200
 RESET_FLOOR = 150
 RECOVERY = 100
 
@@ -48,12 +48,13 @@ class Schedule:
 
     @property
     def rate_scale(self) -> float:
-        """By how much a shorter run raises the rates of positions, rotations, colours and β: √(30,000 / steps), ≥ 1.
+        """By how much a shorter run raises the rates of positions, rotations, colours and β: √(30,000 / steps), 1 to 10.
 
         Adam moves a parameter by about its learning rate a step, so fewer steps reach less far; the square root is
-        between keeping the steps and keeping the reach. Scales and opacities, which run away, keep their rates.
+        between keeping the steps and keeping the reach. Scales and opacities, which run away, keep their rates. The
+        monocular normal loss gains the same weight, to hold the surfaces that move faster.
         """
-        return max(1.0, math.sqrt(REFERENCE_STEPS / self.steps))
+        return min(max(1.0, math.sqrt(REFERENCE_STEPS / self.steps)), 10.0)
 
     def densifies(self, step: int, *, start: int, stop: int, interval: int) -> bool:
         """Whether a densification that runs every `interval` between `start` and `stop` (reference) falls on `step`."""
@@ -77,7 +78,8 @@ class Schedule:
         """
         in_time = self.at(start) < step <= self.at(stop)
         on_reset = self._falls_on(step, reset_interval, RESET_FLOOR)
-        return in_time and self._falls_on(step, interval, DISTURB_FLOOR) and not on_reset
+        floor = min(DISTURB_FLOOR, max(1, self.at(stop) // 2))
+        return in_time and self._falls_on(step, interval, floor) and not on_reset
 
     def _falls_on(self, step: int, interval: int, floor: int) -> bool:
         """Whether `step` is a multiple of the reference interval; never where that is 0."""

@@ -18,7 +18,7 @@ def events(kind: str, steps: int, **settings) -> dict[str, list[int]]:
 
 
 def test_envgs_at_30000_steps_is_the_recipe():
-    found = events("envgs", 30_000)
+    found = events("envgs", 30_000, beta_reset="min")
     assert found.pop("densify_base") == [*range(600, 3001, 100), *range(3500, 18_001, 500), *range(18_100, 21_000, 100)]
     assert found.pop("densify_env") == list(range(3500, 21_000, 500))
     thousands = [4, 5, 7, 8, 10, 11, 13, 14, 16, 17]
@@ -44,7 +44,7 @@ def test_twice_the_steps_stretch_the_schedule():
 
 
 def test_a_run_of_300_steps_has_every_phase():
-    full, short = events("envgs", 30_000), events("envgs", 300)
+    full, short = (events("envgs", steps, beta_reset="min") for steps in (30_000, 300))
     assert set(short) == set(full)
     assert min(len(short["densify_base"]), len(short["densify_env"])) >= 2
     last = max(step for steps in short.values() for step in steps)
@@ -57,7 +57,6 @@ def test_what_is_switched_off_never_happens():
         3000,
         sabotage=False,
         propagate=False,
-        beta_reset="none",
         opacity_reset_every=0,
         env_opacity_reset_every=0,
     )
@@ -69,6 +68,11 @@ def test_positions_decay_log_linearly():
     assert schedule.position_rate(0, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-4)
     assert schedule.position_rate(500, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-5)
     assert schedule.position_rate(1000, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-6)
+
+
+@pytest.mark.parametrize(("steps", "scale"), [(60_000, 1), (30_000, 1), (7500, 2), (300, 10), (10, 10)])
+def test_shorter_runs_learn_faster(steps, scale):
+    assert Schedule(steps).rate_scale == pytest.approx(scale)
 
 
 def test_a_run_without_steps_is_refused():
