@@ -1,6 +1,10 @@
 # make install | demo | test | test-slow | lint | bench | clean. Needs Python 3.11+, a C++ compiler and make.
 PYTHON ?= python3
 VENV ?= .venv
+# Waiting threads sleep: two programs that spin on one machine slow each other tenfold.
+export OMP_WAIT_POLICY ?= PASSIVE
+# Nothing here downloads the 528 MB of VGG-16 weights: scores that need them read n/c.
+export ENVGS_BENCH_VGG16 ?= off
 PIP_FLAGS ?=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,6 +32,9 @@ Exit status: 0 all runs ok, 1 some not, 2 wrong arguments, 130 interrupted.
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The `envgs-bench` command; returns its exit status."""
+    # OpenMP reads this as PyTorch is loaded, here and in the runs started from here. Threads that wait by spinning cost
+    # a run beside another (a parallel sweep, a shared machine) ten times its own time.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     options, rest = _parser().parse_known_args(arguments)
     if rest and options.command not in ("run", "bench"):
         _parser().error(f"unrecognized arguments: {' '.join(rest)}")
