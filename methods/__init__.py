@@ -1,0 +1,12 @@
+"""Methods: ways to learn a scene from views, all drawn by the one core.
+
+| kind | file | what it is |
+|---|---|---|
+| 2dgs | two_d_gs.py | surfels, rasterized |
+| 3dgs | three_d_gs.py | 3D Gaussians, rasterized |
+| envmap | envmap.py | surfels with β, and a cube map for what they reflect |
+| envgs | envgs.py | surfels with β, and traced environment surfels for what they reflect |
+
+The first two are `gaussian_method.py` and no more; the last two are `reflection.py`, which builds on it, and differ in
+where the reflected colour comes from. Another package adds a method by an entry point of group `envgs_bench.methods`.
+"""

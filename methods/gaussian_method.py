@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -19,39 +18,8 @@ from .losses import depth_normals, nearness, normal_loss, photometric_loss, psnr
 from .method import Method
 from .parameters import GaussianParameters, LearningRates
 from .schedule import Schedule
+from .settings import GaussianSettings
 from .trained_set import TrainedSet
-
-
-@dataclass(frozen=True)
-class GaussianSettings:
-    """Settings that all Gaussian methods share. Steps are those of a run of 30,000 (see `Schedule`)."""
-
-    backend: str = "auto"  # of the core: auto, cpu, cuda, torch
-    near: float = 0.2  # hits nearer to the camera are not drawn, world units
-    sh_degree: int = 2  # of the view-dependent colour, 0 to 3
-    sh_every: int = 0  # steps after which another SH degree is added; 0: all from the start
-
-    position_lr: float = 1.6e-4  # × scene radius, at the start; log-linear to
-    position_lr_final: float = 1.6e-6  # × scene radius, at the end
-    sh_lr: float = 2.5e-3  # of the constant term; 1/20 of it for the rest
-    opacity_lr: float = 5e-2
-    scale_lr: float = 5e-3
-    rotation_lr: float = 1e-3
-
-    initial_opacity: float = 0.1
-    densify_from: int = 500
-    densify_until: int = 15_000
-    densify_every: int = 100
-    densify_threshold: float = 2e-4  # gradient of the projected centre, in half images
-    min_opacity: float = 0.05  # pruned below
-    max_primitives: int = 1_800_000
-    opacity_reset_every: int = 3_000  # 0: never
-
-    normal_weight: float = 0.04  # of L_norm, rendered normals against those of the depth map
-    mono_weight: float = 0.01  # of L_mono, against the view's own normals where it has any
-    normal_weighting: str = "none"  # of both normal losses' pixels: none, depth (near ones count more), alpha
-    perceptual_weight: float = 0.01  # of L_perc, where the harness provides it
-    perceptual_from: int = 0
 
 
 class GaussianMethod(Method):

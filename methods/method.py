@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -62,28 +60,3 @@ class Method(ABC):
     @abstractmethod
     def load(self, folder: Path) -> None:
         """Read what `save` wrote. Raises FileNotFoundError or ValueError, naming the file."""
-
-
-def make_settings(settings_type: type, values: Mapping[str, Any], owner: str) -> Any:
-    """`values` as an instance of the dataclass `settings_type`.
-
-    Raises:
-        ValueError: a key is not one of its fields, or a value has another type than the default; the message lists
-            the known keys.
-    """
-    known = {field.name: field for field in dataclasses.fields(settings_type)}
-    unknown = sorted(set(values) - set(known))
-    if unknown:
-        raise ValueError(f"{owner} has no setting {', '.join(unknown)}; its settings are {', '.join(sorted(known))}")
-    return settings_type(**{key: _checked(owner, key, value, known[key].default) for key, value in values.items()})
-
-
-def _checked(owner: str, key: str, value: Any, default: Any) -> Any:
-    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if type(value) is not type(default):
-        expected = type(default).__name__
-        raise ValueError(
-            f"{owner}: setting {key} is {value!r}, expected a value of type {expected} such as {default!r}"
-        )
-    return value

@@ -16,8 +16,9 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, Rendering, Scene, Statistics
 
-from .gaussian_method import GaussianMethod, GaussianSettings
+from .gaussian_method import GaussianMethod
 from .parameters import LearningRates, inverse_sigmoid
+from .settings import GaussianSettings
 from .vectors import unit
 
 MIN_ALPHA = 1e-2  # a pixel with less alpha, or a shorter blended normal, has no surface to reflect at

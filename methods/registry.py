@@ -9,7 +9,8 @@ from typing import Any
 
 import torch
 
-from .method import Method, make_settings
+from .method import Method
+from .settings import make_settings
 
 ENTRY_POINT_GROUP = "envgs_bench.methods"
 

@@ -48,7 +48,7 @@ class Schedule:
 
     @property
     def rate_scale(self) -> float:
-        """By how much a shorter run raises the rates of positions, rotations, colours and β: √(30,000 / steps), 1 to 10.
+        """What a short run multiplies the rates of positions, rotations, colours and β by: √(30,000 / steps), 1 to 10.
 
         Adam moves a parameter by about its learning rate a step, so fewer steps reach less far; the square root is
         between keeping the steps and keeping the reach. Scales and opacities, which run away, keep their rates. The

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from .gaussian_method import GaussianMethod, GaussianSettings
+from .gaussian_method import GaussianMethod
+from .settings import GaussianSettings
 
 
 @dataclass(frozen=True)
