@@ -71,18 +71,18 @@ ENVGS_FN Box box_of(const TracedSurfel& s, Vec3<float> axis_u, Vec3<float> axis_
 }
 
 // The union over a warp, written by its first lane.
-ENVGS_FN void store_union(Box box, float* boxes, int stride, int at) {
+ENVGS_FN void store_union(Box box, float2* boxes, int stride, int at) {
 #pragma unroll
     for (int k = 0; k < 3; ++k) {
         float low = warp_min(box.low[k]), high = warp_max(box.high[k]);
-        if (lane_id() == 0) boxes[long(k) * stride + at] = low, boxes[long(k + 3) * stride + at] = high;
+        if (lane_id() == 0) boxes[long(k) * stride + at] = make_float2(low, high);
     }
 }
 
 // order [count]: the primitives along the curve. A thread a surfel; further threads pad the two lowest levels.
 extern "C" __global__ void __launch_bounds__(256)
     pack_surfels(const float* means, const float* quaternions, const float* scales, const float* opacities, int count,
-                 const u32* order, TracedSurfel* surfels, float* boxes) {
+                 const u32* order, TracedSurfel* surfels, float2* boxes) {
     Levels levels = Levels::of(count);
     int stride = levels.total(), slot = blockIdx.x * blockDim.x + threadIdx.x;
     Box box = empty_box();
@@ -98,17 +98,14 @@ extern "C" __global__ void __launch_bounds__(256)
     }
     if (slot < levels.offset[1]) {
 #pragma unroll
-        for (int k = 0; k < 3; ++k) {
-            boxes[long(k) * stride + slot] = box.low[k];
-            boxes[long(k + 3) * stride + slot] = box.high[k];
-        }
+        for (int k = 0; k < 3; ++k) boxes[long(k) * stride + slot] = make_float2(box.low[k], box.high[k]);
     }
     if (levels.count > 1 && slot / 32 < levels.offset[2] - levels.offset[1])
         store_union(box, boxes, stride, levels.offset[1] + slot / 32);
 }
 
 // Level `level` + 1 from level `level`; further threads pad it.
-extern "C" __global__ void join_boxes(float* boxes, int count, int level) {
+extern "C" __global__ void join_boxes(float2* boxes, int count, int level) {
     Levels levels = Levels::of(count);
     int stride = levels.total(), at = blockIdx.x * blockDim.x + threadIdx.x;
     if (at / 32 >= levels.offset[level + 2] - levels.offset[level + 1]) return;
@@ -116,8 +113,8 @@ extern "C" __global__ void join_boxes(float* boxes, int count, int level) {
     if (levels.offset[level] + at < levels.offset[level + 1])
 #pragma unroll
         for (int k = 0; k < 3; ++k) {
-            box.low[k] = boxes[long(k) * stride + levels.offset[level] + at];
-            box.high[k] = boxes[long(k + 3) * stride + levels.offset[level] + at];
+            float2 pair = boxes[long(k) * stride + levels.offset[level] + at];
+            box.low[k] = pair.x, box.high[k] = pair.y;
         }
     store_union(box, boxes, stride, levels.offset[level + 1] + at / 32);
 }

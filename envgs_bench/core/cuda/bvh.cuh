@@ -1,6 +1,6 @@
 // The tree: surfels along a Hilbert curve through their centres, 32 to a leaf, and 32 boxes to a node above. Children
 // follow from positions, so there are no pointers to build; a warp tests a node's 32 boxes at once, a thread each, from
-// six coalesced loads.
+// three coalesced loads.
 #pragma once
 #include "gaussians.cuh"
 #include "warp.cuh"
@@ -19,7 +19,7 @@ struct alignas(16) TracedSurfel {
 static_assert(sizeof(TracedSurfel) == 64, "four 16-byte loads");
 
 // Level 0 holds a box a surfel, level l + 1 a box for 32 of level l; each level is padded to whole groups of 32 with
-// empty boxes, and the last is one group. Six planes of floats: low x, y, z, high x, y, z.
+// empty boxes, and the last is one group. A plane of (low, high) pairs for each axis.
 struct Levels {
     int offset[kMaxLevels + 1];  // of each level in a plane; the last is the planes' length
     int count;

@@ -31,7 +31,7 @@ class SurfelTree:
         self.statistics[:3] = -1
         self.levels = level_sizes(self.count)
         self.surfels = torch.empty(max(self.count, 1), SURFEL_FLOATS, device=device)
-        self.boxes = torch.empty(6, sum(self.levels), device=device)
+        self.boxes = torch.empty(3, sum(self.levels), 2, device=device)
         self.order = self._order(tensors)
         self.refit(tensors)
 

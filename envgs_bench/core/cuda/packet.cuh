@@ -18,7 +18,7 @@ constexpr int kListed = 64;               // hits a ray may list in a search
 constexpr int kSpare = 8;                 // free places that cutting must leave
 constexpr int kStack = 32 * (kMaxLevels - 1);
 constexpr int kQueue = 128;
-constexpr float kGroupSlope = 0.25f;      // rays of a group: how far their slopes may differ from the first's
+constexpr float kGroupSlope = 0.12f;      // rays of a group: how far their slopes may differ from the first's
 constexpr float kGroupReach = 1.0f / 16;  // and their origins, as a share of the scene
 constexpr float kDepthSteps = 1048576.0f; // a ray's optical depth, −log₂ of its transmittance, is summed in these
 
@@ -51,8 +51,7 @@ struct Shaft {
     float start, end;      // along sign·axis
     float low[2], high[2]; // position at the start, on the two other axes
     float slope_low[2], slope_high[2];
-    int enter, leave;      // planes of boxes: the sides that the shaft meets first and last
-    int box_low[2], box_high[2];
+    int along, across[2];  // planes of boxes: the axis, and the two others
     u32 rays;              // bit r: ray r is in the group
 };
 
@@ -65,7 +64,7 @@ ENVGS_FN u32 depth_of(float transmittance) {
 // Thread l works for ray l % kRays wherever threads stand for rays.
 class Packet {
 public:
-    __device__ Packet(PacketMemory& memory, const Levels& levels, const float* boxes, const TracedSurfel* surfels,
+    __device__ Packet(PacketMemory& memory, const Levels& levels, const float2* boxes, const TracedSurfel* surfels,
                       const Ray& ray, float t_min, float transmittance_min, float reach)
         : m_(memory), levels_(levels), boxes_(boxes), surfels_(surfels), own_(memory.rays[lane_id() % kRays]),
           reach_(reach), end_depth_(depth_of(0.999f * transmittance_min) + 64) {
@@ -137,9 +136,7 @@ private:
             s.slope_high[k] = warp_max(member ? slope[k] : -kInfinity);
         }
         int stride = levels_.total();
-        s.enter = (s.sign < 0.0f ? s.axis + 3 : s.axis) * stride, s.leave = (s.sign < 0.0f ? s.axis : s.axis + 3) * stride;
-        s.box_low[0] = b * stride, s.box_low[1] = c * stride;
-        s.box_high[0] = (b + 3) * stride, s.box_high[1] = (c + 3) * stride;
+        s.along = s.axis * stride, s.across[0] = b * stride, s.across[1] = c * stride;
         shrink(s);
     }
 
@@ -150,29 +147,29 @@ private:
         s.end += 1e-5f * absolute(s.end);
     }
 
-    // A box as the shaft sees it: along the axis, and on the two others.
+    // A box as the shaft sees it: (low, high) along its axis, and on the two others.
     struct SeenBox {
-        float enter, leave, low[2], high[2];
+        float2 along, across[2];
     };
 
-    // This thread's box of a group. All loads at once: nothing may be decided before the last is on its way.
+    // This thread's box of a group. A __syncwarp() must follow: over it the compiler cannot move a load to its first use,
+    // so all loads are on their way before anything waits for one.
     __device__ SeenBox fetch(const Shaft& s, int group_at) const {
-        const float* boxes = boxes_ + group_at + lane_id();
-        return {boxes[s.enter], boxes[s.leave], {boxes[s.box_low[0]], boxes[s.box_low[1]]},
-                {boxes[s.box_high[0]], boxes[s.box_high[1]]}};
+        const float2* boxes = boxes_ + group_at + lane_id();
+        return {boxes[s.along], {boxes[s.across[0]], boxes[s.across[1]]}};
     }
 
     // Whether the shaft meets the box, and where along it.
     __device__ bool meets(const Shaft& s, const SeenBox& box, float& near) const {
-        near = maximum(s.sign * box.enter, s.start);
-        float far = minimum(s.sign * box.leave, s.end);
+        near = maximum(s.sign < 0.0f ? -box.along.y : box.along.x, s.start);
+        float far = minimum(s.sign < 0.0f ? -box.along.x : box.along.y, s.end);
         bool met = near <= far;
         float advance_near = near - s.start, advance_far = far - s.start;
 #pragma unroll
         for (int k = 0; k < 2; ++k) {
             float low = s.low[k] + minimum(s.slope_low[k] * advance_near, s.slope_low[k] * advance_far);
             float high = s.high[k] + maximum(s.slope_high[k] * advance_near, s.slope_high[k] * advance_far);
-            met = met & (box.low[k] <= high) & (box.high[k] >= low);
+            met = met & (box.across[k].x <= high) & (box.across[k].y >= low);
         }
         return met;
     }
@@ -199,6 +196,7 @@ private:
                 }
             }
             SeenBox first_box = fetch(s, 32 * group), other_box = fetch(s, 32 * max(other, 0));
+            __syncwarp();
             float near;
             bool met_first = meets(s, first_box, near), met_other = meets(s, other_box, near);
             u32 first = __ballot_sync(kFullWarp, met_first), second = __ballot_sync(kFullWarp, met_other);
@@ -222,8 +220,10 @@ private:
 
     // Nearest on top of the stack: a child's place is how many of the others lie nearer.
     __device__ int push_children(const Shaft& s, int level, int group, int depth) {
+        SeenBox box = fetch(s, levels_.offset[level] + 32 * group);
+        __syncwarp();
         float near;
-        u32 met = __ballot_sync(kFullWarp, meets(s, fetch(s, levels_.offset[level] + 32 * group), near));
+        u32 met = __ballot_sync(kFullWarp, meets(s, box, near));
         int nearer = 0;
         for (u32 rest = met; rest; rest &= rest - 1) {
             int other = __ffs(rest) - 1;
@@ -262,6 +262,7 @@ private:
             if (after < kListed) {
                 int place = count + __popc(found & below);
                 if (found >> lane_id() & 1) m_.t[place][r] = t, m_.tag[place][r] = tag;
+                __syncwarp();
                 if (lane_id() == 0) ray.count = after;
             } else {
                 list_crowded(r, found, t, tag);
@@ -269,7 +270,9 @@ private:
             }
         }
         __syncwarp();
-        return __any_sync(kFullWarp, lane_id() < kRays && take_in()) || moved;
+        bool ended = lane_id() < kRays && take_in();
+        __syncwarp();
+        return __any_sync(kFullWarp, ended) || moved;
     }
 
     // At the ends of a ray's interval, the index decides.
@@ -328,6 +331,7 @@ private:
             place1 += t < t1;
         }
         bool distinct = __reduce_add_sync(kFullWarp, (k0 < n ? place0 : 0) + (k1 < n ? place1 : 0)) == n * (n - 1) / 2;
+        __syncwarp();
         if (distinct) {
             if (k0 < n) m_.t[place0][r] = t0, m_.tag[place0][r] = tag0;
             if (k1 < n) m_.t[place1][r] = t1, m_.tag[place1][r] = tag1;
@@ -381,7 +385,7 @@ private:
 
     PacketMemory& m_;
     const Levels& levels_;
-    const float* boxes_;
+    const float2* boxes_;
     const TracedSurfel* surfels_;
     RayState& own_;
     float reach_;

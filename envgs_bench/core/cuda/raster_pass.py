@@ -57,11 +57,11 @@ class RasterPass:
         if not capturing:
             counted.synchronize()  # the drawing is still under way
             instances = int(wanted[2:].view(torch.int64))
-            _latest_instances[self.device] = instances
             if instances > room:
                 _check_room(instances, self.device)
                 weights.zero_()
                 self._draw(launch, order, instances, planes, hits, weights)
+            _latest_instances[self.device] = instances
         return Drawn(planes, hits, weights)
 
     def _prepare(self, launch: Kernels, weights: Tensor) -> None:

@@ -33,8 +33,11 @@ extern "C" __global__ void __launch_bounds__(128)
     Vec3<float> g_origin = {0.0f, 0.0f, 0.0f}, g_direction = {0.0f, 0.0f, 0.0f};
     int2 head = page_heads[place / kRays];
     for (int page = head.x, rows = head.y; rows > 0 && page >= 0; rows -= kPageRows) {
+        const u32* slots = page_slots + long(page) * kPageRows * kRays + place % kRays;
+        u32 following = slots[0];
         for (int k = 0; k < min(rows, kPageRows); ++k) {
-            u32 slot = page_slots[(long(page) * kPageRows + k) * kRays + place % kRays];
+            u32 slot = following;
+            if (k + 1 < min(rows, kPageRows)) following = slots[(k + 1) * kRays];  // while this hit is worked on
             if (slot == kNoHit) continue;
             TracedSurfel s = surfels[slot];
             Appearance look = appearances[slot];

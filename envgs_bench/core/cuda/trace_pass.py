@@ -15,6 +15,7 @@ from .sorting import radix_sort
 PACKET = 8  # rays
 PAGE_ROWS = 32  # hits a ray that a page holds
 PAGES_A_PACKET = 2  # at first
+SPARE_PAGES = 64
 
 # Pages that a packet of the latest bundle on a device took. A bundle gets a quarter more; should that turn out too
 # little, the backward pass traces once more with enough.
@@ -43,7 +44,7 @@ class TracePass:
         self.appearances = self._appearances(launch)
         pages = 0
         if keep:
-            pages = int(self.packets * _latest_pages.get(self.device, PAGES_A_PACKET) * 1.25) + 64
+            pages = int(self.packets * _latest_pages.get(self.device, PAGES_A_PACKET) * 1.25) + SPARE_PAGES
         drawn = self._trace(launch, pages)
         if keep and not torch.cuda.is_current_stream_capturing():
             self._wanted = torch.empty(1, dtype=torch.int32, pin_memory=True)

@@ -1,0 +1,147 @@
+"""What only the GPU backend can get wrong: room for lists that are sized ahead, compiling, capture, alignment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from core_scenes import (
+    FIELDS,
+    facing_surfels,
+    gradients_of,
+    loss_of,
+    plain_camera,
+    random_rays,
+    random_set,
+    relative_error,
+)
+
+from envgs_bench.core import GaussianSet, build_bvh, rasterize, trace
+from envgs_bench.core import cuda as backend
+
+REASON = backend.why_unavailable()
+pytestmark = pytest.mark.skipif(REASON is not None, reason=f"backend cuda: {REASON}")
+
+
+@pytest.fixture
+def surfels() -> GaussianSet:
+    return random_set(500).map(lambda x: x.cuda().requires_grad_())
+
+
+@pytest.fixture
+def rays() -> tuple[torch.Tensor, torch.Tensor]:
+    origins, directions = random_rays(3000)
+    return origins.cuda().requires_grad_(), directions.cuda().requires_grad_()
+
+
+def test_an_image_with_more_instances_than_room_is_drawn_again(surfels, monkeypatch):
+    from envgs_bench.core.cuda import raster_pass
+
+    camera = plain_camera(97, 65).to("cuda")
+    expected = rasterize(surfels, camera)
+    monkeypatch.setattr(raster_pass, "LEAST_ROOM", 16)
+    monkeypatch.setattr(raster_pass, "_latest_instances", {surfels.device: 0})
+    drawn = rasterize(surfels, camera)
+    for name in (*FIELDS, "hits"):
+        assert torch.equal(getattr(drawn, name), getattr(expected, name)), name
+    assert relative_error(drawn.statistics.weights, expected.statistics.weights) < 1e-6
+    assert raster_pass._latest_instances[surfels.device] > 16
+
+
+def test_rays_with_more_hits_than_pages_have_the_same_gradients(surfels, rays, monkeypatch):
+    from envgs_bench.core.cuda import trace_pass
+
+    def gradients() -> dict[str, torch.Tensor]:
+        for leaf in (*vars(surfels).values(), *rays):
+            leaf.grad = None
+        loss_of(trace(surfels, *rays)).backward()
+        return gradients_of(surfels, origins=rays[0], directions=rays[1])
+
+    expected = gradients()
+    monkeypatch.setattr(trace_pass, "SPARE_PAGES", 3)
+    monkeypatch.setattr(trace_pass, "_latest_pages", {surfels.device: 0.0})
+    crowded = gradients()
+    assert trace_pass._latest_pages[surfels.device] > 0
+    for name, gradient in crowded.items():
+        assert relative_error(gradient, expected[name]) < 1e-5, name
+
+
+def test_what_cannot_fit_is_refused_before_it_is_tried():
+    count = 100_000
+    wall = facing_surfels(torch.tensor([[0.0, 0.0, 2.0]]).expand(count, 3), scale=100.0).map(lambda x: x.cuda())
+    with pytest.raises(torch.OutOfMemoryError, match=r"pairs of a primitive and a tile"):
+        rasterize(wall, plain_camera(8000, 8000).to("cuda"))
+
+
+def test_a_cache_that_cannot_be_written_is_no_error(monkeypatch, tmp_path):
+    from envgs_bench.core.cuda.compiler import compile_kernels
+
+    (tmp_path / "file").write_text("not a folder")
+    monkeypatch.setenv("ENVGS_BENCH_CACHE", str(tmp_path / "file"))
+    code = compile_kernels.__wrapped__(("radix_sort.cu",), (), torch.cuda.current_device())
+    assert code.get_kernel("radix_pass") is not None
+
+
+def test_the_cache_is_found_again(monkeypatch, tmp_path):
+    from envgs_bench.core.cuda.compiler import compile_kernels
+
+    monkeypatch.setenv("ENVGS_BENCH_CACHE", str(tmp_path))
+    for _ in range(2):
+        compile_kernels.__wrapped__(("radix_sort.cu",), (), torch.cuda.current_device())
+    assert len(list((tmp_path / "kernels").iterdir())) == 1
+
+
+def test_drawing_can_be_captured_in_a_graph(surfels, rays):
+    camera = plain_camera(97, 65).to("cuda")
+    surfels, rays = surfels.map(torch.Tensor.detach), [x.detach() for x in rays]
+    image, bundle = rasterize(surfels, camera), trace(surfels, *rays)  # compiles, and learns how much room is needed
+    torch.cuda.synchronize()
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        captured_image, captured_bundle = rasterize(surfels, camera), trace(surfels, *rays)
+    captured_image.color.zero_()
+    for _ in range(2):
+        graph.replay()
+    torch.cuda.synchronize()
+    for drawn, expected in ((captured_image, image), (captured_bundle, bundle)):
+        for name in (*FIELDS, "hits"):
+            assert torch.equal(getattr(drawn, name), getattr(expected, name)), name
+
+
+def test_rows_that_begin_anywhere_are_read_right(surfels, rays):
+    camera = plain_camera(97, 65).to("cuda")
+
+    def shifted(x: torch.Tensor) -> torch.Tensor:
+        whole = torch.empty(x.numel() + 1, device="cuda")
+        whole[1:] = x.detach().flatten()
+        return whole[1:].view(x.shape)
+
+    moved = surfels.map(shifted)
+    assert moved.quaternions.data_ptr() % 16 != 0
+    assert torch.equal(rasterize(moved, camera).color, rasterize(surfels, camera).color)
+    assert torch.equal(trace(moved, *rays).color, trace(surfels, *rays).color)
+
+
+def test_a_refitted_tree_finds_what_a_new_one_does(surfels, rays):
+    from envgs_bench.core.differentiable import SetTensors
+
+    bvh = build_bvh(surfels)
+    moved = replace(surfels, means=surfels.means.detach() + 0.05 * torch.randn_like(surfels.means))
+    bvh.handle.refit(SetTensors.of(moved))
+    refitted, rebuilt = trace(moved, *rays, bvh=bvh), trace(moved, *rays)
+    assert torch.equal(refitted.hits, rebuilt.hits)
+    assert torch.equal(refitted.color, rebuilt.color)
+
+
+@pytest.mark.parametrize("count", [1, 31, 32, 33, 1024, 1025, 40_000])
+def test_every_size_of_tree_finds_the_same_hits(count):
+    """Around the sizes where a level is added, against hits counted by testing every surfel."""
+    surfels = replace(random_set(count, degree=0, extras=0), scales=torch.full((count, 2), 0.5 / count**0.5))
+    origins, directions = random_rays(200)
+    on_gpu = trace(
+        *(x.cuda() if isinstance(x, torch.Tensor) else x.map(torch.Tensor.cuda) for x in (surfels, origins, directions))
+    )
+    slow = trace(surfels.map(torch.Tensor.double), origins.double(), directions.double(), backend="torch")
+    assert (on_gpu.hits.cpu() == slow.hits).double().mean() > 0.97
+    assert (on_gpu.alpha.cpu() - slow.alpha).abs().median() < 1e-5
