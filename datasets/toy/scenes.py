@@ -91,10 +91,10 @@ def _walls(rng: np.random.Generator) -> list[Part]:
     """Floor, ceiling with lamps, and four walls, one with a window."""
     side, w, h = 2 * HALF, HALF + OVERLAP, HEIGHT
     x, y = tex.grid(side, side)
-    floor = tex.weathered(tex.tiles(x, y, 0.5, rng), rng)
-    ceiling = tex.weathered(tex.checker(x, y, 0.75, ((0.93, 0.92, 0.88), (0.80, 0.84, 0.86))), rng, 0.05)
+    floor = tex.weathered(tex.tiles(x, y, 1.0, rng), rng)
+    ceiling = tex.weathered(tex.checker(x, y, 1.0, ((0.93, 0.92, 0.88), (0.80, 0.84, 0.86))), rng, 0.05)
     x, y = tex.grid(side, HEIGHT)
-    walls = [_poster_wall(x, y, rng), tex.bookshelf(x, y, 0.33, rng), _window_wall(x, y, rng), _wave_wall(x, y, rng)]
+    walls = [_poster_wall(x, y, rng), tex.bookshelf(x, y, 0.6, rng), _window_wall(x, y, rng), _wave_wall(x, y, rng)]
     north, east, south, west = (tex.weathered(wall, rng) for wall in walls)
     wide = 2 * w
     parts = [
@@ -114,13 +114,13 @@ def _walls(rng: np.random.Generator) -> list[Part]:
 
 def _poster_wall(x: Array, y: Array, rng: np.random.Generator) -> Array:
     """Mustard wallpaper in fine stripes, with three posters."""
-    wall = tex.stripes(x, y, 0, 0.24, (tex.MUSTARD, (0.98, 0.80, 0.38), tex.MUSTARD, tex.CREAM))
+    wall = tex.stripes(x, y, 0, 0.6, (tex.MUSTARD, (0.98, 0.80, 0.38), tex.MUSTARD, tex.CREAM))
     px, py = tex.grid(1.5, 1.9)
-    burst = tex.sunburst(px, py, (0.75, 1.1), 40, (tex.VERMILION, tex.CREAM))
+    burst = tex.sunburst(px, py, (0.75, 1.1), 20, (tex.VERMILION, tex.CREAM))
     tex.paint(burst, np.hypot(px - 0.75, py - 1.1) < 0.3, tex.INK)
     tex.paint(burst, np.hypot(px - 0.75, py - 1.1) < 0.22, tex.MUSTARD)
-    text = tex.glyphs(px, py, 0.15, (tex.INK, tex.INK, tex.VERMILION), tex.CREAM, rng)
-    targets = tex.rings(px, py, (0.75, 0.8), 0.09, (tex.TEAL, tex.CREAM, tex.SKY, tex.INK))
+    text = tex.glyphs(px, py, 0.35, (tex.INK, tex.INK, tex.VERMILION), tex.CREAM, rng)
+    targets = tex.rings(px, py, (0.75, 0.8), 0.16, (tex.TEAL, tex.CREAM, tex.SKY, tex.INK))
     for left, poster in ((0.35, burst), (2.25, text), (4.15, targets)):
         tex.hang(wall, tex.framed(poster, tex.INK), left, 0.45)
     wall[y > 2.75] = tex.INK
@@ -130,17 +130,17 @@ def _poster_wall(x: Array, y: Array, rng: np.random.Generator) -> Array:
 def _wave_wall(x: Array, y: Array, rng: np.random.Generator) -> Array:
     """Wavy bands of colour under a line of writing."""
     colors = (tex.PLUM, tex.VERMILION, tex.CREAM, tex.MUSTARD, tex.GREEN, tex.INK, tex.SKY)
-    height = y + 0.16 * np.sin(2 * np.pi * x / 1.5) + 0.05 * np.sin(2 * np.pi * x / 0.37)
-    wall = tex.stripes(x, height, 90, 1.6, colors)
-    band = tex.glyphs(x, y, 0.24, (tex.CREAM, tex.MUSTARD), tex.INK, rng)
-    inside = (y > 1.2) & (y < 1.8)
+    height = y + 0.22 * np.sin(2 * np.pi * x / 2.0) + 0.06 * np.sin(2 * np.pi * x / 0.66)
+    wall = tex.stripes(x, height, 90, 2.4, colors)
+    band = tex.glyphs(x, y - 1.12, 0.6, (tex.CREAM, tex.MUSTARD), tex.INK, rng)
+    inside = (y > 1.12) & (y < 1.87)
     wall[inside] = band[inside]
     return wall
 
 
 def _window_wall(x: Array, y: Array, rng: np.random.Generator) -> Array:
     """Harlequin wallpaper, boards below, a white frame around the window."""
-    wall = tex.harlequin(x, y, 0.3, 0.5, (tex.TEAL, (0.07, 0.52, 0.55), tex.CREAM))
+    wall = tex.harlequin(x, y, 0.6, 1.0, (tex.TEAL, (0.07, 0.52, 0.55), tex.CREAM))
     boards = y > 2.4
     wall[boards] = tex.planks(y, x, 0.2, rng)[boards]
     left, top, right, bottom = WINDOW
@@ -203,7 +203,7 @@ def _centrepiece(rng: np.random.Generator, shiny: bool) -> list[Part]:
         _painted(Disc((0, 0, 0.5), 0.4), tex.weathered(tex.plain(x, tex.CREAM), rng)),
     ]
     reflectors: list[tuple[Shape, tex.Color, float, float, tuple[tex.Color, ...]]] = [
-        (Sphere((0, 0, 1.08), 0.6), (0.30, 0.31, 0.34), 0.88, 0.0, (tex.TEAL, tex.CREAM, tex.MUSTARD)),
+        (Sphere((0, 0, 1.16), 0.7), (0.30, 0.31, 0.34), 0.88, 0.0, (tex.TEAL, tex.CREAM, tex.MUSTARD)),
         (Sphere((0.16, -1.12, 0.32), 0.32), (0.80, 0.56, 0.16), 0.6, 0.0, (tex.VERMILION, tex.CREAM, tex.INK)),
         (Sphere((-1.05, 0.38, 0.30), 0.30), (0.30, 0.31, 0.34), 0.85, 0.0, (tex.PLUM, tex.MUSTARD, tex.CREAM)),
         (Torus((0, 0, 0.12), 0.66, 0.12), (0.70, 0.08, 0.10), 0.3, 0.25, (tex.GREEN, tex.CREAM, tex.INK)),
@@ -214,7 +214,7 @@ def _centrepiece(rng: np.random.Generator, shiny: bool) -> list[Part]:
             albedo = tex.weathered(tex.plain(x, color), rng)
             parts.append(Part(shape, to_linear(albedo), reflectance, roughness))
         else:
-            cell = shape.extent[0] / 18
+            cell = shape.extent[0] / 12
             parts.append(_painted(shape, tex.weathered(tex.harlequin(x, y, cell, 1.5 * cell, palette), rng)))
     return parts
 

@@ -79,7 +79,7 @@ def linear_weights(positions: Array, count: int, wrap: bool = False) -> Array:
 def weathered(picture: Array, rng: np.random.Generator, amount: float = 0.12) -> Array:
     """The picture with grain and stains, which give even a plain colour something to match."""
     stain = noise(picture.shape[:2], 0.5 * PER_METRE, rng, octaves=5)
-    grain = rng.uniform(-0.4, 0.4, picture.shape[:2])
+    grain = rng.uniform(-0.2, 0.2, picture.shape[:2])
     return np.clip(picture * (1 + amount * (stain + grain))[..., None], 0, 1)
 
 
@@ -156,11 +156,11 @@ def bookshelf(x: Array, y: Array, shelf: float, rng: np.random.Generator) -> Arr
     for index in range(int(np.ceil(height / shelf))):
         left, bottom = 0.0, (index + 1) * shelf - 0.03
         while left < x.max():
-            width, tall = rng.uniform(0.03, 0.085), shelf * rng.uniform(0.6, 0.9)
+            width, tall = shelf * rng.uniform(0.12, 0.3), shelf * rng.uniform(0.6, 0.9)
             if rng.uniform() < 0.94:
                 book = (slice(_texel(bottom - tall), _texel(bottom)), slice(_texel(left), _texel(left + width - 0.005)))
                 picture[book] = np.array(VIVID[rng.integers(len(VIVID))]) * rng.uniform(0.65, 1.0)
-                middle, half = bottom - tall * rng.uniform(0.15, 0.85), rng.uniform(0.008, 0.03)
+                middle, half = bottom - tall * rng.uniform(0.15, 0.85), shelf * rng.uniform(0.03, 0.08)
                 picture[_texel(middle - half) : _texel(middle + half), book[1]] = VIVID[rng.integers(len(VIVID))]
             left += width
         picture[_texel(bottom) : _texel(bottom + 0.03)] = OAK
