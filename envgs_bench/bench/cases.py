@@ -30,6 +30,10 @@ DEFAULT_PRIMITIVES = {
 }
 ORACLE_SIZES: list[Size] = [(40, 30)]  # where the torch oracle and a native backend are timed side by side
 ORACLE_PRIMITIVES = [20_000]
+GPU_SIZES: list[Size] = [(1292, 839)]  # what the tracer's targets are stated for
+GPU_PRIMITIVES = [300_000, 2_000_000]
+OWN_SIZES = {"torch": ORACLE_SIZES, "embree": ORACLE_SIZES, "cuda": GPU_SIZES}
+OWN_PRIMITIVES = {"torch": ORACLE_PRIMITIVES, "embree": ORACLE_PRIMITIVES, "cuda": GPU_PRIMITIVES}
 SWEEP_PRIMITIVES = [2_000, 6_000, 20_000, 60_000, 300_000]
 SWEEP_SIZES: list[Size] = [(80, 60), (160, 120), (320, 240), (640, 480)]
 SECONDS_PER_CASE = 10.0
@@ -52,9 +56,7 @@ def chosen_cases(backends: Sequence[str], primitives: Sequence[int] | None, size
     """
     cases = []
     for backend in backends:
-        own_sizes = ORACLE_SIZES if backend in ("torch", "embree") else None
-        own_primitives = ORACLE_PRIMITIVES if backend in ("torch", "embree") else None
-        cases += _cases(backend, primitives or own_primitives, sizes or own_sizes)
+        cases += _cases(backend, primitives or OWN_PRIMITIVES.get(backend), sizes or OWN_SIZES.get(backend))
         if "torch" in backends and backend in ("cpu", "cuda") and not sizes:
             cases += [c for c in _cases(backend, primitives or ORACLE_PRIMITIVES, ORACLE_SIZES) if c.op != "build"]
     return cases
@@ -83,23 +85,29 @@ def _cases(backend: str, primitives: Sequence[int] | None, sizes: Sequence[Size]
 
 
 def time_case(case: Case, repeats: int) -> dict[str, object]:
-    """Time one case; the row of the result: the case's own fields, median and quartile distance in ms, hits a ray."""
+    """Time one case; the row of the result: the case's own fields, median and quartile distance in ms, hits a ray and
+    their mean alpha, and on a GPU the peak of allocated memory, which includes the inputs.
+    """
     device = torch.device("cuda" if case.backend == "cuda" else "cpu")
     columns = 3 if case.op == "rasterize_3d" else 2
     gaussians = room_gaussians(case.primitives, columns=columns).to(device)
     work: Callable[[], object]
-    hits = None
+    hits = alpha = peak_bytes = None
     if case.op == "build":
         work = partial(build_bvh, gaussians, backend=case.backend)
     else:
         draw, inputs = _drawing(case, gaussians, device)
         with torch.no_grad():
             drawn = draw()
-        hits = float(drawn.hits.double().mean())
+        hits, alpha = float(drawn.hits.double().mean()), float(drawn.alpha.double().mean())
         work = without_gradients(draw) if case.direction == "forward" else with_gradients(draw, inputs, drawn)
+    if device.type == "cuda":
+        torch.cuda.reset_peak_memory_stats()
     times = time_work(work, device, repeats, SECONDS_PER_CASE)
+    if device.type == "cuda":
+        peak_bytes = torch.cuda.max_memory_allocated()
     timed = {"median_ms": times.median_ms, "spread_ms": times.spread_ms, "repeats": len(times.all_ms)}
-    return asdict(case) | timed | {"hits_per_ray": hits}
+    return asdict(case) | timed | {"hits_per_ray": hits, "alpha": alpha, "peak_bytes": peak_bytes}
 
 
 def _drawing(case: Case, gaussians: GaussianSet, device: torch.device) -> tuple[Callable[[], Rendering], list[Tensor]]:

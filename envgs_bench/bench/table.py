@@ -14,7 +14,8 @@ def table(rows: Sequence[Row]) -> Table:
     result = Table()
     for name in ("op", "direction", "backend"):
         result.add_column(name)
-    for name in ("primitives", "size", "median ms", "spread ms", "µs a ray", "hits a ray", "repeats"):
+    numbers = ("primitives", "size", "median ms", "spread ms", "µs a ray", "hits a ray", "alpha", "peak MiB", "repeats")
+    for name in numbers:
         result.add_column(name, justify="right")
     for row in rows:
         drawn = row["width"] is not None
@@ -28,6 +29,8 @@ def table(rows: Sequence[Row]) -> Table:
             f"{row['spread_ms']:.2f}",
             f"{us_per_ray(row):.2f}" if drawn else "",
             f"{row['hits_per_ray']:.1f}" if drawn else "",
+            f"{row['alpha']:.4f}" if drawn else "",
+            f"{row['peak_bytes'] / 2**20:.0f}" if row["peak_bytes"] else "",
             str(row["repeats"]),
         )
     return result

@@ -77,6 +77,7 @@ public:
 
     // Lists the nearest hits not yet blended, sorted, of the rays that want it.
     __device__ void search(bool wanted, float transmittance) {
+        __syncwarp();
         if (lane_id() < kRays) {
             own_.far_t = kInfinity, own_.far_slot = -1;
             own_.count = own_.seen = 0, own_.dropped = 0;
@@ -308,6 +309,7 @@ private:
             if (taken) m_.t[place][r] = t, m_.tag[place][r] = tag;
             u32 threads = __ballot_sync(kFullWarp, taken);
             found &= ~threads;
+            __syncwarp();
             if (lane_id() == 0) ray.count = count + __popc(threads);
             __syncwarp();
             if (ray.count < kListed) continue;
