@@ -19,7 +19,7 @@ constexpr int kSpare = 8;                 // free places that cutting must leave
 constexpr int kStack = 32 * (kMaxLevels - 1);
 constexpr int kQueue = 128;
 constexpr float kGroupSlope = 0.12f;      // rays of a group: how far their slopes may differ from the first's
-constexpr float kGroupReach = 1.0f / 16;  // and their origins, as a share of the scene
+constexpr float kGroupReach = 1.0f / 24;  // and their origins, as a share of the scene
 constexpr float kDepthSteps = 1048576.0f; // a ray's optical depth, −log₂ of its transmittance, is summed in these
 
 struct alignas(16) RayState {
@@ -176,39 +176,38 @@ private:
     }
 
     __device__ void walk(Shaft& s) {
-        int depth = 1, head = 0, queued = 0;
-        if (lane_id() == 0) m_.stack[0] = make_uint2(__float_as_uint(s.start), u32(levels_.count - 1) << 27);
-        __syncwarp();
-        while (depth > 0) {
-            uint2 node = m_.stack[--depth];
-            if (__uint_as_float(node.x) > s.end) continue;
+        int depth = 0, head = 0, queued = 0;
+        uint2 node = make_uint2(__float_as_uint(s.start), u32(levels_.count - 1) << 27);
+        for (;;) {
             int level = node.y >> 27, group = node.y & ((1u << 27) - 1);
-            if (level > 0) {
+            if (__uint_as_float(node.x) > s.end) {
+                // passed by
+            } else if (level > 0) {
                 depth = push_children(s, level, group, depth);
-                continue;
-            }
-            // Two leaves at a time, where there are two: their loads wait for each other's memory together.
-            int other = -1;
-            if (depth > 0) {
-                uint2 next = m_.stack[depth - 1];
-                if (next.y >> 27 == 0) {
-                    --depth;
-                    if (__uint_as_float(next.x) <= s.end) other = next.y;
+            } else {
+                // Two leaves at a time, where there are two: their loads wait for memory together.
+                int other = -1;
+                if (depth > 0) {
+                    uint2 next = m_.stack[depth - 1];
+                    if (next.y >> 27 == 0) {
+                        --depth;
+                        if (__uint_as_float(next.x) <= s.end) other = next.y;
+                    }
                 }
+                SeenBox first_box = fetch(s, 32 * group), other_box = fetch(s, 32 * max(other, 0));
+                __syncwarp();
+                float near;
+                bool met_first = meets(s, first_box, near), met_other = meets(s, other_box, near);
+                u32 first = __ballot_sync(kFullWarp, met_first), second = __ballot_sync(kFullWarp, met_other);
+                if (other < 0) second = 0;
+                queued = enqueue(first, group, head, queued);
+                queued = enqueue(second, other, head, queued);
+                __syncwarp();
+                for (; queued >= 32; head += 32, queued -= 32)
+                    if (test(s.rays, m_.queue[(head + lane_id()) % kQueue], true)) shrink(s);
             }
-            SeenBox first_box = fetch(s, 32 * group), other_box = fetch(s, 32 * max(other, 0));
-            __syncwarp();
-            float near;
-            bool met_first = meets(s, first_box, near), met_other = meets(s, other_box, near);
-            u32 first = __ballot_sync(kFullWarp, met_first), second = __ballot_sync(kFullWarp, met_other);
-            if (other < 0) second = 0;
-            queued = enqueue(first, group, head, queued);
-            queued = enqueue(second, other, head, queued);
-            __syncwarp();
-            while (queued >= 32) {
-                if (test(s.rays, m_.queue[(head + lane_id()) % kQueue], true)) shrink(s);
-                head += 32, queued -= 32;
-            }
+            if (depth == 0) break;
+            node = m_.stack[--depth];
         }
         if (queued) test(s.rays, m_.queue[(head + lane_id()) % kQueue], lane_id() < queued);
     }
