@@ -13,6 +13,7 @@ from .settings import GaussianSettings
 class ThreeDGSSettings(GaussianSettings):
     normal_weight: float = 0.0
     mono_weight: float = 0.0
+    perceptual_weight: float = 0.0
     min_opacity: float = 0.005
 
 
