@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
 
@@ -11,10 +11,12 @@ import torch
 from torch import Tensor
 
 from ..core import GaussianSet, Rendering, build_bvh, rasterize, trace
+from .peers import PEERS, PeerImage, peer_drawing
 from .room import reflected_rays, room_camera, room_gaussians
 from .stopwatch import time_work
 
 Size = tuple[int, int]
+Drawn = Rendering | PeerImage
 
 DIRECTIONS = ("forward", "forward_backward")
 DEFAULT_SIZES: dict[str, list[Size]] = {
@@ -62,6 +64,12 @@ def chosen_cases(backends: Sequence[str], primitives: Sequence[int] | None, size
     return cases
 
 
+def peer_cases(cases: Sequence[Case]) -> list[Case]:
+    """What the peers can be asked for of the GPU's cases."""
+    drawn = [case for case in cases if case.backend == "cuda" and case.op in ("rasterize_2d", "rasterize_3d")]
+    return [replace(case, backend=peer) for peer in PEERS for case in drawn]
+
+
 def sweep_cases(backends: Sequence[str]) -> list[Case]:
     """The cases of a chart: primitives at the default sizes, then sizes at 20,000 primitives."""
     cases = []
@@ -88,7 +96,7 @@ def time_case(case: Case, repeats: int) -> dict[str, object]:
     """Time one case; the row of the result: the case's own fields, median and quartile distance in ms, hits a ray and
     their mean alpha, and on a GPU the peak of allocated memory, which includes the inputs.
     """
-    device = torch.device("cuda" if case.backend == "cuda" else "cpu")
+    device = torch.device("cuda" if case.backend in ("cuda", *PEERS) else "cpu")
     columns = 3 if case.op == "rasterize_3d" else 2
     gaussians = room_gaussians(case.primitives, columns=columns).to(device)
     work: Callable[[], object]
@@ -99,7 +107,9 @@ def time_case(case: Case, repeats: int) -> dict[str, object]:
         draw, inputs = _drawing(case, gaussians, device)
         with torch.no_grad():
             drawn = draw()
-        hits, alpha = float(drawn.hits.double().mean()), float(drawn.alpha.double().mean())
+        alpha = float(drawn.alpha.double().mean())
+        if drawn.hits is not None:
+            hits = float(drawn.hits.double().mean())
         work = without_gradients(draw) if case.direction == "forward" else with_gradients(draw, inputs, drawn)
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats()
@@ -110,7 +120,7 @@ def time_case(case: Case, repeats: int) -> dict[str, object]:
     return asdict(case) | timed | {"hits_per_ray": hits, "alpha": alpha, "peak_bytes": peak_bytes}
 
 
-def _drawing(case: Case, gaussians: GaussianSet, device: torch.device) -> tuple[Callable[[], Rendering], list[Tensor]]:
+def _drawing(case: Case, gaussians: GaussianSet, device: torch.device) -> tuple[Callable[[], Drawn], list[Tensor]]:
     """What draws the case's image or rays (the BVH is built outside of it), and everything it is differentiable in."""
     assert case.width is not None
     assert case.height is not None
@@ -121,10 +131,12 @@ def _drawing(case: Case, gaussians: GaussianSet, device: torch.device) -> tuple[
         bvh = build_bvh(leaves, backend=case.backend)
         return lambda: trace(leaves, *rays, bvh=bvh, backend=case.backend), [*inputs, *rays]
     camera = room_camera(case.width, case.height).to(device)
+    if case.backend in PEERS:
+        return peer_drawing(leaves, camera), inputs
     return lambda: rasterize(leaves, camera, backend=case.backend), inputs
 
 
-def without_gradients(draw: Callable[[], Rendering]) -> Callable[[], object]:
+def without_gradients(draw: Callable[[], Drawn]) -> Callable[[], object]:
     def work() -> object:
         with torch.no_grad():
             return draw()
@@ -132,9 +144,9 @@ def without_gradients(draw: Callable[[], Rendering]) -> Callable[[], object]:
     return work
 
 
-def with_gradients(draw: Callable[[], Rendering], inputs: list[Tensor], drawn: Rendering) -> Callable[[], object]:
+def with_gradients(draw: Callable[[], Drawn], inputs: list[Tensor], drawn: Drawn) -> Callable[[], object]:
     """Draw, and differentiate a random combination of all that is drawn in all that it depends on."""
-    names = ("color", "alpha", "depth", "normal")
+    names = [name for name in ("color", "alpha", "depth", "normal") if getattr(drawn, name) is not None]
     generator = torch.Generator().manual_seed(0)
     upstream = [torch.randn(getattr(drawn, name).shape, generator=generator).to(drawn.color) for name in names]
 

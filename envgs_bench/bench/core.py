@@ -25,7 +25,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from rich.progress import track
 
     from ..core import available_backends
-    from .cases import chosen_cases, sweep_cases, time_case
+    from .cases import chosen_cases, peer_cases, sweep_cases, time_case
+    from .peers import why_unavailable
     from .table import ratios, table
 
     reasons = available_backends()
@@ -35,6 +36,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"envgs-bench bench core: backend {name!r} does not work here: {reasons[name]}", file=sys.stderr)
             return 1
     cases = chosen_cases(backends, options.primitives, options.size)
+    if options.peers:
+        reason = why_unavailable()
+        if reason or "cuda" not in backends:
+            print(f"envgs-bench bench core --peers: {reason or 'needs the cuda backend'}", file=sys.stderr)
+            return 1
+        cases += peer_cases(cases)
     if options.chart is not None and not (options.primitives or options.size):
         cases = list(dict.fromkeys([*cases, *sweep_cases([name for name in backends if name in ("cpu", "cuda")])]))
 
@@ -71,6 +78,7 @@ def _parser() -> argparse.ArgumentParser:
         help="default: the native ones that work here, and torch",
     )
     parser.add_argument("--repeats", type=_positive, default=20, metavar="N", help="timed calls a case (default: 20)")
+    parser.add_argument("--peers", action="store_true", help="also time gsplat's rasterizers, where it is installed")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows here")
     parser.add_argument("--chart", type=Path, metavar="FILE", help="sweep primitives and sizes, and draw them (png)")
     return parser

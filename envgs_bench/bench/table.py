@@ -28,7 +28,7 @@ def table(rows: Sequence[Row]) -> Table:
             f"{row['median_ms']:.2f}",
             f"{row['spread_ms']:.2f}",
             f"{us_per_ray(row):.2f}" if drawn else "",
-            f"{row['hits_per_ray']:.1f}" if drawn else "",
+            f"{row['hits_per_ray']:.1f}" if row["hits_per_ray"] is not None else "",
             f"{row['alpha']:.4f}" if drawn else "",
             f"{row['peak_bytes'] / 2**20:.0f}" if row["peak_bytes"] else "",
             str(row["repeats"]),
