@@ -13,6 +13,7 @@ from envgs_bench.core import Bvh, Camera, Scene, Statistics, build_bvh, trace
 from .densification import DensificationRule, spatial_criterion
 from .initialization import quantile_box, random_points_in_grid
 from .reflection import ReflectionSettings, ReflectiveMethod
+from .schedule import ENV_RESET_FLOOR
 
 PAPER_GRID = 32  # N of Sec. 4.3
 
@@ -74,14 +75,12 @@ class EnvGS(ReflectiveMethod):
     def events(self, step: int) -> set[str]:
         s = self.settings
         happens = super().events(step)
-        recovers = self.schedule.recovers(step, interval=s.env_opacity_reset_every)
-        if not recovers and self.schedule.densifies(
+        resets = {"stop": s.densify_until, "interval": s.env_opacity_reset_every, "floor": ENV_RESET_FLOOR}
+        if not self.schedule.recovers(step, **resets) and self.schedule.densifies(
             step, start=s.bootstrap, stop=s.densify_until, interval=s.env_densify_every
         ):
             happens.add("densify_env")
-        if step > self.schedule.at(s.bootstrap) and self.schedule.resets(
-            step, stop=s.densify_until, interval=s.env_opacity_reset_every
-        ):
+        if step > self.schedule.at(s.bootstrap) and self.schedule.resets(step, **resets):
             happens.add("reset_env_opacity")
         return happens
 

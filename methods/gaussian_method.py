@@ -84,7 +84,7 @@ class GaussianMethod(Method):
     def events(self, step: int) -> set[str]:
         """What this run does after Adam's step number `step`."""
         s, happens = self.settings, set()
-        recovers = self.schedule.recovers(step, interval=s.opacity_reset_every)
+        recovers = self.schedule.recovers(step, stop=s.densify_until, interval=s.opacity_reset_every)
         if not recovers and self.schedule.densifies(
             step, start=s.densify_from, stop=s.densify_until, interval=s.densify_every
         ):

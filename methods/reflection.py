@@ -118,13 +118,8 @@ class ReflectiveMethod(GaussianMethod):
             step, start=s.densify_from, stop=s.densify_until, interval=s.densify_slowly_every
         ):
             happens.discard("densify_base")
-        if schedule.disturbs(
-            step,
-            start=s.bootstrap,
-            stop=s.disturb_until,
-            interval=s.disturb_every,
-            reset_interval=s.opacity_reset_every,
-        ):
+        disturbs = schedule.disturbs(step, start=s.bootstrap, stop=s.disturb_until, interval=s.disturb_every)
+        if disturbs and "reset_base_opacity" not in happens:
             happens |= {name for name, wanted in (("sabotage", s.sabotage), ("propagate", s.propagate)) if wanted}
         if "reset_base_opacity" in happens and s.beta_reset != "none" and step >= schedule.at(s.beta_reset_from):
             happens.add("reset_beta")

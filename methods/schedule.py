@@ -7,8 +7,10 @@ below a floor, because some things take a number of steps and not a share of the
 | interval | floor | why |
 |---|---|---|
 | densification | 30 steps | its criterion is a mean over views |
-| colour sabotage, normal propagation | 200 steps, or half their time | the picture has to come back in between |
-| opacity reset | 150 steps | an opacity climbs back from 0.01 at 0.05 a step |
+| colour sabotage, normal propagation | 200 steps | the picture has to come back in between |
+| opacity reset | 150 steps, 300 for the environment | an opacity climbs back from 0.01 at 0.05 a step |
+
+A floor of the last two is at most half the time they have, so that a run of 300 steps still has every phase.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ REFERENCE_STEPS = 30_000
 DENSIFY_FLOOR = 30
 DISTURB_FLOOR = 200
 RESET_FLOOR = 150
+ENV_RESET_FLOOR = 300
 RECOVERY = 100
 
 
@@ -60,26 +63,28 @@ class Schedule:
         """Whether a densification that runs every `interval` between `start` and `stop` (reference) falls on `step`."""
         return self.at(start) < step < self.at(stop) and self._falls_on(step, interval, DENSIFY_FLOOR)
 
-    def recovers(self, step: int, *, interval: int) -> bool:
-        """Whether `step` is within 100 steps after an opacity reset, when opacities say nothing about need.
+    def resets(self, step: int, *, stop: int, interval: int, floor: int = RESET_FLOOR) -> bool:
+        """Whether an opacity reset, every `interval` until before `stop` (reference), falls on `step`."""
+        return step < self.at(stop) and interval > 0 and step % self._rare(interval, floor, stop) == 0
+
+    def recovers(self, step: int, *, stop: int, interval: int, floor: int = RESET_FLOOR) -> bool:
+        """Whether `step` is within 100 steps after such a reset, when opacities say nothing about need.
 
         A reference run resets every 3,000 steps and densifies every 100, so it never prunes in this time either.
         """
-        return interval > 0 and step >= (every := self.every(interval, RESET_FLOOR)) and 0 < step % every < RECOVERY
+        if interval <= 0:
+            return False
+        since = step % self._rare(interval, floor, stop)
+        return 0 < since < RECOVERY and since < step and step - since < self.at(stop)
 
-    def resets(self, step: int, *, stop: int, interval: int) -> bool:
-        """Whether an opacity reset, every `interval` until before `stop` (reference), falls on `step`."""
-        return step < self.at(stop) and self._falls_on(step, interval, RESET_FLOOR)
-
-    def disturbs(self, step: int, *, start: int, stop: int, interval: int, reset_interval: int) -> bool:
-        """Whether colour sabotage and normal propagation, every `interval` in (start, stop], fall on `step`.
-
-        They leave out the steps of the base set's opacity reset (3DGS-DR's schedule).
-        """
+    def disturbs(self, step: int, *, start: int, stop: int, interval: int) -> bool:
+        """Whether colour sabotage and normal propagation, every `interval` in (start, stop], fall on `step`."""
         in_time = self.at(start) < step <= self.at(stop)
-        on_reset = self._falls_on(step, reset_interval, RESET_FLOOR)
-        floor = min(DISTURB_FLOOR, max(1, self.at(stop) // 2))
-        return in_time and self._falls_on(step, interval, floor) and not on_reset
+        return in_time and interval > 0 and step % self._rare(interval, DISTURB_FLOOR, stop) == 0
+
+    def _rare(self, interval: int, floor: int, stop: int) -> int:
+        """`every`, with a floor of at most half the time until `stop`, so that even a short run has one."""
+        return self.every(interval, min(floor, max(1, self.at(stop) // 2)))
 
     def _falls_on(self, step: int, interval: int, floor: int) -> bool:
         """Whether `step` is a multiple of the reference interval; never where that is 0."""
