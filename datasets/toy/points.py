@@ -13,7 +13,8 @@ from envgs_bench.core import View
 Array = NDArray[np.floating[Any]]
 
 COUNT = 6000
-GHOST_SHARE = 0.02  # of the points, seen in mirrors and triangulated behind them
+SMUDGE_SHARE = 0.06  # of the points: dust and smudges on mirrors, triangulated where they are
+GHOST_SHARE = 0.01  # of the points: things seen in mirrors, triangulated behind them
 LONGEST_GHOST = 1.5  # world units behind the mirror
 FAR_DISTANCES = (15.0, 60.0)  # world units
 VISIBILITY = 0.02  # relative depth difference up to which a point counts as seen
@@ -25,18 +26,22 @@ def sfm_points(views: list[View], noise: float, far_points: int, rng: np.random.
     Most lie on surfaces without reflection, drawn where the pictures have strong gradients, kept if another view sees
     them too, coloured by the mean over the views that do, and displaced by Gaussian noise of standard deviation
     `noise` (world units). The rest is what real reconstructions also hold: ghosts behind mirrors, and `far_points`
-    on the sky, matched at whatever distance.
+    on the sky, matched at whatever distance; and what little is fixed to a mirror, its dust and smudges.
     """
     near = [_on_surfaces(view, 2 * COUNT // len(views) + 1, rng) for view in views]
     points = np.concatenate(near)
     colors, seen_by = _mean_colors(points, views)
     kept = np.flatnonzero(seen_by >= 2)
     kept = rng.permutation(kept)[:COUNT]
-    points = points[kept] + noise * rng.normal(size=(len(kept), 3))
-    shares = zip(views, _shares(round(COUNT * GHOST_SHARE), len(views)), _shares(far_points, len(views)), strict=True)
-    extra = [found for view, ghosts, far in shares for found in (_ghosts(view, ghosts, rng), _far(view, far, rng))]
-    extra_points, extra_colors = (np.concatenate(arrays) for arrays in zip(*extra, strict=True))
-    return np.concatenate([points, extra_points]), np.concatenate([colors[kept], extra_colors])
+    found: list[tuple[Array, Array]] = [(points[kept] + noise * rng.normal(size=(len(kept), 3)), colors[kept])]
+    for total, choose in (
+        (round(COUNT * SMUDGE_SHARE), lambda view, count: _on_mirrors(view, count, 0.0, noise, rng)),
+        (round(COUNT * GHOST_SHARE), lambda view, count: _on_mirrors(view, count, LONGEST_GHOST, noise, rng)),
+        (far_points, lambda view, count: _far(view, count, rng)),
+    ):
+        found += [choose(view, count) for view, count in zip(views, _shares(total, len(views)), strict=True)]
+    all_points, all_colors = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    return all_points, all_colors
 
 
 def _shares(total: int, parts: int) -> list[int]:
@@ -56,12 +61,12 @@ def _on_surfaces(view: View, count: int, rng: np.random.Generator) -> Array:
     return _unprojected(view, chosen, _depth(view)[chosen])
 
 
-def _ghosts(view: View, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Points behind mirrors, on the line of sight."""
+def _on_mirrors(view: View, count: int, behind: float, noise: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Points on mirrors or up to `behind` world units behind them on the line of sight, in the pictures' colours."""
     pixels = np.flatnonzero(view.masks["reflective"].numpy())
     chosen = rng.choice(pixels, min(count, pixels.size), replace=False)
-    behind = LONGEST_GHOST * rng.uniform(size=chosen.size)
-    return _unprojected(view, chosen, _depth(view)[chosen] + behind), _colors(view)[chosen]
+    points = _unprojected(view, chosen, _depth(view)[chosen] + behind * rng.uniform(size=chosen.size))
+    return points + noise * rng.normal(size=points.shape), _colors(view)[chosen]
 
 
 def _far(view: View, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
