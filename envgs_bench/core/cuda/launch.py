@@ -33,6 +33,7 @@ class Kernels:
         kernel = self._kernels.get(name)
         if kernel is None:
             kernel = self._kernels[name] = self._code.get_kernel(name)
+        # The raw handle: torch.cuda.current_stream() builds objects, which takes longer than the launch.
         stream = _stream(torch._C._cuda_getCurrentRawStream(self._device))
         cuda_core().launch(stream, _shape(blocks, threads), kernel, *(_AS_ARGUMENT[type(x)](x) for x in arguments))
 
