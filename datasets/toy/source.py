@@ -24,7 +24,7 @@ from .render import geometry, picture
 from .scenes import SCENES
 from .world import World
 
-VERSION = 5  # raise it with every change that alters a scene
+VERSION = 6  # raise it with every change that alters a scene
 
 
 class ToySettings(SourceSettings):
