@@ -1,9 +1,9 @@
-"""Statistics: how far a mean over views and seeds can be trusted, and which results it cannot tell apart."""
+"""Statistics: how far a mean over views and seeds can be trusted, and whether it can be told from another."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,11 +12,9 @@ COVERAGE = 0.95
 DRAWS = 2000
 
 
-@dataclass(frozen=True)
-class Interval:
-    """A mean and its confidence interval."""
+class Interval(NamedTuple):
+    """A confidence interval of a mean."""
 
-    mean: float
     low: float
     high: float
 
@@ -57,17 +55,4 @@ def bootstrap_interval(
         means += values[picks].mean(axis=1) / len(arrays)
     tail = (1 - coverage) / 2
     low, high = np.quantile(means, [tail, 1 - tail])
-    return Interval(float(np.mean([values.mean() for values in arrays])), float(low), float(high))
-
-
-def tied_with_best(intervals: Mapping[str, Interval], *, higher_is_better: bool) -> set[str]:
-    """Names of the results that the best mean cannot be told apart from: their intervals overlap its own.
-
-    The best is among them. Conservative: intervals of 95 % each may overlap where a paired test would tell the two
-    apart, so what is left out is worse, and what is kept may be.
-    """
-    if not intervals:
-        return set()
-    choose = max if higher_is_better else min
-    best = intervals[choose(intervals, key=lambda name: intervals[name].mean)]
-    return {name for name, interval in intervals.items() if interval.overlaps(best)}
+    return Interval(float(low), float(high))

@@ -11,9 +11,10 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
+from envgs_bench.statistics import Interval, bootstrap_interval
+
 from .columns import COST_COLUMNS, MAIN_COLUMNS, SUMMARY_COLUMNS, Column, region_columns
 from .decimals import mean
-from .intervals import bootstrap_interval, overlap
 from .published import PUBLISHED_METRICS, paper_method, published_means
 
 Key = tuple[str, str, str, str]  # dataset, method, region, metric
@@ -45,7 +46,7 @@ class Cell:
         return float(np.std(self.strata[0], ddof=1))
 
     @cached_property
-    def interval(self) -> tuple[float, float] | None:
+    def interval(self) -> Interval | None:
         return bootstrap_interval(self.strata)
 
     @property
@@ -221,10 +222,14 @@ def _ranked(cells: list[Cell]) -> list[Cell]:
     for cell in cells:
         if cell.complete:
             place = printed.index(sign * _printed(cell)) + 1
-            tied = place > 1 and any(overlap(cell.interval, other.interval) for other in best)
+            tied = place > 1 and any(_overlap(cell, other) for other in best)
             cell = replace(cell, rank=place if place <= 3 else None, tied=tied)
         result.append(cell)
     return result
+
+
+def _overlap(a: Cell, b: Cell) -> bool:
+    return a.interval is not None and b.interval is not None and a.interval.overlaps(b.interval)
 
 
 def _printed(cell: Cell) -> Decimal:

@@ -10,16 +10,13 @@ import subprocess
 from decimal import Decimal
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
-import scipy.stats
 from reports_runs import METHODS, record, run_folder, write_failure, write_record, write_runs
 
 from envgs_bench.records import RecordError
 from envgs_bench.reports.columns import MAIN_COLUMNS
 from envgs_bench.reports.decimals import mean, rounded
-from envgs_bench.reports.intervals import bootstrap_interval
 from envgs_bench.reports.latex import latex
 from envgs_bench.reports.layout import entries, headings
 from envgs_bench.reports.markdown import markdown
@@ -140,22 +137,6 @@ def test_a_mean_is_exact_in_decimals() -> None:
     assert rounded(mean([26.21, 26.215]), 2) == Decimal("26.21")  # 26.2125
     with pytest.raises(ValueError, match="no values"):
         mean([])
-
-
-def test_the_bootstrap_agrees_with_scipy() -> None:
-    values = np.random.default_rng(3).normal(27, 0.4, size=12)
-    ours = bootstrap_interval([values])
-    theirs = scipy.stats.bootstrap(
-        (values,), np.mean, n_resamples=20_000, method="percentile", rng=np.random.default_rng(0)
-    ).confidence_interval
-    np.testing.assert_allclose(ours, (theirs.low, theirs.high), atol=0.03)
-
-
-def test_the_bootstrap_keeps_data_sets_apart() -> None:
-    """Between strata that do not vary there is no uncertainty, however far apart they are."""
-    assert bootstrap_interval([[20.0, 20.0], [30.0, 30.0]]) == (25.0, 25.0)
-    assert bootstrap_interval([[20.0, 20.0], [30.0]]) is None
-    assert bootstrap_interval([]) is None
 
 
 def test_ranks_are_of_printed_numbers_and_ties_share_them() -> None:
