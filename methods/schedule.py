@@ -7,10 +7,11 @@ below a floor, because some things take a number of steps and not a share of the
 | interval | floor | why |
 |---|---|---|
 | densification | 30 steps | its criterion is a mean over views |
-| colour sabotage, normal propagation | 200 steps | the picture has to come back in between |
+| colour sabotage, normal propagation | 500 steps | the picture has to come back in between, and takes that long |
 | opacity reset | 150 steps, 300 for the environment | an opacity climbs back from 0.01 at 0.05 a step |
 
-A floor of the last two is at most half the time they have, so that a run of 300 steps still has every phase.
+A run too short for an interval never does the thing: it could not recover. One of 2,000 steps has every phase, one of
+800 is never disturbed, one of 100 resets no opacity.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from dataclasses import dataclass
 
 REFERENCE_STEPS = 30_000
 DENSIFY_FLOOR = 30
-DISTURB_FLOOR = 200
+DISTURB_FLOOR = 500
 RESET_FLOOR = 150
 ENV_RESET_FLOOR = 300
 RECOVERY = 100
@@ -65,7 +66,7 @@ class Schedule:
 
     def resets(self, step: int, *, stop: int, interval: int, floor: int = RESET_FLOOR) -> bool:
         """Whether an opacity reset, every `interval` until before `stop` (reference), falls on `step`."""
-        return step < self.at(stop) and interval > 0 and step % self._rare(interval, floor, stop) == 0
+        return step < self.at(stop) and self._falls_on(step, interval, floor)
 
     def recovers(self, step: int, *, stop: int, interval: int, floor: int = RESET_FLOOR) -> bool:
         """Whether `step` is within 100 steps after such a reset, when opacities say nothing about need.
@@ -74,17 +75,13 @@ class Schedule:
         """
         if interval <= 0:
             return False
-        since = step % self._rare(interval, floor, stop)
+        since = step % self.every(interval, floor)
         return 0 < since < RECOVERY and since < step and step - since < self.at(stop)
 
     def disturbs(self, step: int, *, start: int, stop: int, interval: int) -> bool:
         """Whether colour sabotage and normal propagation, every `interval` in (start, stop], fall on `step`."""
         in_time = self.at(start) < step <= self.at(stop)
-        return in_time and interval > 0 and step % self._rare(interval, DISTURB_FLOOR, stop) == 0
-
-    def _rare(self, interval: int, floor: int, stop: int) -> int:
-        """`every`, with a floor of at most half the time until `stop`, so that even a short run has one."""
-        return self.every(interval, min(floor, max(1, self.at(stop) // 2)))
+        return in_time and self._falls_on(step, interval, DISTURB_FLOOR)
 
     def _falls_on(self, step: int, interval: int, floor: int) -> bool:
         """Whether `step` is a multiple of the reference interval; never where that is 0."""
