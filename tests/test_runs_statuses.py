@@ -140,7 +140,7 @@ def test_the_one_that_worked_has_everything(sweep: Sweep) -> None:
         f"{kind}/{view}{layer}.png"
         for view in ("view0", "view1")
         for kind, layer in (("renders", ""), ("targets", ""), ("layers", "-beta"), ("layers", "-normal"))
-    }
+    } | {"masks/view0-reflective.png"}
     with (folder / "curve.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert list(rows[0]) == ["step", "seconds", "loss", "psnr", "primitives_base", "primitives_env"]
