@@ -79,9 +79,6 @@ class GaussianParameters:
             extras=t["beta_logits"].sigmoid() if "beta_logits" in t else None,
         )
 
-    def gradients(self) -> list[Tensor]:
-        return [value.grad for value in self.tensors.values() if value.grad is not None]
-
     def set_learning_rate(self, name: str, rate: float) -> None:
         self._group(name)["lr"] = rate
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from torch import Tensor
 
@@ -24,9 +22,7 @@ __all__ = ["build_bvh", "rasterize", "trace", "why_unavailable"]
 def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> Rendering:
     with torch.cuda.device(gaussians.device):
         flat = draw(RasterPass(gaussians, camera, options), gaussians)
-    shape = (camera.height, camera.width)
-    names = ("color", "alpha", "depth", "normal", "extras", "hits")
-    return replace(flat, **{name: getattr(flat, name).unflatten(0, shape) for name in names})
+    return flat.map(lambda plane: plane.unflatten(0, (camera.height, camera.width)))
 
 
 def build_bvh(gaussians: GaussianSet) -> Bvh:

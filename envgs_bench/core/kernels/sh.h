@@ -4,7 +4,6 @@
 
 namespace envgs {
 
-constexpr int kMaxShCoefficients = 16;
 constexpr float kSh0 = 0.28209479177387814f;
 constexpr float kSh1 = 0.4886025119029199f;
 ENVGS_TABLE float kSh2[5] = {1.0925484305920792f, -1.0925484305920792f, 0.31539156525252005f, -1.0925484305920792f,

@@ -42,18 +42,6 @@ ENVGS_FN PlaneHit<R> intersect(SurfelFrame<R> frame, Vec3<R> origin, Vec3<R> dir
     return hit;
 }
 
-// The same for a ray in the surfel's own frame: o' and d'.
-template <class R>
-ENVGS_FN PlaneHit<R> intersect_local(Vec3<R> origin, Vec3<R> direction) {
-    PlaneHit<R> hit;
-    hit.d_z = direction.z;
-    hit.inverse_d_z = 1.0f / direction.z;
-    hit.t = -origin.z * hit.inverse_d_z;
-    hit.u = origin.x + hit.t * direction.x;
-    hit.v = origin.y + hit.t * direction.y;
-    return hit;
-}
-
 // dL/do' from dL/dt, dL/du and dL/dv. The rest follows from it: dL/dd' = t·dL/do' (a step of d moves the hit t times as
 // far as a step of o), dL/do = Aᵀ·dL/do', dL/dd = t·dL/do, dL/dp = −dL/do (EnvGS, Eq. 13 and 14).
 template <class R>
