@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 from torch.nn import functional
 
@@ -16,6 +14,7 @@ from .methods.method import Method
 from .metrics import Protocol
 from .records import MaskedScores, Metrics, Scores, ViewScores
 from .training import Diverged, Report
+from .view_pictures import depth_unit, save_view
 
 NORMAL_METRIC = "normal_degrees"
 
@@ -25,15 +24,15 @@ def evaluate(
 ) -> tuple[Metrics, dict[str, MaskedScores]]:
     """Scores of `views` and of every region that their masks name.
 
-    Writes renders/<view>.png, targets/<view>.png, layers/<view>-<layer>.png and masks/<view>-<region>.png into
-    `folder`, 8-bit, colours in sRGB. Where a view brings exact normals, `normal_degrees` is added to its scores: see
-    `normal_error`.
+    Leaves the pictures of `view_pictures.save_view` in `folder`. Where a view brings exact normals, `normal_degrees` is
+    added to its scores: see `normal_error`.
 
     Raises:
         Diverged: a render is not finite.
     """
     full: list[ViewScores] = []
     regions: dict[str, list[ViewScores]] = {}
+    unit = depth_unit([view.camera for view in views])
     for number, view in enumerate(views):
         report({"stage": "scoring", "step": number, "steps": len(views)})
         rendering = method.render(view.camera.to(method.device))
@@ -41,7 +40,7 @@ def evaluate(
         if not torch.isfinite(image).all():
             share = float((~torch.isfinite(image)).float().mean())
             raise Diverged(f"the render of test view {view.name} is not finite in {share:.1%} of its values")
-        _save_pictures(folder, view, rendering)
+        save_view(folder, view, rendering, unit)
         full.append(_scores(view, protocol.score(image, target), rendering, None))
         for region, mask in view.masks.items():
             if mask.any():
@@ -93,20 +92,3 @@ def _means(views: Iterable[ViewScores]) -> Scores:
 def _mean(values: list[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return sum(known) / len(known) if len(known) == len(values) else None
-
-
-def _save_pictures(folder: Path, view: View, rendering: Rendering) -> None:
-    save_png(folder / "renders" / f"{view.name}.png", rendering.color)
-    save_png(folder / "targets" / f"{view.name}.png", view.rgb())
-    for region, mask in view.masks.items():
-        save_png(folder / "masks" / f"{view.name}-{region}.png", mask)
-    for name, layer in rendering.layers.items():
-        save_png(folder / "layers" / f"{view.name}-{name}.png", layer)
-    save_png(folder / "layers" / f"{view.name}-normal.png", functional.normalize(rendering.normal, dim=-1) / 2 + 0.5)
-
-
-def save_png(path: Path, image: Tensor) -> None:
-    """Write [H, W], [H, W, 1] or [H, W, 3] values in [0, 1] as an 8-bit PNG, clamped and rounded."""
-    values = image.detach().cpu().float().clamp(0, 1).mul(255).round().to(torch.uint8).numpy()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.ascontiguousarray(values[..., 0] if values.shape[2:] == (1,) else values)).save(path)

@@ -45,7 +45,7 @@ class Training:
         self._non_finite = 0
 
     def run(self, curve: Path, report: Report) -> None:
-        """Train; `curve` becomes a CSV table of step, seconds, loss, psnr and primitives_<set>.
+        """Train; `curve` becomes a CSV table of step, seconds, loss, psnr, skipped_steps and primitives_<set>.
 
         `psnr` is the mean over the last steps, as many as there are training views, of what the method saw in dB.
 
@@ -63,7 +63,7 @@ class Training:
 
     def _loop(self, rows: Any, report: Report, started: float) -> None:
         sets = list(self.method.primitives())
-        rows.writerow(["step", "seconds", "loss", "psnr", *(f"primitives_{name}" for name in sets)])
+        rows.writerow(["step", "seconds", "loss", "psnr", "skipped_steps", *(f"primitives_{name}" for name in sets)])
         every = max(1, self.steps // CURVE_ROWS)
         reported = 0.0
         for view in shuffled(self.scene.train, self.steps, self.seed):
@@ -75,7 +75,8 @@ class Training:
             now = time.perf_counter()
             last = self.step == self.steps
             if self.step % every == 0 or last:
-                rows.writerow([self.step, f"{now - started:.3f}", loss, psnr, *(counts[name] for name in sets)])
+                skipped = self.method.skipped_steps
+                rows.writerow([self.step, f"{now - started:.3f}", loss, psnr, skipped, *(counts[n] for n in sets)])
             if now - reported > REPORT_SECONDS or last:
                 reported = now
                 state = {"step": self.step, "steps": self.steps, "loss": loss, "psnr": psnr, "primitives": counts}

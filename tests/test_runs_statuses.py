@@ -139,11 +139,14 @@ def test_the_one_that_worked_has_everything(sweep: Sweep) -> None:
     assert pictures == {
         f"{kind}/{view}{layer}.png"
         for view in ("view0", "view1")
-        for kind, layer in (("renders", ""), ("targets", ""), ("layers", "-beta"), ("layers", "-normal"))
+        for kind, layer in (
+            *(("renders", ""), ("targets", ""), ("layers", "-beta")),
+            *(("layers", "-normal"), ("layers", "-depth"), ("layers", "-error")),
+        )
     } | {"masks/view0-reflective.png"}
     with (folder / "curve.csv").open() as stream:
         rows = list(csv.DictReader(stream))
-    assert list(rows[0]) == ["step", "seconds", "loss", "psnr", "primitives_base", "primitives_env"]
+    assert list(rows[0]) == ["step", "seconds", "loss", "psnr", "skipped_steps", "primitives_base", "primitives_env"]
     assert [int(row["step"]) for row in rows] == list(range(1, 201))
 
 

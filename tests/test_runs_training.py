@@ -13,10 +13,11 @@ import torch
 from fakes.methods import LosesItsLoss, MeanColor, Settings
 from PIL import Image
 
-from envgs_bench.evaluation import evaluate, normal_error, save_png
+from envgs_bench.evaluation import evaluate, normal_error
 from envgs_bench.metrics import get_protocol
 from envgs_bench.testing import tiny_scene
 from envgs_bench.training import Diverged, Training, shuffled
+from envgs_bench.view_pictures import depth_picture, depth_unit, error_picture, save_png
 
 
 def nothing(event: dict[str, Any]) -> None:
@@ -62,6 +63,7 @@ def test_the_curve_thins_out_and_ends_with_the_last_step(tmp_path: Path) -> None
     seconds = [float(row["seconds"]) for row in rows]
     assert seconds == sorted(seconds)
     assert {row["primitives_base"] for row in rows} == {"1"}
+    assert {row["skipped_steps"] for row in rows} == {"0"}
 
 
 def test_the_running_psnr_is_the_mean_of_the_last_round(tmp_path: Path) -> None:
@@ -167,3 +169,19 @@ def test_a_png_is_clamped_and_rounded(tmp_path: Path) -> None:
     values = torch.tensor([[-1.0, 0.0, 0.5 / 255 + 1e-4, 0.4 / 255, 1.0, 2.0]])
     save_png(tmp_path / "a" / "b.png", values)
     assert np.asarray(Image.open(tmp_path / "a" / "b.png")).tolist() == [[0, 0, 1, 0, 255, 255]]
+
+
+def test_depth_is_grey_at_the_cameras_distance_and_black_where_nothing_is() -> None:
+    views = tiny_scene().train
+    centres = torch.stack([view.camera.centre for view in views])
+    unit = depth_unit([view.camera for view in views])
+    assert unit == pytest.approx(float((centres - centres.mean(0)).norm(dim=-1).mean()))
+    assert depth_unit([views[0].camera] * 3) == 1
+    grey = depth_picture(torch.tensor([[0.0, 1e-6 * unit, unit, 1e9 * unit]]), unit)
+    np.testing.assert_allclose(grey, [[0, 1, 0.5, 0]], atol=1e-5)
+
+
+def test_errors_are_shown_four_times_as_large() -> None:
+    target = torch.full((2, 2, 3), 0.5)
+    image = target + torch.tensor([0.1, -0.2, 0.0])
+    np.testing.assert_allclose(error_picture(image, target), 0.4, atol=1e-6)
