@@ -23,6 +23,7 @@ class EnvGSSettings(ReflectionSettings):
     env_grid: int = 0  # N: the box is divided into N³ cells (paper: 32); 0: as many primitives as points, N ≤ 32
     env_per_cell: int = 5  # K: random primitives in each
     env_box_quantile: float = 0.995  # share of the points' range, on each axis, that the box covers
+    env_box: float = 0.0  # half the edge of a cube around the world's origin as the box, world units; 0: by quantile
     env_densify_every: int = 500
     env_densify_threshold: float = 1e-4  # of ½·t·∂L/∂mean
     env_max_primitives: int = 630_000
@@ -45,7 +46,7 @@ class EnvGS(ReflectiveMethod):
         super().initialize(scene, steps)
         self.sets.pop("env", None)
         self._points = len(scene.points)
-        self._box = quantile_box(scene.points.float(), self.settings.env_box_quantile)
+        self._box = environment_box(scene.points.float(), self.settings)
 
     def prepare(self) -> None:
         super().prepare()
@@ -96,3 +97,11 @@ class EnvGS(ReflectiveMethod):
             return super()._rule(name)
         s = self.settings
         return DensificationRule(s.env_densify_threshold, s.min_opacity, s.env_max_primitives)
+
+
+def environment_box(points: Tensor, settings: EnvGSSettings) -> tuple[Tensor, Tensor]:
+    """Corners [3], [3] of the box that the environment set starts in: the points' quantile box (Sec. 4.3), or a cube."""
+    if settings.env_box > 0:
+        corner = points.new_full((3,), settings.env_box)
+        return -corner, corner
+    return quantile_box(points, settings.env_box_quantile)

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from envgs_bench.methods.envgs import EnvGSSettings, environment_box
 from envgs_bench.methods.initialization import (
     initial_tensors,
     neighbour_distance,
@@ -78,3 +79,13 @@ def test_initial_primitives(axes):
     torch.testing.assert_close(tensors["opacity_logits"].sigmoid(), torch.full((20,), 0.1))
     torch.testing.assert_close(tensors["beta_logits"].sigmoid(), torch.full((20, 1), 1e-3))
     assert tensors["sh_rest"].shape == (20, 3, 3)
+
+
+def test_the_environment_starts_in_the_quantile_box_unless_a_cube_is_given():
+    points = torch.randn(500, 3, generator=torch.Generator().manual_seed(0))
+    for corner, expected in zip(
+        environment_box(points, EnvGSSettings(env_box_quantile=0.9)), quantile_box(points, 0.9), strict=True
+    ):
+        assert torch.equal(corner, expected)
+    low, high = environment_box(points, EnvGSSettings(env_box=20.0))
+    assert (low.tolist(), high.tolist()) == ([-20] * 3, [20] * 3)
