@@ -100,8 +100,14 @@ class EnvGS(ReflectiveMethod):
 
 
 def environment_box(points: Tensor, settings: EnvGSSettings) -> tuple[Tensor, Tensor]:
-    """Corners [3], [3] of the box that the environment set starts in: the points' quantile box (Sec. 4.3), or a cube."""
-    if settings.env_box > 0:
-        corner = points.new_full((3,), settings.env_box)
-        return -corner, corner
-    return quantile_box(points, settings.env_box_quantile)
+    """Corners [3], [3] of the box that the environment set starts in: by the points' quantile (Sec. 4.3), or a cube.
+
+    Raises:
+        ValueError: `env_box` is negative.
+    """
+    if settings.env_box < 0:
+        raise ValueError(f"env_box is {settings.env_box:g}, expected half the edge of a cube, or 0 for the quantile box")
+    if settings.env_box == 0:
+        return quantile_box(points, settings.env_box_quantile)
+    corner = points.new_full((3,), settings.env_box)
+    return -corner, corner

@@ -89,3 +89,5 @@ def test_the_environment_starts_in_the_quantile_box_unless_a_cube_is_given():
         assert torch.equal(corner, expected)
     low, high = environment_box(points, EnvGSSettings(env_box=20.0))
     assert (low.tolist(), high.tolist()) == ([-20] * 3, [20] * 3)
+    with pytest.raises(ValueError, match="env_box is -1, expected half the edge of a cube"):
+        environment_box(points, EnvGSSettings(env_box=-1.0))
