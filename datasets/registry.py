@@ -24,7 +24,8 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
     Args:
         settings: `kind` picks the source: one of `BUILT_IN`, or an import path "package.module:function" to a function
-            of these same two arguments. The other keys are the source's own.
+            of these same two arguments. `obtain` says where the data are to be had, for whoever has no folder `root`.
+            The other keys are the source's own.
         cache_dir: where sources keep what took them time; made if missing.
 
     Raises:
@@ -33,7 +34,14 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     kind = settings.get("kind")
     if not isinstance(kind, str):
         raise DatasetError(f"dataset.kind={kind!r}: expected one of {', '.join(BUILT_IN)}")
-    return _source(kind)(settings, Path(cache_dir))
+    source = _source(kind)
+    obtain, root = settings.get("obtain"), settings.get("root")
+    if obtain and root and not Path(root).is_dir():
+        raise DatasetError(
+            f"dataset.root={root}: there is no such folder. Get it: {obtain}. If it lies elsewhere, give the folder "
+            "above as data_root=… or once for all as $ENVGS_BENCH_DATA_ROOT, or the folder itself as dataset.root=…"
+        )
+    return source({key: value for key, value in settings.items() if key != "obtain"}, Path(cache_dir))
 
 
 def _source(kind: str) -> Source:

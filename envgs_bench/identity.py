@@ -28,7 +28,7 @@ def run_id(settings: RunSettings, device: str) -> str:
     """
     determining = {
         "method": [settings.method.name, settings.method.kind, _with_fingerprints(settings.method.settings)],
-        "dataset": _with_fingerprints(settings.dataset),
+        "dataset": _with_fingerprints({key: value for key, value in settings.dataset.items() if key != "obtain"}),
         "steps": settings.steps,
         "seed": settings.seed,
         "protocol": settings.protocol,

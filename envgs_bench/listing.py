@@ -28,9 +28,10 @@ def print_listing() -> int:
 
 
 def config_names(group: str) -> list[str]:
-    """The options of a configuration group, as they are written behind `<group>=`."""
+    """The options of a configuration group, as they are written behind `<group>=`; files named _… are parts of them."""
     root = CONF / group
-    return sorted(path.relative_to(root).with_suffix("").as_posix() for path in root.rglob("*.yaml"))
+    files = (path for path in root.rglob("*.yaml") if not path.name.startswith("_"))
+    return sorted(path.relative_to(root).with_suffix("").as_posix() for path in files)
 
 
 def installed_methods() -> list[str]:

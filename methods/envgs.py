@@ -106,7 +106,7 @@ def environment_box(points: Tensor, settings: EnvGSSettings) -> tuple[Tensor, Te
         ValueError: `env_box` is negative.
     """
     if settings.env_box < 0:
-        raise ValueError(f"env_box is {settings.env_box:g}, expected half the edge of a cube, or 0 for the quantile box")
+        raise ValueError(f"env_box is {settings.env_box:g}, expected half the edge of a cube, or 0 for the quantile's")
     if settings.env_box == 0:
         return quantile_box(points, settings.env_box_quantile)
     corner = points.new_full((3,), settings.env_box)

@@ -240,7 +240,7 @@ CONFIGURED = {
 @pytest.mark.parametrize("name", CONFIGURED)
 def test_the_configuration_lists_every_setting_with_its_default(name):
     with initialize_config_dir(str(Path(envgs_bench.__file__).parent / "conf"), version_base="1.3"):
-        config = OmegaConf.to_container(compose(f"method/{name}"))
+        config = OmegaConf.to_container(compose(f"method/{name}"), resolve=True)
     assert isinstance(config, dict)
     method = config["method"]
     assert (method["name"], method["kind"]) == (name, CONFIGURED[name])

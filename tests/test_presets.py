@@ -1,0 +1,94 @@
+"""The paper's scenes as configurations: all there, named as the paper's tables name them, and hints where they fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fakes.runs import environment
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+import envgs_bench
+from envgs_bench.cli import main
+from envgs_bench.datasets import DatasetError, load_scene
+from envgs_bench.listing import config_names
+from envgs_bench.methods.registry import create_method
+from envgs_bench.records import find_records, read_record
+from envgs_bench.settings import parse_settings
+
+FAMILIES = ("ref_real", "nerf_casting", "envgs", "shiny_blender", "mipnerf360")
+PRESETS = [name for name in config_names("dataset") if name.startswith(FAMILIES)]
+
+
+def composed(*overrides: str) -> dict[str, Any]:
+    with initialize_config_dir(str(Path(envgs_bench.__file__).parent / "conf"), version_base="1.3"):
+        content = OmegaConf.to_container(compose("config", list(overrides)), resolve=True)
+    assert isinstance(content, dict)
+    return {str(key): value for key, value in content.items()}
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_lies_below_data_root_and_is_refused_only_because_nothing_is_there(name: str, tmp_path: Path) -> None:
+    content = composed(f"dataset={name}", f"data_root={tmp_path}")
+    assert content["dataset"]["name"] == name
+    assert Path(content["dataset"]["root"]).parent == tmp_path / name.split("/")[0]
+    with pytest.raises(DatasetError) as caught:
+        load_scene(content["dataset"], tmp_path)
+    for part in (content["dataset"]["root"], "http", "this folder holds", "data_root=", "$ENVGS_BENCH_DATA_ROOT"):
+        assert part in str(caught.value)
+    Path(content["dataset"]["root"]).mkdir(parents=True)  # empty: the source itself reads its settings, and complains
+    with pytest.raises(DatasetError) as caught:
+        load_scene(content["dataset"], tmp_path)
+    assert "there is no such key" not in str(caught.value)
+    assert "http" not in str(caught.value)
+
+
+def test_the_papers_settings_reach_the_run() -> None:
+    sedan, spheres = (composed(f"dataset=ref_real/{name}") for name in ("sedan", "spheres"))
+    assert (sedan["steps"], spheres["steps"]) == (60_000, 40_000)
+    assert sedan["dataset"]["downsample"] == 4
+    assert Path(spheres["dataset"]["root"]).name == "gardenspheres"
+    sizes = {name: composed(f"dataset=mipnerf360/{name}")["dataset"]["downsample"] for name in ("garden", "room")}
+    assert sizes == {"garden": 4, "room": 2}
+    assert composed("dataset=ref_real/sedan", "steps=7")["steps"] == 7
+    assert composed("dataset=toy/chrome_room")["steps"] == 7_000
+
+
+def test_hints_go_to_the_methods_that_know_them_and_give_way_to_overrides() -> None:
+    beta = {}
+    for method in ("2dgs", "envmap128", "envgs"):
+        content = composed("dataset=ref_real/spheres", f"method={method}")
+        settings = create_method(content["method"]["kind"], content["method"]["settings"]).settings
+        beta[method] = getattr(settings, "initial_beta", None), getattr(settings, "env_box", None)
+    assert beta == {"2dgs": (None, None), "envmap128": (0.1, None), "envgs": (0.1, 20.0)}
+    assert composed("dataset=ref_real/sedan")["method"]["settings"]["initial_beta"] == 0.001
+    told = composed("dataset=ref_real/spheres", "method.settings.env_box=50")
+    assert told["method"]["settings"]["env_box"] == 50
+    assert composed("dataset=toy/chrome_room")["hints"] == {}
+
+
+def test_data_root_is_an_override_or_an_environment_variable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ENVGS_BENCH_DATA_ROOT", raising=False)
+    assert composed("dataset=ref_real/sedan")["dataset"]["root"] == "data/ref_real/sedan"
+    monkeypatch.setenv("ENVGS_BENCH_DATA_ROOT", "/captures")
+    assert composed("dataset=ref_real/sedan")["dataset"]["root"] == "/captures/ref_real/sedan"
+    assert composed("dataset=ref_real/sedan", "data_root=/here")["dataset"]["root"] == "/here/ref_real/sedan"
+
+
+def test_a_run_records_the_hints_and_where_to_get_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    overrides = ["dataset=ref_real/spheres", "method=envgs", "device=cpu", f"data_root={tmp_path}"]
+    assert main(["run", *overrides, f"runs_dir={tmp_path / 'runs'}"]) == 1
+    (path,) = find_records(tmp_path / "runs")
+    record = read_record(path)
+    assert record.status == "failed"
+    assert record.error is not None
+    assert "ref_real.zip" in record.error.message
+    assert record.config["hints"] == {"initial_beta": 0.1, "env_box": 20.0}
+    assert record.config["method"]["settings"]["env_box"] == 20.0
+    assert parse_settings(record.config).hints == record.config["hints"]
