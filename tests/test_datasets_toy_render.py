@@ -11,8 +11,12 @@ from envgs_bench.core import Camera
 from envgs_bench.datasets.toy import lighting
 from envgs_bench.datasets.toy.cameras import look_at
 from envgs_bench.datasets.toy.color import to_linear, to_srgb
-from envgs_bench.datasets.toy.render import BOUNCES, _lobe_samples, _microfacets, geometry, picture, radiance
+from envgs_bench.datasets.toy.lathe import Lathe
+from envgs_bench.datasets.toy.paths import _lobe_samples, _microfacets, radiance
+from envgs_bench.datasets.toy.render import geometry, picture
+from envgs_bench.datasets.toy.rod import Rod
 from envgs_bench.datasets.toy.shapes import Cone, Disc, Mesh, Rectangle, Shape, Sphere, Torus, box, tessellate
+from envgs_bench.datasets.toy.waves import Wave, Waves
 from envgs_bench.datasets.toy.world import Part, World, reflect
 
 BLACK = np.zeros((4, 8, 3))
@@ -25,6 +29,9 @@ SHAPES = [
     Disc((0.0, 0.0, 0.1), 0.9, inner=0.3),
     Rectangle((-0.8, 0.3, 0.9), (1.5, 0.2, 0.0), (0.1, -0.4, -1.4)),
     box((0.0, 0.0, -0.4), (0.9, 0.7, 0.8), 25.0)[0],
+    Rod((-0.4, 0.2, -0.6), (0.3, -0.1, 0.8), 0.3),
+    Lathe((0.1, 0.0, -0.5), ((0.05, 1.0), (0.3, 0.7), (0.7, 0.5), (0.5, 0.1), (0.3, 0.0))),
+    Waves((-0.8, 0.3, 0.9), (1.5, 0.2, 0.0), (0.1, -0.4, -1.4), (Wave(0.03, 1.4, 0.5), Wave(0.02, -0.4, 2.7, 0.3))),
 ]
 
 
@@ -137,14 +144,15 @@ def test_facing_mirrors_of_one_colour_show_that_colour() -> None:
     np.testing.assert_allclose(seen, 0.5, atol=1e-6)
 
 
-def test_each_bounce_is_weighted_by_the_reflectances_before_it() -> None:
+@pytest.mark.parametrize("bounces", [5, 12])
+def test_each_bounce_is_weighted_by_the_reflectances_before_it(bounces: int) -> None:
     """Two facing mirrors, one of them black: only odd bounces carry light, Σ k^(2i+1)·(1 − k)·½."""
     k = 0.7
     facing = [Rectangle((-9, -9, 0), (18, 0, 0), (0, 18, 0)), Rectangle((-9, -9, 1), (18, 0, 0), (0, 18, 0))]
-    world = World([Part(shape, GREY, reflectance=k) for shape in facing], BLACK)
+    world = World([Part(shape, GREY, reflectance=k) for shape in facing], BLACK, bounces)
     world.set_textures([0 * GREY, GREY])
     seen = radiance(world, np.float32([[0, 0, 0.5]]), np.float32([[0, 0, -1]]), np.random.default_rng(0))
-    kept = [k**i * (1 - k if i < BOUNCES else 1) for i in range(BOUNCES + 1)]
+    kept = [k**i * (1 - k if i < bounces else 1) for i in range(bounces + 1)]
     np.testing.assert_allclose(seen, 0.5 * sum(kept[1::2]), atol=1e-6)
 
 

@@ -25,9 +25,15 @@ def bake(world: World, rng: np.random.Generator) -> None:
     """Sets `world.textures` to outgoing radiance: emission + albedo·E/π with E the irradiance gathered by rays.
 
     Each pass gathers what the pass before left on the surfaces, so pass n adds light of n − 1 bounces. A reflector
-    counts as a matt surface here: light thrown by mirrors (caustics) is left out. Being stored on the surface, the
-    result is the same from every side, that is Lambertian.
+    counts as a matt surface here and a clear solid as air: light thrown by mirrors or gathered by glass (caustics) is
+    left out. Being stored on the surface, the result is the same from every side, that is Lambertian.
     """
+    if world.ior.any():
+        opaque = World([part for part in world.parts if not part.ior], world.sky)
+        bake(opaque, rng)
+        lit = iter(opaque.textures)
+        world.set_textures([np.zeros((1, 1, 3)) if part.ior else next(lit) for part in world.parts])
+        return
     places = [_places(part) for part in world.parts]
     counts = np.cumsum([points.shape[0] * points.shape[1] for points, _ in places])[:-1]
     normals = np.concatenate([normals.reshape(-1, 3) for _, normals in places]).astype(np.float32)

@@ -20,12 +20,17 @@ OFFSET = 1e-4  # world units between a surface and the rays that leave it
 
 @dataclass(frozen=True)
 class Part:
-    """One surface and its material: radiance = (1 − reflectance)·diffuse + reflectance·reflected."""
+    """One surface and its material: radiance = (1 − reflectance)·diffuse + reflectance·reflected.
+
+    With an index of refraction it bounds a clear solid, which lies on the side that its normals point away from, and
+    neither `albedo` nor `reflectance` counts.
+    """
 
     shape: Shape
     albedo: Array  # [H, W, 3] linear, upright as the shape's (u, v)
     reflectance: float = 0.0  # share of the light that is reflected, in [0, 1]
     roughness: float = 0.0  # of the reflecting microfacets (GGX, alpha = roughness²); 0 is a mirror
+    ior: float = 0.0  # index of refraction of the clear solid behind; 0: opaque
     emission: float = 0.0  # radiance added to the diffuse colour, in units of the albedo
 
 
@@ -51,6 +56,7 @@ class World:
 
     parts: list[Part]
     sky: Array  # [H, W, 3] linear radiance from infinity
+    bounces: int = 5  # reflections and refractions followed along one path
     textures: list[Array] = field(init=False)  # outgoing diffuse radiance, one [H, W, 3] a part
 
     def __post_init__(self) -> None:
@@ -63,7 +69,11 @@ class World:
         self._embree = EmbreeScene(robust=True)
         vertices = np.concatenate([mesh.vertices for mesh in meshes]).astype(np.float32)
         TriangleMesh(self._embree, vertices, self._faces.astype(np.int32))
-        self.reflectance = np.array([part.reflectance for part in self.parts], dtype=np.float32)
+        corners = vertices[self._faces]
+        self._outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        self.ior = np.array([part.ior for part in self.parts], dtype=np.float32)
+        # the share of the light that is not the surface's own
+        self.specular = np.array([1 if part.ior else part.reflectance for part in self.parts], dtype=np.float32)
         self.roughness = np.array([part.roughness for part in self.parts], dtype=np.float32)
         self.sky = self.sky.astype(np.float32)
         self.set_textures([np.zeros_like(part.albedo) for part in self.parts])
@@ -81,7 +91,7 @@ class World:
         return Hits(np.where(face < 0, np.float32(0), found["tfar"]), face, np.stack([1 - b - c, b, c], axis=1))
 
     def part(self, hits: Hits) -> Index:
-        """The part each ray met, [R]. All must have met one, here and below."""
+        """The part each ray met, [R]; any where it met none. Below, all must have met one."""
         return self.part_of_face[hits.face]
 
     def normals(self, hits: Hits, directions: Array) -> Array:
@@ -89,6 +99,10 @@ class World:
         normals = self._interpolated(self._normals, hits)
         length = np.sqrt(np.einsum("ri,ri->r", normals, normals))
         return normals / np.where(np.einsum("ri,ri->r", normals, directions) > 0, -length, length)[:, None]
+
+    def from_outside(self, hits: Hits, directions: Array) -> NDArray[np.bool_]:
+        """Whether each ray comes from the side that the surface's normals point to, [R]."""
+        return np.einsum("ri,ri->r", self._outward.take(hits.face, axis=0), directions) < 0
 
     def diffuse(self, hits: Hits) -> Array:
         """Outgoing diffuse radiance [R, 3]: the parts' textures, bilinear."""

@@ -1,0 +1,57 @@
+"""Normals as an estimator would give them: wrong by a chosen angle, smoothly, a whole region at a time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+Array = NDArray[np.floating[Any]]
+
+# standard deviation of the blur in picture widths, and its share of the variance
+BANDS = ((1 / 4, 0.5), (1 / 12, 0.3), (1 / 40, 0.2))
+
+
+def noisy_normals(normals: Array, directions: Array, mean_degrees: float, rng: np.random.Generator) -> Array:
+    """The normals [H, W, 3], each turned by a rotation vector that varies smoothly over the picture.
+
+    Monocular estimators err by whole surfaces and by gentle waves across them, not by pixels: the rotation's three
+    components are independent Gaussian fields with half of the variance at a quarter of the picture's width, the rest
+    at a twelfth and a fortieth (`BANDS`). The part of a rotation across a normal is what turns it: two components of
+    deviation σ, so the angle follows Rayleigh's distribution, whose mean is σ·√(π/2). What would then face away from
+    the camera is mirrored back to face it.
+
+    Args:
+        normals: [H, W, 3] unit, facing the camera; 0 where unknown, which stays.
+        directions: [H, W, 3] of the rays through the pixels, of any length.
+        mean_degrees: the angle's mean over many views; one view's own mean differs, as estimators' do.
+    """
+    deviation = np.radians(mean_degrees) / np.sqrt(np.pi / 2)
+    rotation = deviation * np.stack([_smooth_field(normals.shape[:2], rng) for _ in range(3)], axis=-1)
+    turned = _rotated(normals, rotation)
+    sight = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    along = np.sum(turned * sight, axis=-1, keepdims=True)
+    return turned - 2 * np.maximum(along, 0) * sight
+
+
+def _smooth_field(shape: tuple[int, int], rng: np.random.Generator) -> Array:
+    """A Gaussian field [H, W] of deviation 1, its correlations those of BANDS."""
+    total = np.zeros(shape)
+    for blur, share in BANDS:
+        sigma = blur * shape[1]
+        margin = int(np.ceil(4 * sigma))
+        white = rng.normal(size=(shape[0] + 2 * margin, shape[1] + 2 * margin))
+        smooth = ndimage.gaussian_filter(white, sigma)[margin : margin + shape[0], margin : margin + shape[1]]
+        kernel = ndimage.gaussian_filter1d(np.eye(1, 2 * margin + 1, margin)[0], sigma)
+        total += np.sqrt(share) * smooth / np.sum(kernel**2)  # the blur leaves (Σ k²)² of the variance, in two passes
+    return total
+
+
+def _rotated(vectors: Array, rotation: Array) -> Array:
+    """Each vector turned about the axis of its rotation vector by that one's length (Rodrigues' formula)."""
+    angle = np.linalg.norm(rotation, axis=-1, keepdims=True)
+    axis = rotation / np.maximum(angle, 1e-12)
+    along = np.sum(axis * vectors, axis=-1, keepdims=True)
+    return np.cos(angle) * vectors + np.sin(angle) * np.cross(axis, vectors) + (1 - np.cos(angle)) * along * axis
