@@ -1,111 +1,139 @@
-"""Pictures as files: decoding, undistorting and shrinking them, and finding the masks and normals that go with them."""
+"""Photographs: pictures on disk with their cameras, before any pixel is read."""
 
 from __future__ import annotations
 
-from functools import cache
+import copy
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
-from PIL import Image
-from scipy import sparse
 
+from .cache import Draft
+from .normals import Frame, NormalMap
+from .paths import listed
+from .pictures import read_header
 from .settings import DatasetError
-
-Bytes = NDArray[np.uint8]
-
-PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
-MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")  # of 8 bits a channel or fewer
+from .siblings import Siblings, region_folders
 
 
-def read_picture(path: Path, background: tuple[float, float, float]) -> Bytes:
-    """The picture [H, W, 3], as its pixels lie in the file (EXIF turns are not applied, nor does COLMAP apply them).
+@dataclass(frozen=True)
+class Photograph:
+    """One picture with a pose, and the files that belong to it."""
 
-    Transparent ones are laid on `background`, sRGB in [0, 1].
+    name: str  # as the data name it: a path, unique among the photographs
+    path: Path
+    camera: pycolmap.Camera  # of its file's size once fitted; may be distorted
+    world_to_camera: NDArray[np.float64]  # [4, 4]
+    masks: dict[str, Path] = field(default_factory=dict)  # by region
+    normal: NormalMap | None = None
+    turned: bool = False  # EXIF's orientation is to be applied
+
+    @property
+    def view_name(self) -> str:
+        """The name without its extension, in one piece: `left/1.jpg` is the view `left_1`."""
+        return PurePosixPath(self.name).with_suffix("").as_posix().replace("/", "_")
+
+
+def with_siblings(photographs: Sequence[Photograph], root: Path, frame: Frame = "world") -> list[Photograph]:
+    """The photographs with the masks and normals that lie in folders below `root`, where there are such folders.
+
+    Masks that a photograph has already stay.
 
     Raises:
-        DatasetError: the file cannot be decoded, or holds more than 8 bits a channel.
+        DatasetError: a folder lacks a file for some of them.
     """
-    image = _decoded(path)
-    if image.mode in ("LA", "PA", "RGBA") or "transparency" in image.info:
-        ground = tuple(round(255 * channel) for channel in background)
-        image = Image.alpha_composite(Image.new("RGBA", image.size, (*ground, 255)), image.convert("RGBA"))
-    return np.asarray(image.convert("RGB"))
+    names = [photograph.name for photograph in photographs]
+    result = list(photographs)
+    for region, folder in region_folders(root).items():
+        paths = Siblings(folder).find_all(names)
+        result = [replace(p, masks={region: path, **p.masks}) for p, path in zip(result, paths, strict=True)]
+    if (root / "normals").is_dir():
+        paths = Siblings(root / "normals").find_all(names)
+        result = [replace(p, normal=NormalMap(path, frame)) for p, path in zip(result, paths, strict=True)]
+    return result
 
 
-def read_mask(path: Path) -> Bytes:
-    """The mask [H, W]: 255 inside, 0 outside. Inside is the brighter half of the grey scale, or 1 among 0 and 1.
+def fit_to_files(photographs: Sequence[Photograph], draft: Draft) -> list[Photograph]:
+    """The photographs with their cameras at the sizes of their files, which may be reduced copies.
+
+    Pixels are taken as they lie in the file, as COLMAP takes them, whatever its EXIF orientation says; unless the
+    camera has the turned picture's shape and not the file's.
 
     Raises:
-        DatasetError: as `read_picture`.
+        DatasetError: a file is no picture or has another shape than its camera; files of one camera differ in size;
+            masks or normals have another shape than their picture; names are not unique.
     """
-    values = np.asarray(_decoded(path).convert("L"))
-    return np.where(values >= (128 if values.max() > 1 else 1), 255, 0).astype(np.uint8)
+    _refuse_equal_names(photographs)
+    fitted = [_fit(photograph) for photograph in photographs]
+    sizes: dict[int, dict[tuple[int, int], list[str]]] = defaultdict(lambda: defaultdict(list))
+    for before, after in zip(photographs, fitted, strict=True):
+        sizes[id(before.camera)][after.camera.width, after.camera.height].append(before.name)
+    for by_size in sizes.values():
+        if len(by_size) > 1:
+            found = "; ".join(f"{w}×{h}: {listed(names)}" for (w, h), names in by_size.items())
+            raise DatasetError(
+                f"{photographs[0].path.parent}: images of one camera have several sizes ({found}); make them one size"
+            )
+    _check_siblings(fitted, draft)
+    return fitted
 
 
-def _decoded(path: Path) -> Image.Image:
-    try:
-        with Image.open(path) as image:
-            image.load()
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise DatasetError(f"{path}: cannot be decoded ({error}); replace it by an intact image") from error
-    if image.mode not in MODES:
-        raise DatasetError(f"{path}: has pixels of mode {image.mode}, expected 8 bits a channel; convert it")
-    return image
+def _refuse_equal_names(photographs: Iterable[Photograph]) -> None:
+    by_name: dict[str, list[str]] = defaultdict(list)
+    for photograph in photographs:
+        by_name[photograph.view_name].append(photograph.name)
+    for view_name, names in by_name.items():
+        if len(names) > 1:
+            raise DatasetError(
+                f"several images are called {view_name}: {listed(names)}; rename them or remove all but one"
+            )
 
 
-def undistorted_camera(camera: pycolmap.Camera) -> pycolmap.Camera:
-    """The pinhole camera that sees what `camera` sees, without borders where there is no picture."""
-    if camera.model.name in PINHOLES:
-        return camera
-    return pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
+def _fit(photograph: Photograph) -> Photograph:
+    header, camera = read_header(photograph.path), photograph.camera
+    stored, turned = (header.width, header.height), (header.height, header.width)
+    use_turned = header.turned and not _same_shape(stored, camera) and _same_shape(turned, camera)
+    width, height = turned if use_turned else stored
+    if not _same_shape((width, height), camera):
+        raise DatasetError(
+            f"{photograph.path}: is {width}×{height} pixels, its camera {camera.width}×{camera.height}: not the same "
+            "shape; use the images that the cameras were made for, or copies of them reduced as a whole"
+        )
+    if (width, height) != (camera.width, camera.height):
+        camera = copy.deepcopy(camera)
+        camera.rescale(width, height)
+    return replace(photograph, camera=camera, turned=use_turned)
 
 
-def undistort(pixels: Bytes, camera: pycolmap.Camera) -> Bytes:
-    """What `undistorted_camera(camera)` sees of the picture [H, W, 3] or [H, W], bilinear."""
-    if camera.model.name in PINHOLES:
-        return pixels
-    bitmap = pycolmap.Bitmap.from_array(np.ascontiguousarray(pixels))
-    result, _ = pycolmap.undistort_image(pycolmap.UndistortCameraOptions(), bitmap, camera)
-    return result.to_array().reshape(result.height, result.width, *pixels.shape[2:])
+def _same_shape(size: tuple[int, int], camera: pycolmap.Camera) -> bool:
+    """Whether `size` is the camera's, scaled and rounded."""
+    return abs(size[0] - camera.width * size[1] / camera.height) <= 1
 
 
-def shrink(pixels: Bytes, width: int, height: int) -> Bytes:
-    """The picture at a smaller size; each pixel is the mean of the area it covers, of the sRGB bytes as they are.
-
-    Exact for sizes that do not divide, where Pillow's box filter takes whole pixels and so moves the picture by up to
-    half of one against its intrinsics.
-    """
-    if pixels.shape[:2] == (height, width):
-        return pixels
-    flat = pixels.reshape(*pixels.shape[:2], -1).astype(np.float32)
-    rows = _overlaps(flat.shape[0], height) @ flat.reshape(flat.shape[0], -1)
-    sideways = rows.reshape(height, flat.shape[1], -1).swapaxes(0, 1).reshape(flat.shape[1], -1)
-    columns = (_overlaps(flat.shape[1], width) @ sideways).reshape(width, height, -1).swapaxes(0, 1)
-    return np.round(columns).astype(np.uint8).reshape(height, width, *pixels.shape[2:])
-
-
-@cache
-def _overlaps(length: int, bins: int) -> sparse.csr_array:
-    """[bins, length]: the share of each of a line's `length` pixels in the means over its `bins` equal parts."""
-    edges, pieces = np.linspace(0, length, bins + 1), np.arange(length)
-    common = np.minimum(edges[1:, None], pieces + 1) - np.maximum(edges[:-1, None], pieces)
-    return sparse.csr_array(np.maximum(common, 0) * (bins / length), dtype=np.float32)
+def _check_siblings(photographs: Sequence[Photograph], draft: Draft) -> None:
+    """Masks and normals have their picture's shape; where they have another size, the draft notes it."""
+    others: dict[Path, list[str]] = defaultdict(list)
+    for photograph in photographs:
+        sizes = ((path, _size(path)) for path in photograph.masks.values())
+        normal = photograph.normal
+        for path, size in chain(sizes, [(normal.path, normal.size())] if normal else []):
+            camera = photograph.camera
+            if not _same_shape(size, camera):
+                raise DatasetError(
+                    f"{path}: is {size[0]}×{size[1]} pixels, its image {photograph.path.name} is "
+                    f"{camera.width}×{camera.height}: not the same shape; make it of the whole image"
+                )
+            if size != (camera.width, camera.height):
+                others[path.parent].append(path.name)
+    for folder, names in others.items():
+        draft.note(f"{folder}: resampled, being of another size than the images: {listed(sorted(names))}")
 
 
-class Siblings:
-    """Files of a folder, found by an image's name: the same path below the folder, with any extension."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self._paths = {
-            path.relative_to(folder).with_suffix("").as_posix(): path
-            for path in sorted(folder.rglob("*"))
-            if path.is_file() and not path.name.startswith(".")
-        }
-
-    def find(self, image_name: str) -> Path | None:
-        """The file for image `a/b.jpg`: `a/b.<any>` or, as COLMAP names masks, `a/b.jpg.<any>`; None without one."""
-        stem = PurePosixPath(image_name).with_suffix("").as_posix()
-        return self._paths.get(stem) or self._paths.get(image_name)
+def _size(path: Path) -> tuple[int, int]:
+    header = read_header(path)
+    return header.width, header.height

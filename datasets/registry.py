@@ -16,6 +16,8 @@ Source = Callable[[Mapping[str, Any], Path], Scene]
 BUILT_IN = {
     "toy": "envgs_bench.datasets.toy:load_toy",
     "colmap": "envgs_bench.datasets.colmap:load_colmap",
+    "blender": "envgs_bench.datasets.blender:load_blender",
+    "transforms": "envgs_bench.datasets.transforms:load_transforms",
 }
 
 

@@ -1,0 +1,85 @@
+"""Blender scenes: rendered objects with their split, as NeRF's and Ref-NeRF's synthetic data sets have them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import torch
+from pydantic import Field
+
+from envgs_bench.core import Scene
+
+from .cache import Draft
+from .capture import CaptureSettings, Channel, cached_capture, files_of, make_views, refuse_missing, require_folder
+from .estimator import with_estimated_normals
+from .frames import read_frames
+from .normals import NormalMap
+from .photographs import Photograph, with_siblings
+from .pointcloud import PointCloud, random_points, read_ply
+from .settings import parse_settings
+
+VERSION = 1  # raise it with every change that alters a scene
+POINTS = "points3d.ply"  # what 3DGS writes beside such a scene
+
+
+class BlenderSettings(CaptureSettings):
+    """Settings of `kind: blender`."""
+
+    kind: Literal["blender"]
+    background: tuple[Channel, Channel, Channel] = (1.0, 1.0, 1.0)  # sRGB
+    random_points: Annotated[int, Field(ge=1)] = 100_000  # where there is no points3d.ply
+    random_box: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.3  # they fill [-box, box] cubed
+    train_normals: bool = False  # learn from exact normals too, where there are any; test views always have them
+
+
+def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
+    """A rendered scene, split as its files say.
+
+        transforms_train.json, transforms_test.json   camera_angle_x; file_path and transform_matrix of each frame
+        train/…, test/…                               the pictures; transparent ones are laid on `background`
+        test/<view>_normal.png or .npy                optional: exact normals, world frame
+        masks/…, masks_<region>/…                     optional, as masks/test/r_0.png
+        points3d.ply                                  optional: points to start from
+
+    Raises:
+        DatasetError: anything missing, unreadable or contradictory; the message names the file or key.
+    """
+    choice = parse_settings(BlenderSettings, settings)
+    root = choice.root
+    require_folder(root)
+    paths = [root / f"transforms_{split}.json" for split in ("train", "test")]
+    files = [read_frames(path) for path in paths]
+    found = [file.photographs() for file in files]
+    train, test = (photographs for photographs, _ in found)
+    if choice.train_normals:
+        train = _with_normals(train)
+    photographs = with_siblings([*train, *_with_normals(test)], root)
+
+    def make(draft: Draft) -> Scene:
+        for file, (_, missing) in zip(files, found, strict=True):
+            refuse_missing(choice, len(file.frames), missing, file.path, draft)
+        views = make_views(photographs, choice, draft)
+        cloud = read_ply(root / POINTS) if (root / POINTS).is_file() else _random_points(choice)
+        learned = with_estimated_normals(views[: len(train)], choice.normal_estimator, draft)
+        return Scene(choice.scene_name, learned, views[len(train) :], *cloud, torch.tensor(choice.background))
+
+    return cached_capture(choice, VERSION, [*paths, root / POINTS, *files_of(photographs)], cache_dir, make)
+
+
+def _random_points(choice: BlenderSettings) -> PointCloud:
+    return random_points(choice.random_points, (0.0, 0.0, 0.0), choice.random_box)
+
+
+def _with_normals(photographs: list[Photograph]) -> list[Photograph]:
+    """The photographs with the normals that lie beside their pictures, where they do."""
+    result = []
+    for photograph in photographs:
+        stem = photograph.path.with_suffix("").name
+        candidates = [photograph.path.with_name(f"{stem}_normal{extension}") for extension in (".npy", ".png")]
+        candidates += sorted(photograph.path.parent.glob(f"{stem}_normal_*.png"))  # with Blender's number of the frame
+        path = next((candidate for candidate in candidates if candidate.is_file()), None)
+        result.append(replace(photograph, normal=NormalMap(path, rendered=True) if path else None))
+    return result

@@ -1,0 +1,88 @@
+"""Captures with one transforms.json, as instant-ngp and nerfstudio write it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import torch
+from pydantic import Field
+
+from envgs_bench.core import Scene
+
+from .cache import Draft
+from .capture import CaptureSettings, cached_capture, files_of, make_views, refuse_missing, require_folder
+from .estimator import with_estimated_normals
+from .frames import FrameFile, read_frames, without_common_folder
+from .normals import Frame
+from .paths import path_below
+from .photographs import with_siblings
+from .pointcloud import PointCloud, random_points, read_ply
+from .settings import DatasetError, parse_settings
+from .split import split_views
+
+VERSION = 1  # raise it with every change that alters a scene
+NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # of instant-ngp, whose box [0, 1]³ is grown by aabb_scale around its middle
+
+
+class TransformsSettings(CaptureSettings):
+    """Settings of `kind: transforms`."""
+
+    kind: Literal["transforms"]
+    file: str = "transforms.json"  # below root
+    images: str | None = None  # folder below root in place of the first one in each file_path, as images_4
+    normals_frame: Frame = "world"  # of normals/; camera: x right, y down, z forward; opengl: x right, y up, z backward
+    random_points: Annotated[int, Field(ge=1)] = 100_000  # where the file names no point cloud
+    random_box: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = (
+        None  # they fill [-box, box] cubed; from aabb_scale
+    )
+
+
+def load_transforms(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
+    """A capture whose cameras are in one JSON file: camera to world, OpenGL axes, in the file's world.
+
+    Of all frames or of each: fl_x, fl_y or camera_angle_x, camera_angle_y; cx, cy, w, h; camera_model, k1 … k4, p1, p2;
+    of a frame: file_path (with or without extension), transform_matrix, mask_path (region `foreground`). Points come
+    from ply_file_path, else they are random, in the box that aabb_scale (with scale and offset) tells instant-ngp.
+    `masks/`, `masks_<region>/` and `normals/` as for `colmap`. applied_transform is not undone: poses and points both
+    have it.
+
+    Raises:
+        DatasetError: anything missing, unreadable or contradictory; the message names the file or key.
+    """
+    choice = parse_settings(TransformsSettings, settings)
+    root = choice.root
+    require_folder(root)
+    file = read_frames(path_below(root, choice.file, root))
+    found, missing = file.photographs(choice.images)
+    names = without_common_folder([photograph.name for photograph in found])
+    named = [replace(photograph, name=name) for photograph, name in zip(found, names, strict=True)]
+    photographs = with_siblings(named, root, choice.normals_frame)
+    ply = path_below(root, str(file.shared["ply_file_path"]), file.path) if file.shared.get("ply_file_path") else None
+
+    def make(draft: Draft) -> Scene:
+        refuse_missing(choice, len(file.frames), missing, file.path, draft)
+        cloud = read_ply(ply) if ply else _random_points(choice, file)
+        train, test = split_views(make_views(photographs, choice, draft), str(file.path))
+        train = with_estimated_normals(train, choice.normal_estimator, draft)
+        return Scene(choice.scene_name, train, test, *cloud, torch.tensor(choice.background))
+
+    files = [file.path, *([ply] if ply else []), *files_of(photographs)]
+    return cached_capture(choice, VERSION, files, cache_dir, make)
+
+
+def _random_points(choice: TransformsSettings, file: FrameFile) -> PointCloud:
+    if choice.random_box is not None:
+        return random_points(choice.random_points, (0.0, 0.0, 0.0), choice.random_box)
+    aabb = file.number("aabb_scale", {})
+    if aabb is None:
+        raise DatasetError(
+            f"{file.path}: names no points to start from (ply_file_path) and no box (aabb_scale); give the half edge "
+            "of a box for random ones, in the file's units: dataset.random_box=…"
+        )
+    scale = file.number("scale", {}) or NGP_SCALE
+    offset = file.shared.get("offset") or [NGP_OFFSET] * 3
+    x, y, z = ((0.5 - float(shift)) / scale for shift in offset)
+    return random_points(choice.random_points, (x, y, z), aabb / 2 / scale)
