@@ -66,7 +66,8 @@ def run(arguments: list[str]) -> int:
 @hydra.main(config_path=str(CONF), config_name="config", version_base="1.3")
 def _application(config: DictConfig) -> None:
     content: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
-    del content["data_root"]  # it has done its work, in dataset.root
+    for shorthand in ("data_root", "path"):  # they have done their work, in dataset.root and method.settings.path
+        content.pop(shorthand, None)
     settings = parse_settings({**content, "overrides": list(HydraConfig.get().overrides.task)})
     try:
         get_protocol(settings.protocol)

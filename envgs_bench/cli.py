@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 RUN_HELP = """\
@@ -44,6 +44,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return run(rest)
     if options.command == "report":
         return _report(options.runs, options.out)
+    if options.command == "rescore":
+        return _explained("rescore", lambda: _rescore(options.runs, options.protocol, options.out))
+    if options.command == "ply":
+        return _explained("ply", lambda: _ply(options.run, options.out))
     if options.command == "bench":
         from .bench.core import main as bench_core
 
@@ -75,6 +79,13 @@ def _parser() -> argparse.ArgumentParser:
     report = commands.add_parser("report", help="tables, charts and pages from records")
     report.add_argument("runs", type=Path, metavar="RUNS", help="a folder with runs: the runs_dir of `run`")
     report.add_argument("--out", type=Path, metavar="DIR", help="where to write; RUNS/report by default")
+    rescore = commands.add_parser("rescore", help="finished runs under another protocol, from the pictures they left")
+    rescore.add_argument("runs", type=Path, metavar="RUNS", help="a folder with runs, or one run's")
+    rescore.add_argument("--protocol", required=True, metavar="NAME", help="`envgs-bench list` names them")
+    rescore.add_argument("--out", type=Path, metavar="DIR", help="where records go; RUNS-<protocol> by default")
+    ply = commands.add_parser("ply", help="the Gaussians that a run trained, as PLY files")
+    ply.add_argument("run", type=Path, metavar="RUN", help="one run's folder, with its checkpoint")
+    ply.add_argument("--out", type=Path, metavar="DIR", required=True, help="where <set>.ply are written")
     commands.add_parser("list", help="methods, data sets, protocols, experiments, backends")
     bench = commands.add_parser("bench", help="time the core itself", add_help=False, allow_abbrev=False)
     bench.add_argument("subject", choices=["core"], help="what to time; `bench core --help` tells its options")
@@ -95,6 +106,47 @@ def _report(runs: Path, out: Path | None) -> int:
     for record in report.broken:
         print(f"envgs-bench report: {record.path}: {record.reason}", file=sys.stderr)
     return int(bool(report.broken))
+
+
+def _rescore(runs: Path, name: str, out: Path | None) -> int:
+    from rich.console import Console
+    from rich.progress import track
+
+    from .metrics import get_protocol
+    from .records import RecordError, find_records
+    from .rescoring import rescore
+
+    protocol = get_protocol(name)
+    out = out or Path(f"{runs.resolve()}-{name}")
+    folders = [path.parent for path in find_records(runs) if out.resolve() not in path.resolve().parents]
+    problems = []
+    for folder in track(folders, "scoring", console=Console(stderr=True), transient=True):
+        target = folder.relative_to(runs)
+        try:
+            rescore(folder, protocol, out / (folder.resolve().name if target == Path() else target))
+        except RecordError as error:
+            problems.append(error)
+    print(f"{len(folders) - len(problems)} records under protocol {protocol.of_pictures().name}: {out}")
+    for problem in problems:
+        print(f"envgs-bench rescore: {problem}", file=sys.stderr)
+    return int(bool(problems) or not folders)
+
+
+def _ply(run: Path, out: Path) -> int:
+    from .ply_export import export_ply
+
+    for path in export_ply(run, out):
+        print(path)
+    return 0
+
+
+def _explained(command: str, work: Callable[[], int]) -> int:
+    """The exit status of `work`; 1 with the explanation where its input cannot be used."""
+    try:
+        return work()
+    except (OSError, ValueError) as error:
+        print(f"envgs-bench {command}: {error}", file=sys.stderr)
+        return 1
 
 
 if __name__ == "__main__":

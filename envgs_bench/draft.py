@@ -35,6 +35,7 @@ class Draft:
         self.settings = settings
         self.started = now()
         self.dataset = settings.dataset_name
+        self.steps = settings.steps
         self.metrics: Metrics | None = None
         self.masked: dict[str, MaskedScores] = {}
         self.timing: Timing | None = None
@@ -53,7 +54,7 @@ class Draft:
             kind=settings.method.kind,
             dataset=self.dataset,
             seed=settings.seed,
-            steps=settings.steps,
+            steps=self.steps,
             run_id=self.folder.name,
             overrides=settings.overrides,
             config=settings.model_dump(mode="json"),

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .core import Rendering, View
+from .core import View
 from .methods.method import Method
 from .metrics import Protocol
-from .records import MaskedScores, Metrics, Scores, ViewScores
+from .records import MaskedScores, Metrics, Scores
+from .scoring import FULL, Pair, score_pairs
 from .training import Diverged, Report
 from .view_pictures import depth_unit, save_view
 
@@ -30,28 +31,20 @@ def evaluate(
     Raises:
         Diverged: a render is not finite.
     """
-    full: list[ViewScores] = []
-    regions: dict[str, list[ViewScores]] = {}
+    return score_pairs(_drawn(method, views, folder, report), protocol)
+
+
+def _drawn(method: Method, views: Sequence[View], folder: Path, report: Report) -> Iterator[Pair]:
     unit = depth_unit([view.camera for view in views])
     for number, view in enumerate(views):
         report({"stage": "scoring", "step": number, "steps": len(views)})
         rendering = method.render(view.camera.to(method.device))
-        image, target = rendering.color.cpu(), view.rgb()
+        image = rendering.color.cpu()
         if not torch.isfinite(image).all():
             share = float((~torch.isfinite(image)).float().mean())
             raise Diverged(f"the render of test view {view.name} is not finite in {share:.1%} of its values")
         save_view(folder, view, rendering, unit)
-        full.append(_scores(view, protocol.score(image, target), rendering, None))
-        for region, mask in view.masks.items():
-            if mask.any():
-                scores = _scores(view, protocol.score(image, target, mask), rendering, mask)
-                regions.setdefault(region, []).append(scores)
-    metrics = Metrics(mean=_means(full), per_view=full, not_computed=dict(protocol.not_computed))
-    masked = {
-        region: MaskedScores.model_validate({"per_view": per_view, **_means(per_view)})
-        for region, per_view in regions.items()
-    }
-    return metrics, masked
+        yield Pair(view.name, image, view.rgb(), view.masks, _normal_errors(view, rendering.normal.cpu()))
 
 
 def normal_error(normal: Tensor, reference: Tensor, mask: Tensor | None = None) -> float | None:
@@ -73,22 +66,8 @@ def normal_error(normal: Tensor, reference: Tensor, mask: Tensor | None = None) 
     return float(torch.rad2deg(torch.acos(cosine.clamp(-1, 1))).mean())
 
 
-def _scores(view: View, scores: Mapping[str, float | None], rendering: Rendering, mask: Tensor | None) -> ViewScores:
-    row: Scores = dict(scores)
-    if view.normal is not None:
-        row[NORMAL_METRIC] = normal_error(rendering.normal.cpu(), view.normal, mask)
-    return ViewScores.model_validate({"view": view.name, **row})
-
-
-def _means(views: Iterable[ViewScores]) -> Scores:
-    """The unweighted mean over views of each metric, None where a view's could not be computed."""
-    columns: dict[str, list[float | None]] = {}
-    for view in views:
-        for name, value in view.scores.items():
-            columns.setdefault(name, []).append(value)
-    return {name: _mean(values) for name, values in columns.items()}
-
-
-def _mean(values: list[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return sum(known) / len(known) if len(known) == len(values) else None
+def _normal_errors(view: View, normal: Tensor) -> dict[str, Scores]:
+    if view.normal is None:
+        return {}
+    regions: dict[str, Tensor | None] = {FULL: None, **view.masks}
+    return {region: {NORMAL_METRIC: normal_error(normal, view.normal, mask)} for region, mask in regions.items()}

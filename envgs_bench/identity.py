@@ -12,19 +12,24 @@ from typing import Any
 
 from .methods.registry import ENTRY_POINT_GROUP
 from .metrics import WeightsUnavailable, find_weights
+from .records import RENDERS
 from .settings import PATH_KEYS, RunSettings
 
 # The parts of this package whose code can change a result, relative to the folder they are imported from.
-RESULT_CODE = ("core", "methods", "datasets", "metrics", "training.py", "evaluation.py", "timing.py", "worker.py")
+RESULT_CODE = (
+    *("core", "methods", "datasets", "metrics"),
+    *("training.py", "evaluation.py", "renders.py", "scoring.py", "timing.py", "worker.py"),
+)
 SOURCES = {".py", ".h", ".cpp", ".cu"}
 
 
 def run_id(settings: RunSettings, device: str) -> str:
     """`seed<seed>-<hash8>`: equal where method, data, steps, seed, protocol, timing, device and code are equal.
 
-    Where data lie does not count, what lies there does (names and sizes of the files): a corrected data set is a new
-    run, a moved one is not. VGG-16's weights count, which both a loss and a metric need: a run without them is run
-    again once they are there. What changes no result does not count: folders, force, retry_failed, timeout_minutes.
+    Where data lie does not count, what lies there does (names and sizes of the files; of renders the content): a
+    corrected data set is a new run, a moved one is not. VGG-16's weights count, which both a loss and a metric need: a
+    run without them is run again once they are there. What changes no result does not count: folders, force,
+    retry_failed, timeout_minutes.
     """
     determining = {
         "method": [settings.method.name, settings.method.kind, _with_fingerprints(settings.method.settings)],
@@ -36,6 +41,7 @@ def run_id(settings: RunSettings, device: str) -> str:
         "device": device,
         "vgg16": _has_vgg16(),
         "code": code_version(),
+        "renders": _content(settings.method.settings.get("path")) if settings.method.kind == RENDERS else None,
         "extensions": [_extension_hash(kind) for kind in (settings.method.kind, settings.dataset["kind"])],
     }
     digest = hashlib.sha256(json.dumps(determining, sort_keys=True, default=str).encode()).hexdigest()
@@ -107,3 +113,14 @@ def _fingerprint(root: Path) -> list[tuple[str, int]] | str:
     if not root.is_dir():
         return str(root)
     return [(str(path.relative_to(root)), path.stat().st_size) for path in sorted(root.rglob("*")) if path.is_file()]
+
+
+def _content(root: str | None) -> str | None:
+    """A hash of all files below `root`: pictures drawn again have the names, and may have the sizes, that they had."""
+    if root is None or not Path(root).is_dir():
+        return root
+    digest = hashlib.sha256()
+    for path in sorted(path for path in Path(root).rglob("*") if path.is_file()):
+        digest.update(f"{path.relative_to(root)}\0".encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

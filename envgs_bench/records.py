@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 SCHEMA_VERSION = 1
 RECORD_NAME = "record.json"
+RENDERS = "renders"  # the kind of a run that draws nothing itself
 
 Status = Literal["ok", "failed", "diverged", "out_of_memory", "timeout", "interrupted"]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -124,7 +125,10 @@ class Provenance(BaseModel):
 
 
 class Record(_Part):
-    """One run. Parts that a failed run did not reach are None; what it did compute is kept."""
+    """One run. Parts that a failed run did not reach are None; what it did compute is kept.
+
+    A run of kind `RENDERS` scores what another program drew: it has no timing, no cost and 0 steps.
+    """
 
     schema_version: Literal[1] = 1
     status: Status
@@ -147,7 +151,8 @@ class Record(_Part):
     @model_validator(mode="after")
     def _complete(self) -> Record:
         if self.status == "ok":
-            absent = [name for name in ("metrics", "timing", "cost") if getattr(self, name) is None]
+            parts = ("metrics",) if self.kind == RENDERS else ("metrics", "timing", "cost")
+            absent = [name for name in parts if getattr(self, name) is None]
             if absent:
                 raise ValueError(f"status is ok but {', '.join(absent)} is null")
         elif self.error is None:

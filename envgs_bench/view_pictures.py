@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,17 +24,21 @@ def save_view(folder: Path, view: View, rendering: Rendering, unit: float) -> No
     Args:
         unit: of depth, world units: see `depth_picture`.
     """
-    target = view.rgb()
-    save_png(folder / "renders" / f"{view.name}.png", rendering.color)
-    save_png(folder / "targets" / f"{view.name}.png", target)
-    for region, mask in view.masks.items():
-        save_png(folder / "masks" / f"{view.name}-{region}.png", mask)
     layers = rendering.layers | {
         "normal": functional.normalize(rendering.normal, dim=-1) / 2 + 0.5,
         "depth": depth_picture(rendering.depth, unit),
-        "error": error_picture(rendering.color.cpu(), target),
     }
-    for name, layer in layers.items():
+    save_pair(folder, view, rendering.color.cpu(), layers)
+
+
+def save_pair(folder: Path, view: View, image: Tensor, layers: Mapping[str, Tensor]) -> None:
+    """As `save_view`, of a picture [H, W, 3] and the layers given; "error" is added."""
+    target = view.rgb()
+    save_png(folder / "renders" / f"{view.name}.png", image)
+    save_png(folder / "targets" / f"{view.name}.png", target)
+    for region, mask in view.masks.items():
+        save_png(folder / "masks" / f"{view.name}-{region}.png", mask)
+    for name, layer in {**layers, "error": error_picture(image, target)}.items():
         save_png(folder / "layers" / f"{view.name}-{name}.png", layer)
 
 
@@ -62,7 +66,7 @@ def depth_unit(cameras: Sequence[Camera]) -> float:
 
 
 def save_png(path: Path, image: Tensor) -> None:
-    """Write [H, W], [H, W, 1] or [H, W, 3] values in [0, 1] as an 8-bit PNG, clamped and rounded."""
-    values = image.detach().cpu().float().clamp(0, 1).mul(255).round().to(torch.uint8).numpy()
+    """Write [H, W], [H, W, 1] or [H, W, 3] values in [0, 1] as an 8-bit PNG, clamped and rounded as protocols do."""
+    values = image.detach().cpu().float().clamp(0, 1).mul(255).add(0.5).floor().to(torch.uint8).numpy()
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.ascontiguousarray(values[..., 0] if values.shape[2:] == (1,) else values)).save(path)

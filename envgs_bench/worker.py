@@ -26,9 +26,10 @@ from .draft import Draft, log_tail
 from .evaluation import evaluate
 from .methods.method import Method
 from .methods.registry import create_method
-from .metrics import WeightsUnavailable, get_protocol, make_perceptual_loss
+from .metrics import Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
 from .provenance import peak_device_bytes, peak_host_bytes
-from .records import Cost, Failure, Status
+from .records import RENDERS, Cost, Failure, Status
+from .renders import score_renders
 from .settings import read_settings
 from .timing import time_frames
 from .training import Diverged, Report, Training
@@ -67,6 +68,9 @@ def execute(draft: Draft, report: Report) -> None:
     settings, folder = draft.settings, draft.folder
     _seed(settings.seed)
     protocol = get_protocol(settings.protocol)
+    if settings.method.kind == RENDERS:
+        _score_renders(draft, protocol, report)
+        return
     method = create_method(settings.method.kind, settings.method.settings, settings.device, settings.seed)
     _offer_perceptual_loss(method)
     report({"stage": "loading"})
@@ -86,6 +90,16 @@ def execute(draft: Draft, report: Report) -> None:
     report({"stage": "timing"})
     draft.timing = time_frames(method, scene.test, settings.timing)
     draft.cost = _cost(method, training)
+
+
+def _score_renders(draft: Draft, protocol: Protocol, report: Report) -> None:
+    """The run of a method whose pictures come from elsewhere: nothing is trained, drawn or timed."""
+    settings = draft.settings
+    draft.steps = 0
+    report({"stage": "loading"})
+    scene = load_scene(settings.dataset, settings.cache_dir)
+    draft.dataset = scene.name
+    draft.metrics, draft.masked = score_renders(settings.method.settings, scene, protocol, draft.folder, report)
 
 
 def _offer_perceptual_loss(method: Method) -> None:

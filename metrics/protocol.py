@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import torch
 from torch import Tensor
@@ -82,6 +82,14 @@ class Protocol:
         except WeightsUnavailable as error:
             return {"lpips": str(error)}
         return {}
+
+    def of_pictures(self) -> Protocol:
+        """What of this protocol 8-bit pictures allow, which are clamped and rounded already.
+
+        The protocol itself where it rounds too; otherwise one that does and is the same in all else, called
+        <name>-8bit: its numbers are close, and its hash keeps them apart (`envgs-8bit` has that of `inria`).
+        """
+        return self if self.quantization == "round" else replace(self, name=f"{self.name}-8bit", quantization="round")
 
     @torch.no_grad()
     def score(self, prediction: Tensor, target: Tensor, mask: Tensor | None = None) -> dict[str, float | None]:

@@ -1,0 +1,145 @@
+"""PLY: a set of Gaussians in the layout that 3DGS and 2DGS write, and that viewers and other programs read.
+
+One element `vertex` of float32 properties, a row a Gaussian, values as they are trained (not activated):
+
+| properties | what |
+|---|---|
+| x y z | mean |
+| nx ny nz | written as 0, not read |
+| f_dc_0 … f_dc_2 | the constant SH coefficient of red, green, blue |
+| f_rest_0 … | the other coefficients, all of red, then all of green, then all of blue |
+| opacity | logit |
+| scale_0 scale_1 (scale_2) | logarithms; a third makes 3D Gaussians |
+| rot_0 … rot_3 | quaternion, wxyz, of any length |
+| beta | logit of EnvGS's blending weight; our addition, where the set has one |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from plyfile import PlyData, PlyElement, PlyParseError
+from torch import Tensor
+
+from envgs_bench.core import GaussianSet
+
+from .parameters import GaussianParameters, LearningRates
+
+MEAN, NORMAL, OPACITY, BETA = ("x", "y", "z"), ("nx", "ny", "nz"), ("opacity",), ("beta",)
+DC, ROTATION = tuple(f"f_dc_{i}" for i in range(3)), tuple(f"rot_{i}" for i in range(4))
+REST_COUNTS = tuple(3 * ((degree + 1) ** 2 - 1) for degree in range(4))
+
+Values = NDArray[np.float32]
+
+
+def write_ply(path: Path, tensors: Mapping[str, Tensor]) -> None:
+    """Write `GaussianParameters`' tensors as a binary PLY; the folder is made where missing."""
+    rows = {name: value.detach().cpu().float().numpy() for name, value in tensors.items()}
+    count, axes = rows["log_scales"].shape
+    columns: dict[str, Values] = {}
+    columns |= _named(MEAN, rows["means"])
+    columns |= _named(NORMAL, np.zeros((count, 3), np.float32))
+    columns |= _named(DC, rows["sh_dc"].reshape(count, 3))
+    rest = (
+        rows["sh_rest"].swapaxes(1, 2).reshape(count, 3 * rows["sh_rest"].shape[1])
+    )  # coefficients of one channel side by side
+    columns |= _named(_numbered("f_rest", rest.shape[1]), rest)
+    columns |= _named(OPACITY, rows["opacity_logits"][:, None])
+    columns |= _named(_numbered("scale", axes), rows["log_scales"])
+    columns |= _named(ROTATION, rows["quaternions"])
+    if "beta_logits" in rows:
+        columns |= _named(BETA, rows["beta_logits"])
+    table = np.empty(count, dtype=[(name, "<f4") for name in columns])
+    for name, values in columns.items():
+        table[name] = values
+    path.parent.mkdir(parents=True, exist_ok=True)
+    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(path)
+
+
+def read_ply(path: Path) -> dict[str, Tensor]:
+    """`GaussianParameters`' tensors, float32, from a file of `write_ply` or another program; further properties are left.
+
+    Raises:
+        ValueError: no readable PLY, a compressed one, properties missing, an SH degree above 3, or values that no
+            Gaussian has; the message names the file and the properties.
+    """
+    vertices = _vertices(path)
+    present = [item.name for item in vertices.properties]
+    rest, scales = (sorted(n for n in present if n.startswith(prefix)) for prefix in ("f_rest_", "scale_"))
+    axes = 3 if "scale_2" in scales else 2
+    needed = (*MEAN, *DC, *OPACITY, *_numbered("scale", axes), *ROTATION)
+    missing = [name for name in needed if name not in present]
+    if missing:
+        raise ValueError(
+            f"{path}: has no property {', '.join(missing)}; a set of Gaussians needs {', '.join(needed)}. "
+            f"It has {', '.join(present) or 'none'}"
+        )
+    if len(rest) not in REST_COUNTS or set(rest) != set(_numbered("f_rest", len(rest))):
+        raise ValueError(
+            f"{path}: has {len(rest)} properties f_rest_…, expected f_rest_0 and on, "
+            f"{', '.join(map(str, REST_COUNTS))} in all (SH degree 0, 1, 2, 3)"
+        )
+
+    def columns(names: tuple[str, ...]) -> Tensor:
+        values = [np.asarray(vertices[name], np.float32) for name in names]
+        return torch.from_numpy(np.stack(values, axis=-1) if values else np.empty((len(vertices.data), 0), np.float32))
+
+    count = len(vertices.data)
+    tensors = {
+        "means": columns(MEAN),
+        "quaternions": columns(ROTATION),
+        "log_scales": columns(_numbered("scale", axes)),
+        "opacity_logits": columns(OPACITY)[:, 0].clone(),
+        "sh_dc": columns(DC)[:, None],
+        "sh_rest": columns(_numbered("f_rest", len(rest))).reshape(count, 3, len(rest) // 3).mT.contiguous(),
+    }
+    if "beta" in present:
+        tensors["beta_logits"] = columns(BETA)
+    _check_values(path, tensors)
+    return tensors
+
+
+def read_gaussians(path: Path) -> GaussianSet:
+    """The file as a set to be drawn: `rasterize(read_gaussians(path), camera)`. Raises as `read_ply`."""
+    gaussians = GaussianParameters(read_ply(path), LearningRates(), radius=1.0).gaussians()
+    return gaussians.map(Tensor.detach)
+
+
+def _vertices(path: Path) -> PlyElement:
+    try:
+        content = PlyData.read(path)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (PlyParseError, ValueError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: is no readable PLY ({error}); export it again") from error
+    elements = {element.name: element for element in content.elements}
+    if "chunk" in elements or ("vertex" in elements and "packed_position" in elements["vertex"].data.dtype.names):
+        raise ValueError(
+            f"{path}: is in a compressed layout of splats (packed_position …), which is not read; "
+            "export it as an uncompressed PLY"
+        )
+    if "vertex" not in elements:
+        raise ValueError(f"{path}: has no element vertex, only {', '.join(elements) or 'none'}")
+    return elements["vertex"]
+
+
+def _check_values(path: Path, tensors: Mapping[str, Tensor]) -> None:
+    for name, values in tensors.items():
+        bad = int((~values.isfinite()).flatten(1).any(1).sum()) if values.ndim > 1 else int((~values.isfinite()).sum())
+        if bad:
+            raise ValueError(f"{path}: {bad} of {len(values)} Gaussians have {name} that are not finite; remove them")
+    flat = int((tensors["quaternions"].abs().amax(1) == 0).sum()) if len(tensors["quaternions"]) else 0
+    if flat:
+        raise ValueError(f"{path}: {flat} Gaussians have a rotation of four zeros; remove them")
+
+
+def _named(names: tuple[str, ...], values: Values) -> dict[str, Values]:
+    return {name: values[:, index] for index, name in enumerate(names)}
+
+
+def _numbered(name: str, count: int) -> tuple[str, ...]:
+    return tuple(f"{name}_{index}" for index in range(count))

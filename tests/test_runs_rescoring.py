@@ -1,0 +1,109 @@
+"""Rescoring: what a protocol makes of a run's pictures is what it would have made of the run."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+from fakes.runs import environment, only_folder, records, run
+
+from envgs_bench.cli import main
+from envgs_bench.metrics import get_protocol
+from envgs_bench.records import read_record
+from envgs_bench.reports import build_report
+from envgs_bench.rescoring import read_picture
+from envgs_bench.view_pictures import save_png
+
+
+@pytest.fixture(autouse=True)
+def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one run under the protocol of floats; not to be changed."""
+    folder = tmp_path_factory.mktemp("finished") / "runs"
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in environment().items():
+            patch.setenv(name, value)
+        assert run(folder) == 0
+    return folder
+
+
+@pytest.mark.parametrize("protocol", ["strict", "inria"])
+def test_a_protocol_that_rounds_gets_the_runs_own_numbers_to_the_last_digit(
+    tmp_path: Path, finished: Path, protocol: str
+) -> None:
+    assert run(tmp_path / "direct", f"protocol={protocol}") == 0
+    assert main(["rescore", str(finished), "--protocol", protocol, "--out", str(tmp_path / "again")]) == 0
+    (direct,), (again,) = records(tmp_path / "direct"), records(tmp_path / "again")
+    assert again.metrics == direct.metrics
+    assert again.masked == direct.masked
+    assert "reflective" in again.masked
+    assert again.metrics is not None
+    assert "normal_degrees" in again.metrics.mean
+    assert again.protocol == direct.protocol
+
+
+def test_a_rescored_record_keeps_the_run_and_leaves_its_folder_alone(tmp_path: Path, finished: Path) -> None:
+    folder = only_folder(finished)
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    assert main(["rescore", str(finished), "--protocol", "strict"]) == 0
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+    strict = finished.with_name("runs-strict")
+    again = strict / folder.relative_to(finished)
+    old, new = read_record(folder), read_record(again)
+    assert (new.timing, new.cost, new.run_id, new.config) == (old.timing, old.cost, old.run_id, old.config)
+    origin = new.provenance.model_dump()["rescored"]
+    assert origin["run"] == str(folder)
+    assert origin["protocol"]["name"] == "envgs"
+    report = build_report(strict, tmp_path / "report")
+    assert report.sections[0].protocol.name == "strict"
+    assert list((tmp_path / "report" / "pictures").rglob("*.png"))  # the run's pictures, through the links
+
+
+def test_floats_cannot_be_had_from_pictures_and_the_record_says_so(tmp_path: Path, finished: Path) -> None:
+    for name, other in (("envgs", "inria"), ("nerfbaselines", None)):
+        assert main(["rescore", str(finished), "--protocol", name, "--out", str(tmp_path / name)]) == 0
+        (record,) = records(tmp_path / name)
+        assert record.protocol.name == f"{name}-8bit"
+        assert record.protocol.hash != get_protocol(name).hash
+        assert "rounded to 8 bits" in record.protocol.description
+        assert other is None or record.protocol.hash == get_protocol(other).hash
+
+
+def test_saved_pictures_round_as_protocols_do(tmp_path: Path) -> None:
+    """At and around every halfway point between two bytes, where roundings differ."""
+    halves = (torch.arange(255) + 0.5) / 255
+    values = torch.stack([halves, halves.nextafter(torch.ones(1)), halves.nextafter(torch.zeros(1))])
+    image = values.reshape(3, 255, 1).repeat(8, 1, 3)
+    save_png(tmp_path / "a.png", image)
+    strict, target = get_protocol("strict"), torch.zeros_like(image)
+    assert strict.score(read_picture(tmp_path / "a.png"), target) == strict.score(image, target)
+    assert strict.score(read_picture(tmp_path / "a.png"), read_picture(tmp_path / "a.png"))["psnr"] == 100
+
+
+def test_failed_runs_stay_failures(tmp_path: Path) -> None:
+    failing = ("method.kind=fakes.methods:Raises", "method.settings.crash_at=2")
+    assert run(tmp_path / "runs", *failing) == 1
+    assert main(["rescore", str(tmp_path / "runs"), "--protocol", "strict"]) == 0
+    (record,) = records(tmp_path / "runs-strict")
+    assert record.status == "failed"
+    assert record.protocol.name == "strict"
+
+
+def test_missing_pictures_and_wrong_arguments_are_named(
+    tmp_path: Path, finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(finished, tmp_path / "runs")
+    assert main(["rescore", str(tmp_path / "runs"), "--protocol", "paper"]) == 1
+    assert "unknown protocol 'paper', expected one of envgs, strict" in capsys.readouterr().err
+    assert main(["rescore", str(tmp_path / "none"), "--protocol", "strict"]) == 1
+    assert "no such folder" in capsys.readouterr().err
+    shutil.rmtree(only_folder(tmp_path / "runs") / "targets")
+    assert main(["rescore", str(tmp_path / "runs"), "--protocol", "strict"]) == 1
+    assert "view0.png: cannot be read" in capsys.readouterr().err
