@@ -29,6 +29,7 @@ from .settings import DatasetError, SourceSettings
 from .undistortion import PINHOLES, undistort, undistorted_camera
 
 ALL_OF_IT = 0.999  # of a pixel, in floats
+ROUNDING = 1e-14  # of float64 numbers around 1, after some operations
 
 Channel = Annotated[float, Field(ge=0, le=1)]
 
@@ -143,11 +144,16 @@ def _camera(photograph: Photograph, downsample: float) -> Camera:
     try:
         pinhole = undistorted_camera(photograph.camera)
         width, height = (max(1, round(length / downsample)) for length in (pinhole.width, pinhole.height))
-        pose = torch.from_numpy(photograph.world_to_camera).float()
+        pose = torch.from_numpy(_without_noise(photograph.world_to_camera)).float()
         intrinsics = torch.from_numpy(np.array(pinhole.calibration_matrix())).float()
         return Camera(pose, intrinsics, pinhole.width, pinhole.height).resized(width, height)
     except ValueError as error:
         raise DatasetError(f"{photograph.name}: {error}; repair or remove it") from error
+
+
+def _without_noise(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The pose with zeros where a quaternion or an inverse left some 1e-16, so that a camera keeps its bits in a file."""
+    return np.where(np.abs(pose) < ROUNDING * np.abs(pose).max(), 0.0, pose)
 
 
 def _fitted(pixels: NDArray, distorted: pycolmap.Camera, camera: Camera) -> NDArray:

@@ -33,4 +33,5 @@ def look_at(centre: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray
     rotation = np.stack([right, np.cross(forward, right), forward])
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, -rotation @ centre
+    pose[np.abs(pose) < 1e-14] = 0  # cos 90° and the like
     return pose

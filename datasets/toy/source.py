@@ -26,7 +26,7 @@ from .render import geometry, picture
 from .scenes import SCENES
 from .world import World
 
-VERSION = 7  # raise it with every change that alters a scene
+VERSION = 8  # raise it with every change that alters a scene
 
 
 class ToySettings(SourceSettings):

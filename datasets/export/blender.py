@@ -1,0 +1,91 @@
+"""NeRF's blender layout: transforms_train.json and transforms_test.json, train/ and test/ with RGB pictures."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from plyfile import PlyData, PlyElement
+
+from envgs_bench.core import Camera, Scene, View
+
+from ..blender import POINTS
+from ..frames import OPENGL_TO_OPENCV
+from ..settings import DatasetError
+from .files import write_image, write_masks, write_normals
+
+
+def write_blender(scene: Scene, root: Path) -> dict[str, Any]:
+    """Write the scene; returns the source's own settings.
+
+    A view lies in train/<view>.png or test/<view>.png, its normals beside it as <view>_normal.npy; read back, its name
+    begins with train_ or test_. Points are in points3d.ply.
+
+    Raises:
+        DatasetError: a camera is skewed: the layout has no place for it.
+    """
+    root.mkdir(parents=True)
+    names: dict[str, str] = {}
+    for split, views in (("train", scene.train), ("test", scene.test)):
+        stems = _stems(views, split)
+        names |= {view.name: f"{split}/{stem}" for view, stem in zip(views, stems, strict=True)}
+        content = {**_shared([*scene.train, *scene.test]), "frames": [_frame(view, names[view.name]) for view in views]}
+        (root / f"transforms_{split}.json").write_text(json.dumps(content, indent=2), encoding="utf-8")
+        for view in views:
+            write_image(root / f"{names[view.name]}.png", view)
+            if view.normal is not None:
+                write_normals(root / f"{names[view.name]}_normal.npy", view.normal)
+    write_masks(root, [*scene.train, *scene.test], names)
+    _write_points(root / POINTS, scene)
+    return {"kind": "blender", "train_normals": any(view.normal is not None for view in scene.train)}
+
+
+def _stems(views: list[View], split: str) -> list[str]:
+    """File names of the views, without what reading them back puts before each."""
+    prefix = f"{split}_"
+    if all(view.name.startswith(prefix) for view in views):
+        return [view.name.removeprefix(prefix) for view in views]
+    return [view.name for view in views]
+
+
+def _shared(views: list[View]) -> dict[str, Any]:
+    """camera_angle_x for readers that look for it here alone, where it says all of every view's intrinsics."""
+    angles = {_angle(view.camera) for view in views}
+    return {"camera_angle_x": angles.pop()} if len(angles) == 1 and None not in angles else {}
+
+
+def _frame(view: View, name: str) -> dict[str, Any]:
+    camera = view.camera
+    (fx, skew, cx), (_, fy, cy), _ = camera.intrinsics.double().tolist()
+    if skew:
+        raise DatasetError(f"view {view.name}: its intrinsics have a skew of {skew:g}; transforms.json has none")
+    to_world = np.linalg.inv(camera.world_to_camera.double().numpy()) @ OPENGL_TO_OPENCV
+    frame: dict[str, Any] = {"file_path": f"./{name}", "transform_matrix": to_world.tolist()}
+    if _angle(camera) is None:
+        return {**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
+    return {**frame, "camera_angle_x": _angle(camera)}
+
+
+def _angle(camera: Camera) -> float | None:
+    """The horizontal field of view, radians; None where pixels are not square or the axis is not in the middle."""
+    (fx, _, cx), (_, fy, cy), _ = camera.intrinsics.double().tolist()
+    if fx != fy or (cx, cy) != (camera.width / 2, camera.height / 2):
+        return None
+    return 2 * math.atan(camera.width / 2 / fx)
+
+
+def _write_points(path: Path, scene: Scene) -> None:
+    """Positions as float32; colours as bytes where that loses nothing, as floats otherwise."""
+    points, colors = scene.points.float().numpy(), scene.point_colors.float().numpy()
+    as_bytes = np.round(255 * colors.astype(np.float64)).astype(np.uint8)
+    if np.array_equal((as_bytes / 255).astype(np.float32), colors):
+        colors = as_bytes
+    color_type = "u1" if colors.dtype == np.uint8 else "f4"
+    fields = [(axis, "f4") for axis in "xyz"] + [(channel, color_type) for channel in ("red", "green", "blue")]
+    vertices = np.empty(len(points), dtype=fields)
+    for index, (axis, channel) in enumerate(zip("xyz", ("red", "green", "blue"), strict=True)):
+        vertices[axis], vertices[channel] = points[:, index], colors[:, index]
+    PlyData([PlyElement.describe(vertices, "vertex")]).write(str(path))

@@ -1,0 +1,91 @@
+"""COLMAP's layout: images/, sparse/0/ with cameras, images and points3D, and masks and normals beside them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+from scipy.spatial.transform import Rotation
+
+from envgs_bench.core import Camera, Scene, View
+
+from ..settings import DatasetError
+from ..split import TEST_EVERY, split_views
+from .files import write_image, write_masks, write_normals
+from .rotation import exact_rotation
+
+
+def write_colmap(scene: Scene, root: Path, text: bool) -> dict[str, Any]:
+    """Write the scene; the model as text or binary. Returns the source's own settings.
+
+    Images are called <view>.png, so that their order, and with it the split, is the views'. Points have no tracks and
+    views no keypoints, as in a model whose features were thrown away.
+
+    Raises:
+        DatasetError: the split is not every eighth view, or a camera is skewed: neither has a place in this layout.
+    """
+    views = _in_order(scene)
+    model = pycolmap.Reconstruction()
+    numbers: dict[tuple[float, ...], int] = {}
+    for number, view in enumerate(views, start=1):
+        camera_id = _add_camera(model, view, numbers)
+        pose = pycolmap.Rigid3d(_rotation(view.camera), view.camera.world_to_camera[:3, 3].double().numpy())
+        image = pycolmap.Image(name=f"{view.name}.png", camera_id=camera_id, image_id=number)
+        model.add_image_with_trivial_frame(image, pose)
+    colors = np.round(255 * scene.point_colors.double().numpy()).astype(np.uint8)
+    for point, color in zip(scene.points.double().numpy(), colors, strict=True):
+        model.add_point3D(point, pycolmap.Track(), color)
+    folder = root / "sparse/0"
+    folder.mkdir(parents=True)
+    (model.write_text if text else model.write_binary)(str(folder))
+    for view in views:
+        write_image(root / "images" / f"{view.name}.png", view)
+    write_masks(root, views, {view.name: view.name for view in views})
+    if all(view.normal is not None for view in views):
+        for view in views:
+            write_normals(root / "normals" / f"{view.name}.npy", view.normal)
+    return {"kind": "colmap"}
+
+
+def _in_order(scene: Scene) -> list[View]:
+    """All views in the order of their names.
+
+    Raises:
+        DatasetError: their split is not what a reader will make of the names.
+    """
+    views = sorted([*scene.train, *scene.test], key=lambda view: view.name)
+    _, test = split_views(views, scene.name)
+    if [view.name for view in test] != [view.name for view in scene.test]:
+        raise DatasetError(
+            f"{scene.name}: its test views are not every {TEST_EVERY}th by name, which COLMAP's layout leaves to its "
+            "readers; export it with --format blender, which stores the split"
+        )
+    return views
+
+
+def _add_camera(model: pycolmap.Reconstruction, view: View, numbers: dict[tuple[float, ...], int]) -> int:
+    """The id of the view's camera, which views of the same intrinsics share."""
+    camera = view.camera
+    (fx, skew, cx), (_, fy, cy), _ = camera.intrinsics.double().tolist()
+    if skew:
+        raise DatasetError(f"view {view.name}: its intrinsics have a skew of {skew:g}; COLMAP's PINHOLE has none")
+    key = (camera.width, camera.height, fx, fy, cx, cy)
+    if key not in numbers:
+        numbers[key] = len(numbers) + 1
+        model.add_camera_with_trivial_rig(
+            pycolmap.Camera(
+                camera_id=numbers[key],
+                model="PINHOLE",
+                width=camera.width,
+                height=camera.height,
+                params=[fx, fy, cx, cy],
+            )
+        )
+    return numbers[key]
+
+
+def _rotation(camera: Camera) -> pycolmap.Rotation3d:
+    matrix = camera.world_to_camera[:3, :3].float().numpy()
+    return pycolmap.Rotation3d(Rotation.from_matrix(exact_rotation(matrix)).as_quat())
