@@ -16,6 +16,7 @@ from envgs_bench.datasets import DatasetError, load_scene
 from envgs_bench.listing import config_names
 from envgs_bench.methods.registry import create_method
 from envgs_bench.records import find_records, read_record
+from envgs_bench.reports.published import paper_scene, paper_tables
 from envgs_bench.settings import parse_settings
 
 FAMILIES = ("ref_real", "nerf_casting", "envgs", "shiny_blender", "mipnerf360")
@@ -27,6 +28,14 @@ def composed(*overrides: str) -> dict[str, Any]:
         content = OmegaConf.to_container(compose("config", list(overrides)), resolve=True)
     assert isinstance(content, dict)
     return {str(key): value for key, value in content.items()}
+
+
+def test_every_scene_of_the_papers_tables_has_a_preset_of_its_name() -> None:
+    tables = paper_tables()
+    rows = tables[tables["scene"] != "mean"]
+    expected = set(zip(rows["dataset"], rows["scene"], strict=True))
+    assert len(expected) == len(PRESETS) == 24
+    assert {paper_scene(composed(f"dataset={name}")["dataset"]["name"]) for name in PRESETS} == expected
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -49,6 +58,9 @@ def test_the_papers_settings_reach_the_run() -> None:
     sedan, spheres = (composed(f"dataset=ref_real/{name}") for name in ("sedan", "spheres"))
     assert (sedan["steps"], spheres["steps"]) == (60_000, 40_000)
     assert sedan["dataset"]["downsample"] == 4
+    ball = composed("dataset=shiny_blender/ball")
+    assert ball["dataset"]["background"] == [1, 1, 1]
+    assert (ball["hints"], ball["dataset"]["downsample"]) == ({"initial_beta": 0.8, "env_box": 50.0}, 1)
     assert Path(spheres["dataset"]["root"]).name == "gardenspheres"
     sizes = {name: composed(f"dataset=mipnerf360/{name}")["dataset"]["downsample"] for name in ("garden", "room")}
     assert sizes == {"garden": 4, "room": 2}
