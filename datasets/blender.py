@@ -13,7 +13,16 @@ from pydantic import Field
 from envgs_bench.core import Scene
 
 from .cache import Draft
-from .capture import CaptureSettings, Channel, cached_capture, files_of, make_views, refuse_missing, require_folder
+from .capture import (
+    CaptureSettings,
+    Channel,
+    Missing,
+    cached_capture,
+    files_of,
+    make_views,
+    refuse_missing,
+    require_folder,
+)
 from .estimator import with_estimated_normals
 from .frames import read_frames
 from .normals import NormalMap
@@ -30,6 +39,7 @@ class BlenderSettings(CaptureSettings):
 
     kind: Literal["blender"]
     background: tuple[Channel, Channel, Channel] = (1.0, 1.0, 1.0)  # sRGB
+    missing: Missing = "refuse"  # images that the files name and that are not there
     random_points: Annotated[int, Field(ge=1)] = 100_000  # where there is no points3d.ply
     random_box: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.3  # they fill [-box, box] cubed
     train_normals: bool = False  # learn from exact normals too, where there are any; test views always have them
@@ -60,7 +70,7 @@ def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
     def make(draft: Draft) -> Scene:
         for file, (_, missing) in zip(files, found, strict=True):
-            refuse_missing(choice, len(file.frames), missing, file.path, draft)
+            refuse_missing(choice.missing, len(file.frames), missing, file.path, draft)
         views = make_views(photographs, choice, draft)
         cloud = read_ply(root / POINTS) if (root / POINTS).is_file() else _random_points(choice)
         learned = with_estimated_normals(views[: len(train)], choice.normal_estimator, draft)

@@ -18,19 +18,22 @@ from envgs_bench.core import Camera, Scene, View
 
 from .cache import Draft, drafted_scene
 from .contents import digest_of
-from .estimator import estimator_version
+from .estimator import estimator_version, with_estimated_normals
 from .normals import world_normals
 from .paths import listed
 from .photographs import Photograph, fit_to_files
 from .pictures import read_mask, read_picture
+from .pointcloud import PointCloud
 from .progress import report
 from .resampling import resample
 from .settings import DatasetError, SourceSettings
+from .split import split_views
 from .undistortion import PINHOLES, undistort, undistorted_camera
 
 ALL_OF_IT = 0.999  # of a pixel, in floats
 ROUNDING = 1e-14  # of float64 numbers around 1, after some operations
 
+Missing = Literal["refuse", "skip"]
 Channel = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -40,7 +43,6 @@ class CaptureSettings(SourceSettings):
     root: Path
     downsample: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 1.0  # pictures are this many times smaller
     background: tuple[Channel, Channel, Channel] = (0.0, 0.0, 0.0)  # sRGB
-    missing: Literal["refuse", "skip"] = "refuse"  # images that are named but not there
     normal_estimator: str | None = None  # package.module:function, for the training views
 
     @property
@@ -87,7 +89,7 @@ def require_folder(root: Path) -> None:
         raise DatasetError(f"dataset.root={root}: there is no such folder")
 
 
-def refuse_missing(settings: CaptureSettings, named: int, missing: Sequence[str], source: Path, draft: Draft) -> None:
+def refuse_missing(how: Missing, named: int, missing: Sequence[str], source: Path, draft: Draft) -> None:
     """Refuse, or else note, that images which `source` names are not there.
 
     Raises:
@@ -96,10 +98,19 @@ def refuse_missing(settings: CaptureSettings, named: int, missing: Sequence[str]
     if not missing:
         return
     text = f"{source}: {len(missing)} of {named} images that it names are not there: {listed(list(missing))}"
-    if settings.missing == "skip" and len(missing) < named:
+    if how == "skip" and len(missing) < named:
         draft.note(f"{text}; left out")
         return
     raise DatasetError(f"{text}; put them back, or name their folder with dataset.images, or set dataset.missing=skip")
+
+
+def make_scene(
+    settings: CaptureSettings, photographs: Sequence[Photograph], cloud: PointCloud, source: Path, draft: Draft
+) -> Scene:
+    """The scene of these photographs, every eighth of which tests; `source` names them in errors."""
+    train, test = split_views(make_views(photographs, settings, draft), str(source))
+    train = with_estimated_normals(train, settings.normal_estimator, draft)
+    return Scene(settings.scene_name, train, test, *cloud, torch.tensor(settings.background))
 
 
 def make_views(photographs: Sequence[Photograph], settings: CaptureSettings, draft: Draft) -> list[View]:
@@ -152,7 +163,7 @@ def _camera(photograph: Photograph, downsample: float) -> Camera:
 
 
 def _without_noise(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The pose with zeros where a quaternion or an inverse left some 1e-16, so that a camera keeps its bits in a file."""
+    """The pose with zeros where a quaternion or an inverse left some 1e-16: a camera keeps its bits in a file."""
     return np.where(np.abs(pose) < ROUNDING * np.abs(pose).max(), 0.0, pose)
 
 

@@ -18,6 +18,7 @@ BUILT_IN = {
     "colmap": "envgs_bench.datasets.colmap:load_colmap",
     "blender": "envgs_bench.datasets.blender:load_blender",
     "transforms": "envgs_bench.datasets.transforms:load_transforms",
+    "photos": "envgs_bench.datasets.photos:load_photos",
 }
 
 

@@ -7,21 +7,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import torch
 from pydantic import Field
 
 from envgs_bench.core import Scene
 
 from .cache import Draft
-from .capture import CaptureSettings, cached_capture, files_of, make_views, refuse_missing, require_folder
-from .estimator import with_estimated_normals
+from .capture import CaptureSettings, Missing, cached_capture, files_of, make_scene, refuse_missing, require_folder
 from .frames import FrameFile, read_frames, without_common_folder
 from .normals import Frame
 from .paths import path_below
 from .photographs import with_siblings
 from .pointcloud import PointCloud, random_points, read_ply
 from .settings import DatasetError, parse_settings
-from .split import split_views
 
 VERSION = 1  # raise it with every change that alters a scene
 NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # of instant-ngp, whose box [0, 1]³ is grown by aabb_scale around its middle
@@ -32,6 +29,7 @@ class TransformsSettings(CaptureSettings):
 
     kind: Literal["transforms"]
     file: str = "transforms.json"  # below root
+    missing: Missing = "refuse"  # images that the file names and that are not there
     images: str | None = None  # folder below root in place of the first one in each file_path, as images_4
     normals_frame: Frame = "world"  # of normals/; camera: x right, y down, z forward; opengl: x right, y up, z backward
     random_points: Annotated[int, Field(ge=1)] = 100_000  # where the file names no point cloud
@@ -63,11 +61,9 @@ def load_transforms(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     ply = path_below(root, str(file.shared["ply_file_path"]), file.path) if file.shared.get("ply_file_path") else None
 
     def make(draft: Draft) -> Scene:
-        refuse_missing(choice, len(file.frames), missing, file.path, draft)
+        refuse_missing(choice.missing, len(file.frames), missing, file.path, draft)
         cloud = read_ply(ply) if ply else _random_points(choice, file)
-        train, test = split_views(make_views(photographs, choice, draft), str(file.path))
-        train = with_estimated_normals(train, choice.normal_estimator, draft)
-        return Scene(choice.scene_name, train, test, *cloud, torch.tensor(choice.background))
+        return make_scene(choice, photographs, cloud, file.path, draft)
 
     files = [file.path, *([ply] if ply else []), *files_of(photographs)]
     return cached_capture(choice, VERSION, files, cache_dir, make)

@@ -14,12 +14,14 @@ CONF = Path(__file__).parent / "conf"
 def print_listing() -> int:
     """Print all names, a row each kind of thing; returns the exit status, 0."""
     from .core import available_backends
+    from .datasets.registry import BUILT_IN
     from .metrics import PROTOCOLS
 
     backends = [name if reason is None else f"{name} (not here)" for name, reason in available_backends().items()]
     table = Table("key", "values", show_header=False, box=None)
     table.add_row("method=", ", ".join(sorted({*config_names("method"), *installed_methods()})))
     table.add_row("dataset=", ", ".join(config_names("dataset")))
+    table.add_row("dataset.kind=", ", ".join(BUILT_IN))
     table.add_row("protocol=", ", ".join(PROTOCOLS))
     table.add_row("experiment=", ", ".join(config_names("experiment")))
     table.add_row("backends", ", ".join(backends))

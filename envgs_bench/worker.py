@@ -21,6 +21,7 @@ import numpy as np
 import torch
 
 from .core import Scene
+from .datasets.progress import listening
 from .datasets.registry import load_scene
 from .draft import Draft, log_tail
 from .evaluation import evaluate
@@ -73,9 +74,7 @@ def execute(draft: Draft, report: Report) -> None:
         return
     method = create_method(settings.method.kind, settings.method.settings, settings.device, settings.seed)
     _offer_perceptual_loss(method)
-    report({"stage": "loading"})
-    scene = load_scene(settings.dataset, settings.cache_dir)
-    draft.dataset = scene.name
+    scene = _load(draft, report)
     _check_scene(scene)
     training = Training(method, scene, settings.steps, settings.seed)
     try:
@@ -92,13 +91,20 @@ def execute(draft: Draft, report: Report) -> None:
     draft.cost = _cost(method, training)
 
 
+def _load(draft: Draft, report: Report) -> Scene:
+    """The run's scene; making one for the first time may take minutes, and its source says how far it has come."""
+    report({"stage": "loading"})
+    with listening(lambda stage, done, total: report({"stage": stage, "step": done, "steps": total})):
+        scene = load_scene(draft.settings.dataset, draft.settings.cache_dir)
+    draft.dataset = scene.name
+    return scene
+
+
 def _score_renders(draft: Draft, protocol: Protocol, report: Report) -> None:
     """The run of a method whose pictures come from elsewhere: nothing is trained, drawn or timed."""
     settings = draft.settings
     draft.steps = 0
-    report({"stage": "loading"})
-    scene = load_scene(settings.dataset, settings.cache_dir)
-    draft.dataset = scene.name
+    scene = _load(draft, report)
     draft.metrics, draft.masked = score_renders(settings.method.settings, scene, protocol, draft.folder, report)
 
 

@@ -216,7 +216,7 @@ def test_a_cached_capture_is_the_same_and_a_changed_one_is_read_again(
     write_masks(root, "masks", ".png")
     first = load(root, downsample=2)
     with monkeypatch.context() as patch:
-        patch.setattr(colmap, "posed_scene", lambda *_: pytest.fail("read again"))
+        patch.setattr(colmap, "make_scene", lambda *_: pytest.fail("read again"))
         second = load(root, downsample=2)
     for a, b in zip([*first.train, *first.test], [*second.train, *second.test], strict=True):
         assert a.name == b.name

@@ -17,6 +17,7 @@ from envgs_bench.datasets import DatasetError, load_scene
 from envgs_bench.datasets.blender import BlenderSettings
 from envgs_bench.datasets.cache import cached_scene
 from envgs_bench.datasets.colmap import ColmapSettings
+from envgs_bench.datasets.photos import PhotosSettings
 from envgs_bench.datasets.settings import SourceSettings, parse_settings
 from envgs_bench.datasets.split import split_views
 from envgs_bench.datasets.toy import ToySettings
@@ -28,6 +29,7 @@ MODELS: dict[str, type[SourceSettings]] = {
     "colmap": ColmapSettings,
     "blender": BlenderSettings,
     "transforms": TransformsSettings,
+    "photos": PhotosSettings,
 }
 CONF = Path(core.__file__).parents[1] / "conf" / "dataset"
 

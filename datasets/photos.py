@@ -1,0 +1,111 @@
+"""Photographs without cameras: structure from motion places them, then they are a capture like any other."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from envgs_bench.core import Scene
+
+from .cache import Draft
+from .capture import CaptureSettings, cached_capture, make_scene, require_folder
+from .contents import digest_of, files_in
+from .model import Model
+from .normals import Frame
+from .paths import listed
+from .photographs import with_siblings
+from .pictures import EXTENSIONS, read_picture
+from .progress import report
+from .reconstruction import LEAST_IMAGES, Matching, Reconstructor
+from .settings import DatasetError, parse_settings
+from .siblings import region_folders
+
+VERSION = 1  # raise it with every change that alters a scene
+MODEL_VERSION = 1  # and this with every change that alters a reconstruction
+
+
+class PhotosSettings(CaptureSettings):
+    """Settings of `kind: photos`."""
+
+    kind: Literal["photos"]
+    images: str | None = None  # folder below root; images/ where there is one, else root itself, where None
+    matching: Matching = "exhaustive"  # sequential: with neighbours in the order of names, as of a video's frames
+    camera_model: Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"] = "OPENCV"
+    feature_size: Annotated[int, Field(ge=100)] = 1600  # pixels along the longer side, for finding features
+    min_registered: Annotated[float, Field(gt=0, le=1)] = 0.5  # share of the images that must be placed
+    normals_frame: Frame = (
+        "camera"  # of normals/; camera: x right, y down, z forward; opengl: x right, y up, z backward
+    )
+
+
+def load_photos(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
+    """A folder of photographs: pycolmap's SIFT features, matches and incremental mapping give cameras and points.
+
+    The model is kept in the cache, under `models/`; the log says how many images were placed.
+
+    Raises:
+        DatasetError: too few images, some that cannot be decoded, or too few that could be placed.
+    """
+    choice = parse_settings(PhotosSettings, settings)
+    require_folder(choice.root)
+    images, files = _images(choice)
+    names = [path.relative_to(images).as_posix() for path in files]
+
+    def make(draft: Draft) -> Scene:
+        model = _model(choice, images, names, cache_dir)
+        _judge(choice, images, names, model.image_names, draft)
+        found, _ = model.photographs(images)
+        photographs = with_siblings(found, choice.root, choice.normals_frame)
+        return make_scene(choice, photographs, model.points(), images, draft)
+
+    siblings = files_in([*region_folders(choice.root).values(), choice.root / "normals"])
+    return cached_capture(choice, VERSION, [*files, *siblings], cache_dir, make)
+
+
+def _images(choice: PhotosSettings) -> tuple[Path, list[Path]]:
+    """The images' folder, and its images in the order of their names; below `root` itself, subfolders do not count."""
+    root = choice.root
+    folder = root / (choice.images or ("images" if (root / "images").is_dir() else "."))
+    if not folder.is_dir():
+        raise DatasetError(f"{root}: has no folder {choice.images}/; name the images' folder with dataset.images=…")
+    below = folder.glob("*") if folder.resolve() == root.resolve() else folder.rglob("*")
+    files = sorted(path for path in below if path.suffix in EXTENSIONS and path.is_file())
+    if len(files) < LEAST_IMAGES:
+        raise DatasetError(
+            f"{folder}: holds {len(files)} images, expected {LEAST_IMAGES} at least, and better 20 or more"
+        )
+    return folder, files
+
+
+def _model(choice: PhotosSettings, images: Path, names: Sequence[str], cache_dir: Path) -> Model:
+    """The images' model, from the cache or made now."""
+    _check_decodable([images / name for name in names], choice)
+    contents = digest_of([images / name for name in names], choice.root, cache_dir)
+    how = Reconstructor(choice.camera_model, choice.matching, choice.feature_size)
+    label = f"{choice.camera_model}-{choice.matching}-{choice.feature_size}-{MODEL_VERSION}-{contents[:16]}"
+    return how.model_of(names, images, cache_dir / "models" / label.lower())
+
+
+def _check_decodable(files: Sequence[Path], choice: PhotosSettings) -> None:
+    """Structure from motion leaves out what it cannot read; the user would rather know."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for done, _ in enumerate(pool.map(lambda path: read_picture(path, choice.background), files), start=1):
+            report("checking images", done, len(files))
+
+
+def _judge(choice: PhotosSettings, images: Path, names: Sequence[str], placed: Sequence[str], draft: Draft) -> None:
+    share = len(placed) / len(names)
+    text = f"{images}: structure from motion placed {len(placed)} of {len(names)} images"
+    left_out = sorted(set(names) - set(placed))
+    if share < choice.min_registered:
+        raise DatasetError(
+            f"{text}, fewer than dataset.min_registered={choice.min_registered:g} asks for; not placed: "
+            f"{listed(left_out)}. Take more that overlap and show texture, try dataset.matching=exhaustive or a larger "
+            "dataset.feature_size, or lower dataset.min_registered"
+        )
+    draft.note(f"{text}; left out: {listed(left_out)}" if left_out else text)
