@@ -23,7 +23,7 @@ from .listing import CONF, config_names
 from .methods.registry import ENTRY_POINT_GROUP
 from .metrics import get_protocol
 from .outcomes import close_ledger, enter, print_outcomes
-from .settings import SettingsError, parse_settings
+from .settings import RunSettings, SettingsError, parse_settings
 
 INTERRUPTED = 130  # a shell's exit code for Ctrl-C
 
@@ -65,10 +65,7 @@ def run(arguments: list[str]) -> int:
 
 @hydra.main(config_path=str(CONF), config_name="config", version_base="1.3")
 def _application(config: DictConfig) -> None:
-    content: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
-    for shorthand in ("data_root", "path"):  # they have done their work, in dataset.root and method.settings.path
-        content.pop(shorthand, None)
-    settings = parse_settings({**content, "overrides": list(HydraConfig.get().overrides.task)})
+    settings = settings_of(config, list(HydraConfig.get().overrides.task))
     try:
         get_protocol(settings.protocol)
     except ValueError as error:
@@ -79,6 +76,18 @@ def _application(config: DictConfig) -> None:
     print(outcome, file=sys.stderr)
     if outcome.action == "ran" and outcome.status == "interrupted":
         raise KeyboardInterrupt  # no further job
+
+
+def settings_of(config: DictConfig, overrides: list[str]) -> RunSettings:
+    """The settings of a composed configuration.
+
+    Raises:
+        SettingsError, OmegaConfBaseException: a key is missing, unknown or of a wrong value.
+    """
+    content: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+    for shorthand in ("data_root", "path"):  # they have done their work, in dataset.root and method.settings.path
+        content.pop(shorthand, None)
+    return parse_settings({**content, "overrides": overrides})
 
 
 def register_methods() -> None:

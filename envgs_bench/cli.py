@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # a run beside another (a parallel sweep, a shared machine) ten times its own time.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     options, rest = _parser().parse_known_args(arguments)
-    if rest and options.command not in ("run", "bench"):
+    if rest and options.command not in ("run", "bench", "export"):
         _parser().error(f"unrecognized arguments: {' '.join(rest)}")
     if options.command == "run":
         from .app import run
@@ -48,6 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _explained("rescore", lambda: _rescore(options.runs, options.protocol, options.out))
     if options.command == "ply":
         return _explained("ply", lambda: _ply(options.run, options.out))
+    if options.command == "export":
+        return _explained("export", lambda: _export(rest, options.format, options.out))
     if options.command == "bench":
         from .bench.core import main as bench_core
 
@@ -86,6 +88,15 @@ def _parser() -> argparse.ArgumentParser:
     ply = commands.add_parser("ply", help="the Gaussians that a run trained, as PLY files")
     ply.add_argument("run", type=Path, metavar="RUN", help="one run's folder, with its checkpoint")
     ply.add_argument("--out", type=Path, metavar="DIR", required=True, help="where <set>.ply are written")
+    export = commands.add_parser(
+        "export",
+        help="a data set in COLMAP's or blender's layout",
+        usage="envgs-bench export [KEY=VALUE ...] --format FORMAT --out DIR",
+        description="Write a data set, given as for `run`: dataset=toy/glass dataset.width=320",
+        allow_abbrev=False,
+    )
+    export.add_argument("--format", choices=["colmap", "colmap-text", "blender"], default="colmap")
+    export.add_argument("--out", type=Path, metavar="DIR", required=True, help="a new folder")
     commands.add_parser("list", help="methods, data sets, protocols, experiments, backends")
     bench = commands.add_parser("bench", help="time the core itself", add_help=False, allow_abbrev=False)
     bench.add_argument("subject", choices=["core"], help="what to time; `bench core --help` tells its options")
@@ -138,6 +149,12 @@ def _ply(run: Path, out: Path) -> int:
     for path in export_ply(run, out):
         print(path)
     return 0
+
+
+def _export(overrides: list[str], form: str, out: Path) -> int:
+    from .scene_export import export
+
+    return export(overrides, form, out)
 
 
 def _explained(command: str, work: Callable[[], int]) -> int:
