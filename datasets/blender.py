@@ -31,6 +31,7 @@ from .pointcloud import PointCloud, random_points, read_ply
 from .settings import parse_settings
 
 VERSION = 1  # raise it with every change that alters a scene
+TRANSFORMS = ("transforms_train.json", "transforms_test.json")
 POINTS = "points3d.ply"  # what 3DGS writes beside such a scene
 
 
@@ -60,7 +61,7 @@ def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     choice = parse_settings(BlenderSettings, settings)
     root = choice.root
     require_folder(root)
-    paths = [root / f"transforms_{split}.json" for split in ("train", "test")]
+    paths = [root / name for name in TRANSFORMS]
     files = [read_frames(path) for path in paths]
     found = [file.photographs() for file in files]
     train, test = (photographs for photographs, _ in found)

@@ -52,7 +52,7 @@ def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     images = root / choice.images
     if not images.is_dir():
         raise DatasetError(f"{root}: has no folder {choice.images}/; name the images' folder with dataset.images=…")
-    model = _model(choice)
+    model = model_of(choice)
     files = files_in([model.folder, images, *region_folders(root).values(), root / "normals"])
 
     def make(draft: Draft) -> Scene:
@@ -64,7 +64,7 @@ def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     return cached_capture(choice, VERSION, files, cache_dir, make)
 
 
-def _model(choice: ColmapSettings) -> Model:
+def model_of(choice: ColmapSettings) -> Model:
     wanted = [choice.model] if choice.model else ["sparse/0", "sparse"]
     for model in (Model(choice.root / below) for below in wanted):
         if model.exists:

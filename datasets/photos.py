@@ -53,11 +53,11 @@ def load_photos(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     """
     choice = parse_settings(PhotosSettings, settings)
     require_folder(choice.root)
-    images, files = _images(choice)
+    images, files = images_of(choice)
     names = [path.relative_to(images).as_posix() for path in files]
 
     def make(draft: Draft) -> Scene:
-        model = _model(choice, images, names, cache_dir)
+        model = model_of(choice, images, names, cache_dir)
         _judge(choice, images, names, model.image_names, draft)
         found, _ = model.photographs(images)
         photographs = with_siblings(found, choice.root, choice.normals_frame)
@@ -67,7 +67,7 @@ def load_photos(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     return cached_capture(choice, VERSION, [*files, *siblings], cache_dir, make)
 
 
-def _images(choice: PhotosSettings) -> tuple[Path, list[Path]]:
+def images_of(choice: PhotosSettings) -> tuple[Path, list[Path]]:
     """The images' folder, and its images in the order of their names; below `root` itself, subfolders do not count."""
     root = choice.root
     folder = root / (choice.images or ("images" if (root / "images").is_dir() else "."))
@@ -82,7 +82,7 @@ def _images(choice: PhotosSettings) -> tuple[Path, list[Path]]:
     return folder, files
 
 
-def _model(choice: PhotosSettings, images: Path, names: Sequence[str], cache_dir: Path) -> Model:
+def model_of(choice: PhotosSettings, images: Path, names: Sequence[str], cache_dir: Path) -> Model:
     """The images' model, from the cache or made now."""
     _check_decodable([images / name for name in names], choice)
     contents = digest_of([images / name for name in names], choice.root, cache_dir)

@@ -16,7 +16,7 @@ from .capture import CaptureSettings, Missing, cached_capture, files_of, make_sc
 from .frames import FrameFile, read_frames, without_common_folder
 from .normals import Frame
 from .paths import path_below
-from .photographs import with_siblings
+from .photographs import Photograph, with_siblings
 from .pointcloud import PointCloud, random_points, read_ply
 from .settings import DatasetError, parse_settings
 
@@ -54,10 +54,8 @@ def load_transforms(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     root = choice.root
     require_folder(root)
     file = read_frames(path_below(root, choice.file, root))
-    found, missing = file.photographs(choice.images)
-    names = without_common_folder([photograph.name for photograph in found])
-    named = [replace(photograph, name=name) for photograph, name in zip(found, names, strict=True)]
-    photographs = with_siblings(named, root, choice.normals_frame)
+    found, missing = photographs_of(file, choice)
+    photographs = with_siblings(found, root, choice.normals_frame)
     ply = path_below(root, str(file.shared["ply_file_path"]), file.path) if file.shared.get("ply_file_path") else None
 
     def make(draft: Draft) -> Scene:
@@ -67,6 +65,13 @@ def load_transforms(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
     files = [file.path, *([ply] if ply else []), *files_of(photographs)]
     return cached_capture(choice, VERSION, files, cache_dir, make)
+
+
+def photographs_of(file: FrameFile, choice: TransformsSettings) -> tuple[list[Photograph], list[str]]:
+    """The photographs, named by their paths below the folder that all share, and the names of those not there."""
+    found, missing = file.photographs(choice.images)
+    names = without_common_folder([photograph.name for photograph in found])
+    return [replace(photograph, name=name) for photograph, name in zip(found, names, strict=True)], missing
 
 
 def _random_points(choice: TransformsSettings, file: FrameFile) -> PointCloud:

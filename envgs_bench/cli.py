@@ -46,6 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _report(options.runs, options.out)
     if options.command == "rescore":
         return _explained("rescore", lambda: _rescore(options.runs, options.protocol, options.out))
+    if options.command == "masks":
+        return _explained("masks", lambda: _masks(options))
     if options.command == "ply":
         return _explained("ply", lambda: _ply(options.run, options.out))
     if options.command == "export":
@@ -85,6 +87,28 @@ def _parser() -> argparse.ArgumentParser:
     rescore.add_argument("runs", type=Path, metavar="RUNS", help="a folder with runs, or one run's")
     rescore.add_argument("--protocol", required=True, metavar="NAME", help="`envgs-bench list` names them")
     rescore.add_argument("--out", type=Path, metavar="DIR", help="where records go; RUNS-<protocol> by default")
+    masks = commands.add_parser("masks", help="masks of what reflects, from an EnvGS that was trained on a capture")
+    masks.add_argument("run", type=Path, metavar="RUN", help="the folder of one run of method=envgs")
+    masks.add_argument(
+        "--region",
+        required=True,
+        choices=["reflective", "near_field"],
+        help="reflective: what reflects, made as in the EnvGS paper; near_field: what reflects near things, our own",
+    )
+    masks.add_argument(
+        "--out", type=Path, metavar="DIR", required=True, help="masks_<region>/ goes here; the capture's folder uses it"
+    )
+    masks.add_argument(
+        "--beta", type=float, default=0.2, metavar="B", help="a primitive reflects where its β is above (default 0.2)"
+    )
+    masks.add_argument(
+        "--foreground",
+        type=float,
+        nargs=4,
+        metavar=("X", "Y", "Z", "RADIUS"),
+        help="the ball that holds the foreground, world units; by default what the cameras stand around",
+    )
+    masks.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"])
     ply = commands.add_parser("ply", help="the Gaussians that a run trained, as PLY files")
     ply.add_argument("run", type=Path, metavar="RUN", help="one run's folder, with its checkpoint")
     ply.add_argument("--out", type=Path, metavar="DIR", required=True, help="where <set>.ply are written")
@@ -141,6 +165,29 @@ def _rescore(runs: Path, name: str, out: Path | None) -> int:
     for problem in problems:
         print(f"envgs-bench rescore: {problem}", file=sys.stderr)
     return int(bool(problems) or not folders)
+
+
+def _masks(options: argparse.Namespace) -> int:
+    import torch
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from .methods.regions import Ball
+    from .region_masks import MaskChoice, make_masks
+
+    ball = None
+    if options.foreground:
+        *center, radius = options.foreground
+        ball = Ball(torch.tensor(center), radius)
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(f"masks {options.region}", total=None)
+        for done, total in make_masks(
+            options.run, MaskChoice(options.region, options.beta, ball), options.out, options.device
+        ):
+            progress.update(task, completed=done, total=total)
+    folder = options.out / f"masks_{options.region}"
+    print(f"{total} masks: {folder}, made as {folder}.json says")
+    return 0
 
 
 def _ply(run: Path, out: Path) -> int:

@@ -61,7 +61,7 @@ def write_ply(path: Path, tensors: Mapping[str, Tensor]) -> None:
 
 
 def read_ply(path: Path) -> dict[str, Tensor]:
-    """`GaussianParameters`' tensors, float32, from a file of `write_ply` or another program; further properties are left.
+    """`GaussianParameters`' tensors, float32, of what `write_ply` or another program wrote; the rest is left.
 
     Raises:
         ValueError: no readable PLY, a compressed one, properties missing, an SH degree above 3, or values that no

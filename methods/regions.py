@@ -1,0 +1,88 @@
+"""Regions found in a trained model: where a view shows reflecting things, and where these reflect what is near.
+
+`reflective` is made as the EnvGS paper makes it (App. A.1): of the trained base set, only the primitives of the
+reflecting foreground are kept and drawn, and their alpha is cut in two. The paper picks them by hand, here they are
+those with a high β near the middle of the scene. `near_field` is ours; the paper annotates it by hand: the reflective
+pixels whose reflected ray meets the base set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from envgs_bench.core import Camera, GaussianSet, rasterize, trace
+
+from .reflection import reflected_rays
+
+INSIDE = 0.5  # alpha above which a pixel or a ray has met something
+OWN_SURFACE = 0.01  # hits nearer than this are of the reflecting surface itself, × scene radius
+
+
+@dataclass(frozen=True)
+class Ball:
+    center: Tensor  # [3], world frame
+    radius: float  # world units
+
+
+def foreground_ball(cameras: Sequence[Camera]) -> Ball:
+    """What the cameras stand around: the point nearest to all their axes, and their mean distance from it.
+
+    The point minimises Σ ‖(I − zzᵀ)(p − c)‖² over the cameras' centres c and viewing directions z. Means little where
+    cameras look outwards or all the same way.
+    """
+    centers = torch.stack([camera.centre for camera in cameras]).double()
+    axes = torch.stack([camera.world_to_camera[2, :3] for camera in cameras]).double()
+    across = torch.eye(3, dtype=torch.float64) - axes[:, :, None] * axes[:, None, :]
+    center = torch.linalg.lstsq(across.sum(0), (across @ centers[:, :, None]).sum(0)).solution[:, 0]
+    return Ball(center.float(), float((centers - center).norm(dim=1).mean()))
+
+
+def reflecting(base: GaussianSet, ball: Ball, beta_min: float) -> Tensor:
+    """Which primitives [N] of a base set lie in the ball and have a β above `beta_min`.
+
+    Raises:
+        ValueError: the set has no β.
+    """
+    if base.extras is None or base.extras.shape[1] != 1:
+        raise ValueError("the base set has no β: reflecting things are found with a trained EnvGS")
+    near = (base.means - ball.center.to(base.means)).norm(dim=1) <= ball.radius
+    return near & (base.extras[:, 0] > beta_min)
+
+
+def in_box(base: GaussianSet, low: Tensor, high: Tensor) -> Tensor:
+    """Which primitives' centres [N] lie in the axis-aligned box with these corners [3]."""
+    return ((base.means >= low.to(base.means)) & (base.means <= high.to(base.means))).all(dim=1)
+
+
+@torch.no_grad()
+def reflective_mask(foreground: GaussianSet, camera: Camera, near: float = 0.2) -> Tensor:
+    """Where the kept primitives alone, without whatever stands before them, are more opaque than not: [H, W] bool.
+
+    `near` is that of `rasterize`, world units.
+    """
+    return rasterize(foreground, camera, near=near).alpha > INSIDE
+
+
+@torch.no_grad()
+def near_field_mask(
+    base: GaussianSet, surroundings: GaussianSet, camera: Camera, radius: float, near: float = 0.2
+) -> Tensor:
+    """Where the view's reflected rays meet the surroundings: [H, W] bool. To be intersected with `reflective_mask`.
+
+    Args:
+        base: the whole base set, whose normals reflect.
+        surroundings: what rays may meet: the base set's part within the scene's box.
+        radius: the scene's, world units.
+        near: that of `rasterize`, world units.
+    """
+    shown = rasterize(base, camera, near=near)
+    offset = OWN_SURFACE * radius
+    pixels, origins, directions = reflected_rays(shown, camera, offset=0.0, beta_min=None, joint=False)
+    alpha = trace(surroundings, origins, directions, t_min=offset).alpha
+    mask = torch.zeros(camera.height * camera.width, dtype=torch.bool, device=pixels.device)
+    mask[pixels[alpha > INSIDE]] = True
+    return mask.reshape(camera.height, camera.width)
