@@ -6,10 +6,10 @@ import kornia
 import numpy as np
 import pytest
 import torch
+from toy_scenes import BLACK, GREY, camera_at
 
 from envgs_bench.core import Camera
 from envgs_bench.datasets.toy import lighting
-from envgs_bench.datasets.toy.cameras import look_at
 from envgs_bench.datasets.toy.color import to_linear, to_srgb
 from envgs_bench.datasets.toy.lathe import Lathe
 from envgs_bench.datasets.toy.paths import _lobe_samples, _microfacets, radiance
@@ -19,8 +19,6 @@ from envgs_bench.datasets.toy.shapes import Cone, Disc, Mesh, Rectangle, Shape, 
 from envgs_bench.datasets.toy.waves import Wave, Waves
 from envgs_bench.datasets.toy.world import Part, World, reflect
 
-BLACK = np.zeros((4, 8, 3))
-GREY = np.full((2, 2, 3), 0.5)
 SHAPES = [
     Sphere((0.1, -0.2, 0.3), 0.8),
     Sphere((0.0, 0.0, 0.0), 1.0, top=0.6),
@@ -33,15 +31,6 @@ SHAPES = [
     Lathe((0.1, 0.0, -0.5), ((0.05, 1.0), (0.3, 0.7), (0.7, 0.5), (0.5, 0.1), (0.3, 0.0))),
     Waves((-0.8, 0.3, 0.9), (1.5, 0.2, 0.0), (0.1, -0.4, -1.4), (Wave(0.03, 1.4, 0.5), Wave(0.02, -0.4, 2.7, 0.3))),
 ]
-
-
-def camera_at(
-    centre: tuple[float, float, float], target: tuple[float, float, float] = (0, 0, 0), size: int = 40
-) -> Camera:
-    """A square camera with its principal point off the middle."""
-    pose = torch.from_numpy(look_at(np.array(centre, dtype=float), np.array(target, dtype=float))).float()
-    intrinsics = torch.tensor([[1.1 * size, 0, 0.47 * size], [0, 1.2 * size, 0.55 * size], [0, 0, 1]])
-    return Camera(pose, intrinsics, size, size)
 
 
 def rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
