@@ -33,9 +33,14 @@ def label_runs(runs: list[Run]) -> dict[int, tuple[Label, Label]]:
     out where they vary on one data set; a method may well be set up differently for another data set.
     """
     records = [run.record for run in runs]
-    datasets = _labels([(record.dataset, _flat(record.config.get("dataset"))) for record in records], [""] * len(runs))
+    datasets = _labels(
+        [(record.dataset, flat_settings(record.config.get("dataset"))) for record in records], [""] * len(runs)
+    )
     methods = _labels(
-        [(record.method, _flat(record.config.get("method")) | {"steps": str(record.steps)}) for record in records],
+        [
+            (record.method, flat_settings(record.config.get("method")) | {"steps": str(record.steps)})
+            for record in records
+        ],
         [str(dataset) for dataset in datasets],
     )
     return dict(enumerate(zip(datasets, methods, strict=True)))
@@ -63,16 +68,16 @@ def _labels(named: list[tuple[str, dict[str, str]]], groups: list[str]) -> list[
     ]
 
 
-def _flat(settings: Any, prefix: str = "") -> dict[str, str]:
-    """Nested settings with dotted keys and their values as text; locations are not settings."""
+def flat_settings(settings: Any, prefix: str = "") -> dict[str, str]:
+    """Nested settings with dotted keys and their values as text; locations and addresses are not settings."""
     if not isinstance(settings, Mapping):
         return {}
     flat: dict[str, str] = {}
     for key, value in settings.items():
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):
-            flat |= _flat(value, f"{name}.")
-        elif key not in ("root", "path", "cache_dir", "name"):
+            flat |= flat_settings(value, f"{name}.")
+        elif key not in ("root", "path", "cache_dir", "name", "obtain"):
             flat[name] = str(value)
     return flat
 

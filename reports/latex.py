@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
 
-from .layout import Entry, entries, headings
+from .layout import Entry, Heading, entries, headings
 from .sections import Section
-from .summary import Table
+from .tables import Table
 
 PREAMBLE = r"""% Needs booktabs, and xcolor with its option table; define these three first to mark otherwise.
 \providecommand{\best}[1]{\cellcolor[HTML]{F4A582}\textbf{#1}}
@@ -37,17 +38,31 @@ def latex(sections: Sequence[Section]) -> str:
     """One tabular a table, after a comment that names it, its protocol and its device."""
     parts = [PREAMBLE]
     for section in sections:
-        for table in section.all_tables:
+        for table in section.tables:
             parts += [f"% {_comment(table.title)}. {_comment(section.title)}", _tabular(table), ""]
     return "\n".join(parts)
 
 
 def _tabular(table: Table) -> str:
-    head = " & ".join(_escaped(heading) for heading in headings(table))
+    titles = headings(table)
     lines = [" & ".join(_marked(entry) for entry in entries(table, row)) + r" \\" for row in table.rows]
-    alignment = "ll" + "r" * (len(headings(table)) - 2)
-    body = [r"\toprule", head + r" \\", r"\midrule", *lines, r"\bottomrule"]
-    return "\n".join([rf"\begin{{tabular}}{{{alignment}}}", *body, r"\end{tabular}"])
+    head = " & ".join(_escaped(heading.text) for heading in titles) + r" \\"
+    body = [r"\toprule", *_groups(titles), head, r"\midrule", *lines, r"\bottomrule"]
+    return "\n".join([rf"\begin{{tabular}}{{ll{'r' * (len(titles) - 2)}}}", *body, r"\end{tabular}"])
+
+
+def _groups(titles: Sequence[Heading]) -> list[str]:
+    """The line of headings above the columns' own, each with a rule below it; none where no column has one."""
+    if not any(heading.group for heading in titles):
+        return []
+    cells, rules, column = [], [], 1
+    for name, members in groupby(titles, key=lambda heading: heading.group):
+        count = len(list(members))
+        cells.append(rf"\multicolumn{{{count}}}{{c}}{{{_escaped(name)}}}")
+        if name:
+            rules.append(rf"\cmidrule(lr){{{column}-{column + count - 1}}}")
+        column += count
+    return [" & ".join(cells) + r" \\", " ".join(rules)]
 
 
 def _marked(entry: Entry) -> str:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from decimal import Decimal
 
 from .columns import Column
 from .decimals import rounded
-from .summary import Cell, Row, Table
+from .tables import Cell, Row, Table
 
 PUBLISHED_PLACES = 3  # the paper's
 SUPERSCRIPTS = {1: "¹", 2: "²", 3: "³"}
-LEGEND = "¹ ² ³ best to third after rounding, ties shared; ≈ its interval overlaps the best one's; ± over seeds"
+LEGEND = (
+    "¹ ² ³ best to third after rounding, ties shared; ≈ its interval overlaps the best one's; "
+    "± over seeds, unless it rounds to 0"
+)
 
 
 @dataclass(frozen=True)
@@ -19,7 +23,6 @@ class Entry:
     rank: int | None = None
     tied: bool = False
     number: bool = True
-    sort: float | None = None  # what a column sorts by, where there is a number
 
     @property
     def marked(self) -> str:
@@ -27,48 +30,59 @@ class Entry:
         return self.text + SUPERSCRIPTS.get(self.rank or 0, "") + (" ≈" if self.tied else "")
 
 
-def headings(table: Table) -> list[str]:
-    titles = ["method", "runs"]
-    for column in table.columns:
-        titles.append(f"{column.title} {column.arrow}" if column.ranked else column.title)
-        if column.key in table.published:
-            titles.append(f"{column.title} paper (Δ)")
-    return titles
+@dataclass(frozen=True)
+class Heading:
+    text: str
+    explanation: str
+    group: str = ""  # the heading above
+
+    @property
+    def full(self) -> str:
+        """With the heading above, where there is one line for both."""
+        return f"{self.group} {self.text}" if self.group else self.text
 
 
-def explanations(table: Table) -> list[str]:
-    """What each heading means."""
-    texts = ["what was trained", "finished runs of all runs"]
+def headings(table: Table) -> list[Heading]:
+    found = [Heading("method", "what was trained"), Heading("runs", "finished runs of all runs")]
     for column in table.columns:
         words = [column.axis, column.explanation, f"{column.better} is better" if column.ranked else ""]
-        texts.append("; ".join(word for word in words if word))
-        if column.key in table.published:
-            texts.append(f"{column.axis}: the paper's, and ours minus it")
-    return texts
+        explanation = "; ".join(word for word in words if word)
+        found.append(Heading(column.heading, explanation, column.group))
+        if _beside(table, column):
+            why = f"{column.axis}: the paper's, and ours minus it"
+            found.append(Heading(f"{column.title} paper (Δ)", why, column.group))
+    return found
 
 
 def entries(table: Table, row: Row) -> list[Entry]:
     """One entry a heading."""
     line = [Entry(row.method, number=False), Entry(row.runs_text, number=False)]
     for column in table.columns:
-        cell = row.cells.get(column.key)
-        line.append(_entry(cell) if cell is not None else Entry(""))
-        if column.key in table.published:
-            theirs = row.published.get(column.key)
-            line.append(Entry(published_text(row, column), sort=None if theirs is None else float(theirs)))
+        printed = Entry("" if column.key not in row.published else published_text(row, column))
+        if column.elsewhere:
+            line.append(printed)
+        else:
+            cell = row.cells.get(column.key)
+            line.append(_entry(cell) if cell is not None else Entry(""))
+            line += [printed] if _beside(table, column) else []
     return line
 
 
+def _beside(table: Table, column: Column) -> bool:
+    """Whether the paper's values stand in a column of their own beside ours."""
+    return column.key in table.published and not column.elsewhere
+
+
 def _entry(cell: Cell) -> Entry:
-    shown = cell.mean is not None and not (cell.averaged and not cell.complete)
-    return Entry(cell.text, cell.rank, cell.tied, sort=float(cell.mean) if shown and cell.mean is not None else None)
+    return Entry(cell.text, cell.rank, cell.tied)
 
 
 def published_text(row: Row, column: Column) -> str:
     """ "27.220 (−0.135)": what the paper printed, and ours minus it."""
-    if column.key not in row.published:
-        return ""
-    theirs = rounded(row.published[column.key], PUBLISHED_PLACES)
+    value = row.published[column.key]
+    if column.elsewhere and value < Decimal("0.01"):
+        return f"1/{1 / value:,.0f}"  # as the paper prints frames that take hours
+    theirs = rounded(value, PUBLISHED_PLACES if not column.elsewhere else column.places)
     ours = row.cells.get(column.key)
     if ours is None or not ours.complete or ours.mean is None:
         return str(theirs)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from .layout import LEGEND, Entry, entries, headings
 from .runs import BrokenRecord
 from .sections import Section
-from .summary import Table
 from .table_notes import caption, notes
+from .tables import Table
 
 
 def markdown(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> str:
@@ -23,7 +23,7 @@ def markdown(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> str
 
 def _section(section: Section) -> list[str]:
     lines = [f"## {_escaped(section.title)}", "", _escaped(section.protocol.description), ""]
-    for table in section.all_tables:
+    for table in section.tables:
         lines += [f"### {_escaped(table.title)}", "", _escaped(caption(section, table)), "", *_table(table), ""]
         for note in notes(section, table):
             lines += [_escaped(note), ""]
@@ -42,8 +42,9 @@ def _section(section: Section) -> list[str]:
 
 def _table(table: Table) -> list[str]:
     rows = [[_emphasised(entry) for entry in entries(table, row)] for row in table.rows]
-    alignment = [":--", ":--", *["--:"] * (len(headings(table)) - 2)]
-    return ["| " + " | ".join(cells) + " |" for cells in (headings(table), alignment, *rows)]
+    titles = [_escaped(heading.full) for heading in headings(table)]
+    alignment = [":--", ":--", *["--:"] * (len(titles) - 2)]
+    return ["| " + " | ".join(cells) + " |" for cells in (titles, alignment, *rows)]
 
 
 def _emphasised(entry: Entry) -> str:

@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections import Counter
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import as_file, files
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
-from .layout import LEGEND, Entry, entries, explanations, headings
-from .page_data import page_data
+from .layout import LEGEND, Entry, Heading, entries, headings
+from .layouts import KINDS
+from .page_data import write_data
 from .page_origin import commands, failures, origins
 from .pictures import Gallery
 from .runs import BrokenRecord
 from .sections import Section
-from .summary import Row, Table
 from .table_notes import caption, notes
+from .tables import Row, Table
 
-ASSETS = ("report.css", "tables.js", "charts.js", "viewer.js")
+SCRIPTS = ("marks.js", "tables.js", "axes.js", "chart.js", "curves.js", "viewer.js", "datasets.js")
 GLYPHS = {"ok": "✓", "failed": "✕", "diverged": "∿", "out_of_memory": "▣", "timeout": "◷", "interrupted": "‖"}
 ORDINALS = {1: "best", 2: "second", 3: "third"}
 
@@ -34,11 +35,10 @@ def write_page(
     """Write index.html and assets/ into `out`; `galleries` are those of each section, their pictures already there."""
     assets = out / "assets"
     assets.mkdir(parents=True, exist_ok=True)
-    data = page_data(sections, galleries)
-    (assets / "data.js").write_text(f"window.REPORT = {json.dumps(data, allow_nan=False)};\n", encoding="utf-8")
+    data = write_data(assets, sections, galleries)
     (assets / "plotly.min.js").write_text(get_plotlyjs(), encoding="utf-8")
     with as_file(files(__package__) / "assets") as source:
-        for name in ASSETS:
+        for name in ("report.css", *SCRIPTS):
             shutil.copyfile(source / name, assets / name)
         environment = Environment(
             loader=FileSystemLoader(source), autoescape=True, undefined=StrictUndefined, trim_blocks=True
@@ -54,6 +54,7 @@ def write_page(
             glyphs=GLYPHS,
             names={status: status.replace("_", " ") for status in GLYPHS},
             ordinals=ORDINALS,
+            scripts=["plotly.min.js", "data.js", *SCRIPTS],
             version=_version(),
         )
     page = out / "index.html"
@@ -62,19 +63,14 @@ def write_page(
 
 
 def _section(section: Section, index: int, data: dict[str, Any], galleries: Sequence[Gallery]) -> dict[str, Any]:
-    charted = bool(data["charted"])
     parts = {
-        "Chart": charted,
+        "Chart": bool(data["subjects"]),
         "Tables": True,
         "Pictures": bool(galleries),
         "Training": bool(data["curves"]),
         "Runs": True,
         "Provenance": True,
     }
-    by_place: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for item in sorted(section.runs, key=lambda item: item.run.record.seed):
-        run = {"seed": item.run.record.seed, "status": item.run.record.status}
-        by_place.setdefault((item.dataset, item.method), []).append(run)
     return {
         "id": f"section-{index}",
         "title": section.title,
@@ -83,16 +79,11 @@ def _section(section: Section, index: int, data: dict[str, Any], galleries: Sequ
         "device": section.device,
         "csv": section.csv_name(index),
         "parts": [name for name, there in parts.items() if there],
-        "charted": charted,
-        "tables": [_table(section, table) for table in section.all_tables],
+        "tables": _parts(section),
         "galleries": galleries,
-        "has_curves": bool(data["curves"]),
         "statuses": Counter(item.run.record.status for item in section.runs).most_common(),
         "datasets": section.datasets,
-        "matrix": [
-            {"method": method, "cells": [by_place.get((dataset, method), []) for dataset in section.datasets]}
-            for method in section.methods
-        ],
+        "matrix": _matrix(section),
         "failures": failures(section),
         "superseded": len(section.superseded),
         "contracts": sorted({item.run.record.timing.contract for item in section.runs if item.run.record.timing}),
@@ -101,18 +92,35 @@ def _section(section: Section, index: int, data: dict[str, Any], galleries: Sequ
     }
 
 
+def _parts(section: Section) -> list[dict[str, Any]]:
+    """The tables by kind; a note that all tables of a kind share is told once, after them."""
+    parts = []
+    for kind, title in KINDS.items():
+        tables = [_table(section, table) for table in section.tables if table.kind == kind]
+        if tables:
+            shared = [note for note in tables[0]["notes"] if all(note in table["notes"] for table in tables)]
+            for table in tables:
+                table["notes"] = [note for note in table["notes"] if note not in shared]
+            parts.append({"kind": kind, "title": title, "tables": tables, "notes": shared})
+    return parts
+
+
 def _table(section: Section, table: Table) -> dict[str, Any]:
+    titles = headings(table)
+    groups = [(name, len(list(members))) for name, members in groupby(titles, key=lambda heading: heading.group)]
     return {
         "title": table.title,
-        "open": table in (*section.averages, *section.tables),
         "caption": caption(section, table),
-        "headings": [
-            {"text": text.replace(" ↑", "\N{NO-BREAK SPACE}↑").replace(" ↓", "\N{NO-BREAK SPACE}↓"), "explanation": why}
-            for text, why in zip(headings(table), explanations(table), strict=True)
-        ],
+        "groups": groups if len(groups) > 1 else [],
+        "headings": [_heading(heading) for heading in titles],
         "rows": [_row(table, row) for row in table.rows],
         "notes": notes(section, table),
     }
+
+
+def _heading(heading: Heading) -> dict[str, str]:
+    text = heading.text.replace(" ↑", "\N{NO-BREAK SPACE}↑").replace(" ↓", "\N{NO-BREAK SPACE}↓")
+    return {"text": text, "explanation": heading.explanation}
 
 
 def _row(table: Table, row: Row) -> dict[str, Any]:
@@ -125,14 +133,17 @@ def _row(table: Table, row: Row) -> dict[str, Any]:
 
 def _entry(entry: Entry) -> dict[str, Any]:
     value, sign, spread = entry.text.partition(" ± ") if entry.number else (entry.text, "", "")
-    return {
-        "value": value,
-        "spread": f"± {spread}" if sign else "",
-        "rank": entry.rank,
-        "tied": entry.tied,
-        "number": entry.number,
-        "sort": entry.sort,
-    }
+    return {"value": value, "spread": f"± {spread}" if sign else "", "rank": entry.rank, "tied": entry.tied}
+
+
+def _matrix(section: Section) -> list[dict[str, Any]]:
+    """A row a method, a cell a data set, in it its runs' seeds and statuses."""
+    cells: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for dataset in section.datasets:
+        for item in section.of(dataset):
+            run = {"seed": item.run.record.seed, "status": item.run.record.status}
+            cells.setdefault((dataset, item.method), []).append(run)
+    return [{"method": m, "cells": [cells.get((d, m), []) for d in section.datasets]} for m in section.methods]
 
 
 def _tiles(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> list[dict[str, str]]:
@@ -146,7 +157,7 @@ def _tiles(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> list[
         {"name": "data sets", "value": str(len(datasets)), "note": next(iter(datasets)) if len(datasets) == 1 else ""},
         {"name": "runs", "value": str(len(runs)), "note": f"{failed} failed" if failed else "all finished"},
     ]
-    table = (*sections[0].averages, *sections[0].tables)[0]
+    table = sections[0].subjects[0]
     for key, name in (("psnr", "most accurate"), ("frame_ms", "fastest")):
         best = [row for row in table.rows if (cell := row.cells.get(key)) and cell.rank == 1]
         column = next((column for column in table.columns if column.key == key), None)

@@ -1,58 +1,99 @@
-"""data.js: what the page's charts and pictures are drawn from."""
+"""What the page's charts and pictures are drawn from: data.js, and a file a data set for its training curves."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-from .columns import COST_KEYS
+from .columns import COSTS, MAIN_COLUMNS, Column
 from .curves import QUANTITIES, training_curves
 from .palette import styles
-from .pareto import knobs
 from .pictures import Gallery, Shot
 from .sections import Section
-from .structured import structured
+from .tables import Cell, Row, Table
+
+COST_KEYS = {column.key for column in COSTS}
+DIGITS = 7  # significant ones, of a point in a chart
 
 
-def page_data(sections: Sequence[Section], galleries: Sequence[Sequence[Gallery]]) -> dict[str, Any]:
-    """Plain JSON values; the numbers are those of table.json."""
-    tables = structured(sections, ())["sections"]
-    return {
-        "sections": [
-            _section(section, content["tables"], pictures)
-            for section, content, pictures in zip(sections, tables, galleries, strict=True)
-        ]
-    }
-
-
-def _section(section: Section, tables: list[dict[str, Any]], galleries: Sequence[Gallery]) -> dict[str, Any]:
-    overrides = {item.method: _own_overrides(item.run.record.overrides) for item in section.runs}
-    for table in tables:
-        averaged = len(table["datasets"]) > 1
-        table["name"] = f"average over {table['title']}" if averaged else table["title"]
-        for column in table["columns"]:
-            column["cost"] = column["key"] in COST_KEYS
-        for row in table["rows"]:
-            row["overrides"] = overrides.get(row["method"], [])
-            for cell in row["cells"].values():
-                cell["partial_average"] = averaged and cell["done"] < cell["expected"]
-    charted = [i for i, table in enumerate(tables) if any(_drawn(row) for row in table["rows"])]
-    return {
-        "tables": tables,
-        "charted": charted,
-        "first_charted": next((i for i in charted if len(tables[i]["datasets"]) == 1), None),
-        "styles": {m: {"color": style.color, "symbol": style.symbol} for m, style in styles(section.methods).items()},
-        "knobs": knobs(list({item.method: item.label for item in section.runs}.values())),
-        "galleries": [_gallery(gallery) for gallery in galleries],
-        "curves": training_curves(section),
+def write_data(folder: Path, sections: Sequence[Section], galleries: Sequence[Sequence[Gallery]]) -> dict[str, Any]:
+    """Write data.js and curves-<section>-<data set>.js into `folder`; what data.js holds, as plain JSON values."""
+    data: dict[str, Any] = {
+        "sections": [_section(s, g) for s, g in zip(sections, galleries, strict=True)],
         "quantities": QUANTITIES,
     }
+    for number, section in enumerate(sections):
+        for place, (dataset, curves) in enumerate(training_curves(section)):
+            name = f"curves-{number}-{place}.js"
+            (folder / name).write_text(f"window.addCurves({number}, {place}, {_json(curves)});\n", encoding="utf-8")
+            data["sections"][number]["curves"].append({"dataset": dataset, "file": f"assets/{name}"})
+    (folder / "data.js").write_text(f"window.REPORT = {_json(data)};\n", encoding="utf-8")
+    return data
 
 
-def _drawn(row: dict[str, Any]) -> bool:
-    """Whether a chart can show the row: its frame time is known, and not the average over a part."""
-    cell = row["cells"].get("frame_ms")
-    return cell is not None and cell["mean"] is not None and not cell["partial_average"]
+def _json(content: Any) -> str:
+    return json.dumps(content, allow_nan=False, separators=(",", ":"))
+
+
+def _section(section: Section, galleries: Sequence[Gallery]) -> dict[str, Any]:
+    overrides = {item.method: _own_overrides(item.run.record.overrides) for item in section.runs}
+    subjects = [subject for table in section.subjects if (subject := _subject(table, overrides))["rows"]]
+    alone = [i for i, subject in enumerate(subjects) if subject["count"] == 1]
+    return {
+        "columns": {
+            column.key: {
+                "title": column.title,
+                "axis": column.axis,
+                "better": column.better,
+                "cost": column.key in COST_KEYS,
+            }
+            for column in MAIN_COLUMNS
+        },
+        "subjects": subjects,
+        "first": alone[0] if alone else 0,
+        "styles": {m: {"color": style.color, "symbol": style.symbol} for m, style in styles(section.methods).items()},
+        "knobs": section.knobs,
+        "galleries": [_gallery(gallery) for gallery in galleries],
+        "curves": [],
+    }
+
+
+def _subject(table: Table, overrides: dict[str, list[str]]) -> dict[str, Any]:
+    """A data set, or the mean over several, with every number that a chart can show of it."""
+    rows = [
+        {
+            "method": row.method,
+            "runs": row.runs_text,
+            "complete": row.done == row.attempts,
+            "done": f"{row.done}/{row.attempts}",
+            "overrides": overrides.get(row.method, []),
+            "values": values,
+        }
+        for row in table.rows
+        if (values := _values(row, table.columns))
+    ]
+    count = len(table.datasets)
+    return {"title": table.title, "name": f"{table.title} (mean of {count})" if count > 1 else table.title,
+            "count": count, "rows": rows}  # fmt: skip
+
+
+def _values(row: Row, columns: Sequence[Column]) -> dict[str, list[Any]]:
+    """Column -> mean, lower and upper end of the interval or None, text."""
+    cells = [(column.key, row.cells[column.key]) for column in columns if column.key in row.cells]
+    return {key: [*_ends(cell), cell.text] for key, cell in cells if cell.shown}
+
+
+def _ends(cell: Cell) -> list[float | None]:
+    assert cell.mean is not None
+    scale = float(cell.column.scale)
+    interval = cell.interval or (None, None)
+    return [_short(float(cell.mean) * scale), *(None if end is None else _short(end * scale) for end in interval)]
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")
 
 
 def _gallery(gallery: Gallery) -> dict[str, Any]:
@@ -63,10 +104,13 @@ def _shot(shot: Shot, gallery: Gallery) -> dict[str, Any]:
     return {
         "title": shot.title,
         "target": gallery.files[shot.target],
-        "renders": {method: gallery.files[path] for method, path in shot.renders.items()},
-        "layers": {
-            method: {layer: gallery.files[path] for layer, path in layers.items()}
-            for method, layers in shot.layers.items()
+        "pictures": {
+            method: {
+                "image": gallery.files[path],
+                **gallery.flips.get((shot.view, method), {}),
+                **{layer: gallery.files[file] for layer, file in shot.layers.get(method, {}).items()},
+            }
+            for method, path in shot.renders.items()
         },
         "psnr": shot.psnr,
     }

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from .columns import Column
-from .labels import Label
-from .summary import Cell, Row, Table
+from .tables import Cell, Row, Table
 
 
 @dataclass(frozen=True)
@@ -46,24 +45,35 @@ def front(places: Sequence[Point], x: Column, y: Column) -> list[Point]:
     return sorted(kept, key=lambda point: point.x)
 
 
-def knobs(labels: Sequence[Label]) -> list[list[str]]:
-    """The rows that one turned knob makes: labels of one name that differ in one numeric setting, by its value."""
-    families: dict[tuple[str, str], list[tuple[float, str]]] = {}
-    for label in labels:
-        if len(label.settings) == 1:
-            key, value = label.settings[0]
-            try:
-                families.setdefault((label.name, key), []).append((float(value), str(label)))
-            except ValueError:
-                continue
-    return [[text for _, text in sorted(family)] for family in families.values() if len(family) > 1]
+def knobs(settings: Mapping[str, Mapping[str, str]]) -> list[list[str]]:
+    """The lines that one turned knob makes: rows of one code that differ in one numeric setting alone, by its value.
+
+    Args:
+        settings: row -> all its settings, its code's name ("kind") among them, as text.
+    """
+    turned = {key for given in settings.values() for key in given if len({o.get(key) for o in settings.values()}) > 1}
+    families: dict[tuple[str, frozenset[tuple[str, str]]], list[tuple[float, str]]] = {}
+    for row, given in settings.items():
+        for key, value in given.items():
+            if key in turned and (number := _number(value)) is not None:
+                others = frozenset(item for item in given.items() if item[0] != key)
+                families.setdefault((key, others), []).append((number, row))
+    lines = [[row for _, row in sorted(family)] for family in families.values() if len({v for v, _ in family}) > 1]
+    return [line for line in lines if len(line) > 2 or len({row.split(" [")[0] for row in line}) == 1]
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
 
 
 def _point(row: Row, x: Column, y: Column) -> Point | None:
     x_cell, y_cell = row.cells.get(x.key), row.cells.get(y.key)
     if x_cell is None or y_cell is None or x_cell.mean is None or y_cell.mean is None:
         return None
-    if not x_cell.complete and x_cell.averaged:
+    if not (x_cell.shown and y_cell.shown):
         return None
     values = _value(x_cell), _value(y_cell), _interval(x_cell), _interval(y_cell)
     return Point(row.method, *values, row.done, row.attempts)

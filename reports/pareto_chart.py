@@ -1,4 +1,4 @@
-"""pareto.png: accuracy against speed, one row of panels a data set and device."""
+"""The charts as files: accuracy against what it costs, one row of panels a data set and device."""
 
 from __future__ import annotations
 
@@ -14,20 +14,18 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from .columns import MAIN_COLUMNS, Column
+from .columns import ACCURACIES, COSTS, FRAME_MS, PSNR, Column
 from .label_placement import Box, along, place_labels
 from .palette import Style, styles
-from .pareto import Point, front, knobs, points
+from .pareto import Point, front, points
 from .sections import ALL, Section
-from .summary import Table
+from .tables import Table
 
 INK, SOFT, GRID, GREY = "#1f2733", "#667085", "#e8ebf0", "#a5adba"
 CROWD = 12  # points, above which a dominated one goes without its name if there is no room for it
 MOST_ROWS = 4  # data sets drawn one by one; more are drawn as their averages
 FORMATS = ("png", "pdf")
 DPI = 200
-SPEED = next(column for column in MAIN_COLUMNS if column.key == "frame_ms")
-ACCURACY = next(column for column in MAIN_COLUMNS if column.key == "psnr")
 REGIONS = ("near_field", "reflective", "foreground")  # the first that the data set has is drawn beside the full image
 RC: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
@@ -38,7 +36,7 @@ RC: dict[Any, Any] = {
     "text.color": INK,
     "xtick.color": SOFT,
     "ytick.color": SOFT,
-    "pdf.fonttype": 42,
+    "pdf.fonttype": 42,  # type 3 is refused by publishers; one weight and style alone, as each is embedded at a cost
     "text.parse_math": False,  # a name may hold a dollar sign
 }
 
@@ -47,42 +45,66 @@ RC: dict[Any, Any] = {
 class Panel:
     section: Section
     table: Table
+    cost: Column
     accuracy: Column
 
+    @property
+    def places(self) -> list[Point]:
+        return points(self.table, self.cost, self.accuracy)
 
-def draw_pareto(sections: Sequence[Section], out: Path, name: str = "pareto") -> list[Path]:
-    """Write `<name>.png` and `.pdf` into `out`; the files, none where no run finished."""
-    rows = panel_rows(sections)
-    if not rows:
-        return []
+
+def draw_charts(sections: Sequence[Section], out: Path) -> list[Path]:
+    """Write pareto.png and .pdf, and charts/<accuracy>-<cost>.png and .pdf for every pair of columns that has a point.
+
+    `pareto` is PSNR against frame time, of the full image and beside it of the most telling region.
+
+    Returns:
+        The files, none where no run finished.
+    """
+    jobs = {"pareto": _pareto_rows(sections)}
+    for accuracy in ACCURACIES:
+        for cost in COSTS:
+            jobs[f"charts/{accuracy.key}-{cost.key}"] = panel_rows(sections, cost, [accuracy])
+    written = []
+    for name, rows in jobs.items():
+        if rows:
+            written += _write(rows, out / name)
+    return written
+
+
+def panel_rows(sections: Sequence[Section], cost: Column, accuracies: Sequence[Column]) -> list[list[Panel]]:
+    """A row a data set, or a mean over several where there are many; a panel an accuracy that has a point."""
+    rows = []
+    for section in sections:
+        alone = [table for table in section.subjects if len(table.datasets) == 1]
+        means = [table for table in section.subjects if len(table.datasets) > 1]
+        for table in alone if len(alone) <= MOST_ROWS else means:
+            panels = [Panel(section, table, cost, accuracy) for accuracy in accuracies]
+            rows.append([panel for panel in panels if panel.places])
+    return [row for row in rows if row]
+
+
+def _pareto_rows(sections: Sequence[Section]) -> list[list[Panel]]:
+    telling = [column for region in REGIONS for column in ACCURACIES if column.region == region]
+    return [row[:2] for row in panel_rows(sections, FRAME_MS, [PSNR, *telling])]
+
+
+def _write(rows: list[list[Panel]], stem: Path) -> list[Path]:
+    stem.parent.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(RC):
         figure = _figure(rows)
-        paths = [out / f"{name}.{kind}" for kind in FORMATS]
+        paths = [stem.with_name(f"{stem.name}.{kind}") for kind in FORMATS]
         for path in paths:
             undated = {"CreationDate": None} if path.suffix == ".pdf" else {}  # equal records make equal files
             figure.savefig(path, dpi=DPI, facecolor="white", metadata=undated)
     return paths
 
 
-def panel_rows(sections: Sequence[Section]) -> list[list[Panel]]:
-    """PSNR of the full image, and beside it of the most telling region there is."""
-    rows = []
-    for section in sections:
-        tables = section.tables if len(section.tables) <= MOST_ROWS else section.averages
-        for table in tables:
-            regions = sorted((c for c in MAIN_COLUMNS if c.region in REGIONS), key=lambda c: REGIONS.index(c.region))
-            telling = [column for column in regions if points(table, SPEED, column)]
-            panels = [Panel(section, table, c) for c in (ACCURACY, *telling[:1]) if points(table, SPEED, c)]
-            if panels:
-                rows.append(panels)
-    return rows
-
-
 def _figure(rows: list[list[Panel]]) -> Figure:
     width = max(len(row) for row in rows)
     height = 3.7 * len(rows) + 0.35
     spacing = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12, wspace=0.05, hspace=0.07)
-    figure = Figure(figsize=(5.1 * width + 0.1, height), layout=spacing)
+    figure = Figure(figsize=((5.1 if width > 1 else 6.6) * width + 0.1, height), layout=spacing)
     axes = figure.subplots(len(rows), width, squeeze=False)
     for row, line in zip(rows, axes, strict=True):
         for axis in line[len(row) :]:
@@ -91,6 +113,7 @@ def _figure(rows: list[list[Panel]]) -> Figure:
         for column, (panel, axis) in enumerate(zip(row, line, strict=False)):
             _prepare(axis, panel, first=column == 0)
     figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # the layout stands: names are placed in it, and each file would compute it again
     for row, line in zip(rows, axes, strict=True):
         for panel, axis in zip(row, line, strict=False):
             _label(figure, axis, panel)
@@ -98,10 +121,10 @@ def _figure(rows: list[list[Panel]]) -> Figure:
 
 
 def _prepare(axis: Axes, panel: Panel, first: bool) -> None:
-    places = points(panel.table, SPEED, panel.accuracy)
-    best = front(places, SPEED, panel.accuracy)
+    places = panel.places
+    best = front(places, panel.cost, panel.accuracy)
     style = styles(panel.section.methods)
-    _staircase(axis, best, places)
+    _staircase(axis, panel, best, places)
     _knob_lines(axis, panel, places)
     for point in places:
         _mark(axis, point, style[point.label], dominated=point.complete and point not in best)
@@ -109,42 +132,40 @@ def _prepare(axis: Axes, panel: Panel, first: bool) -> None:
     _limits(axis, places)
     low, high = axis.get_xlim()
     axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)) if high > 6 * low else MaxNLocator(5, steps=(1, 2, 5, 10)))
-    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
     axis.xaxis.set_minor_formatter(NullFormatter())
     axis.grid(color=GRID, linewidth=0.8)
     axis.set_axisbelow(True)
     axis.tick_params(which="both", length=0, pad=5)
     axis.spines[["top", "right"]].set_visible(False)
-    axis.set_xlabel("frame time, ms (log)   ← faster")
-    axis.set_ylabel(panel.accuracy.axis)
+    axis.set_xlabel(f"{panel.cost.axis} (log)   ← less is better")
+    axis.set_ylabel(f"{panel.accuracy.axis}   {'higher' if panel.accuracy.better == 'higher' else 'lower'} is better →")
     failed = [row for row in panel.table.rows if row.attempts and not row.done]
     if failed:
         words = "no run finished: " + ", ".join(f"{_short(row.method)} (0/{row.attempts})" for row in failed)
-        axis.text(0.985, 0.03, words, transform=axis.transAxes, fontsize=8.5, color=SOFT, ha="right", style="italic")
+        axis.text(0.985, 0.03, words, transform=axis.transAxes, fontsize=8.5, color=SOFT, ha="right")
     if first:
         count = len(panel.table.datasets)
-        title = _short(panel.table.title, 44) + (
-            f": average of {count}" if count > 1 and panel.table.title != ALL else ""
-        )
-        axis.set_title(title, loc="left", fontsize=12, fontweight="bold", pad=20)
+        title = _short(panel.table.title, 44) + (f": mean of {count}" if count > 1 and panel.table.title != ALL else "")
+        axis.set_title(title, loc="left", fontsize=13, pad=20)
         axis.text(0, 1.03, panel.section.device, transform=axis.transAxes, fontsize=8.5, color=SOFT)
 
 
-def _staircase(axis: Axes, best: list[Point], places: list[Point]) -> None:
-    """The front: what can be had at a given frame time, and the area that is beaten."""
+def _staircase(axis: Axes, panel: Panel, best: list[Point], places: list[Point]) -> None:
+    """The front: what can be had at a given cost, and the area that is beaten."""
     if not best:
         return
     low = min(point.x for point in places) / 100, max(point.x for point in places) * 100
     xs = [best[0].x, *[point.x for point in best], low[1]]
-    ys = [-1e9, *[point.y for point in best], best[-1].y]
+    worst = -1e9 if panel.accuracy.better == "higher" else 1e9
+    ys = [worst, *[point.y for point in best], best[-1].y]
     axis.step(xs, ys, where="post", color=INK, linewidth=1.3, alpha=0.75, zorder=2)
-    axis.fill_between(xs, ys, -1e9, step="post", color="#f3f5f9", zorder=0, linewidth=0)
+    axis.fill_between(xs, ys, worst, step="post", color="#f3f5f9", zorder=0, linewidth=0)
 
 
 def _knob_lines(axis: Axes, panel: Panel, places: list[Point]) -> None:
-    labels = [item.label for item in {item.method: item for item in panel.section.runs}.values()]
     at = {point.label: point for point in places}
-    for family in knobs(labels):
+    for family in panel.section.knobs:
         line = [at[label] for label in family if label in at]
         axis.plot([p.x for p in line], [p.y for p in line], color=SOFT, linewidth=1, linestyle=(0, (1, 1.5)), zorder=3)
 
@@ -173,15 +194,15 @@ def _limits(axis: Axes, places: list[Point]) -> None:
     xs = [value for p in places for value in (p.x, *(p.x_interval or ()))]
     ys = [value for p in places for value in (p.y, *(p.y_interval or ()))]
     ratio = max(max(xs) / min(xs), 1.6)
-    margin = max(0.14 * (max(ys) - min(ys)), 0.25)
+    margin = max(0.14 * (max(ys) - min(ys)), 0.008 * max(map(abs, ys)), 1e-6)
     axis.set_xlim(min(xs) / ratio**0.22, max(xs) * ratio**0.3)
     axis.set_ylim(min(ys) - 1.3 * margin, max(ys) + 1.3 * margin)
 
 
 def _label(figure: Figure, axis: Axes, panel: Panel) -> None:
     """The methods' names beside their marks, dominated ones in grey, failures with their count."""
-    places = points(panel.table, SPEED, panel.accuracy)
-    best = front(places, SPEED, panel.accuracy)
+    places = panel.places
+    best = front(places, panel.cost, panel.accuracy)
     style = styles(panel.section.methods)
     texts = [
         axis.text(
@@ -190,7 +211,6 @@ def _label(figure: Figure, axis: Axes, panel: Panel) -> None:
             _short(p.label) + ("" if p.complete else f" ({p.done}/{p.attempts} runs)"),
             color=style[p.label].color if p in best or not p.complete else SOFT,
             fontsize=10 if len(places) <= 8 else 7.5,
-            fontweight="bold" if p in best else "normal",
             zorder=6,
         )
         for p in places

@@ -16,7 +16,7 @@ from .sections import Section
 
 MOST_VIEWS = 8
 MOST_PICTURES = 800  # of all data sets and methods together, before fewer views are shown of each
-LAYERS = ("base", "reflection", "beta", "normal", "depth")  # shown first, in this order
+LAYERS = ("error", "flip", "base", "reflection", "beta", "normal", "depth")  # shown first, in this order
 REGION = "reflective"
 
 
@@ -44,6 +44,7 @@ class Gallery:
     missing: dict[str, str]  # method -> why there is none
     shots: tuple[Shot, ...] = ()
     files: dict[Path, str] = field(default_factory=dict)  # a run's file -> its copy, relative to the report
+    flips: dict[tuple[str, str], dict[str, str]] = field(default_factory=dict)  # (view, method) -> {"flip": file}
     sheets: dict[str, str] = field(default_factory=dict)  # title -> file, relative to the report
 
 
@@ -101,7 +102,7 @@ def _gallery(section: Section, dataset: str, most: int) -> Gallery:
                 difficulty.setdefault(view, []).append(psnr)
             if (item.run.folder / "renders").is_dir():
                 chosen.setdefault(item.method, item.run)
-        missing.setdefault(item.method, item.run.record.status.replace("_", " "))
+        missing.setdefault(item.method, "no pictures" if item.run.ok else item.run.record.status.replace("_", " "))
     shots = []
     for view, roles in _views(difficulty, most):
         shot = _shot(view, roles, chosen)

@@ -6,10 +6,12 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from .error_maps import draw_error_maps
 from .latex import latex
 from .markdown import markdown
+from .outputs import files_below, forget, remember
 from .page import write_page
-from .pareto_chart import draw_pareto
+from .pareto_chart import draw_charts
 from .pictures import Gallery, copy_pictures, galleries, slug
 from .runs import BrokenRecord, read_runs
 from .sections import Section, split_sections
@@ -38,14 +40,14 @@ class Report:
 
 
 def build_report(runs: Path, out: Path) -> Report:
-    """Write table.csv, table.md, table.tex, table.json, pareto.png, pictures/ and index.html of all runs under `runs`.
+    """Write index.html, table.csv, .md, .tex and .json, pareto.png, charts/ and pictures/ of all runs under `runs`.
 
     Runs that different protocols scored or different devices timed never share a table: each pair has a section of its
     own, and a table-<section>.csv of its own beside the first one's table.csv. Broken records are listed, not fatal.
 
     Args:
         runs: a folder with runs at any depth.
-        out: created where missing; files of the same names are replaced.
+        out: created where missing. What an earlier report left there goes, nothing else does.
 
     Raises:
         RecordError: `runs` is no folder.
@@ -57,14 +59,17 @@ def build_report(runs: Path, out: Path) -> Report:
         raise ValueError(f"{runs}: no readable record.json under it: run `envgs-bench run` first{unreadable}")
     sections = split_sections(found)
     out.mkdir(parents=True, exist_ok=True)
+    forget(out)
+    before = files_below(out)
     for index, section in enumerate(sections):
         section.tidy.to_csv(out / section.csv_name(index), index=False)
     (out / "table.md").write_text(markdown(sections, broken), encoding="utf-8")
     (out / "table.tex").write_text(latex(sections), encoding="utf-8")
     (out / "table.json").write_text(json.dumps(structured(sections, broken), indent=1), encoding="utf-8")
-    draw_pareto(sections, out)
+    draw_charts(sections, out)
     pictures = [_pictures(section, out, index if len(sections) > 1 else None) for index, section in enumerate(sections)]
     write_page(out, sections, broken, pictures)
+    remember(out, before)
     return Report(out, tuple(sections), tuple(broken))
 
 
@@ -76,5 +81,6 @@ def _pictures(section: Section, out: Path, index: int | None) -> list[Gallery]:
         name = slug(gallery.dataset) if names.count(names[number]) == 1 else f"{slug(gallery.dataset)}-{number}"
         folder = f"pictures/{name}" if index is None else f"pictures/{index}-{section.slug}/{name}"
         copy_pictures(gallery, out, folder)
+        draw_error_maps(gallery, out)
         gallery.sheets.update(draw_sheets(gallery, out, folder))
     return found

@@ -6,7 +6,9 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from envgs_bench.records import RECORD_NAME, Record, RecordError, read_record
+from envgs_bench.records import RECORD_NAME, RENDERS, Record, RecordError, read_record
+
+UNTIMED = "no device: pictures from elsewhere"
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,8 @@ class Run:
     @property
     def device(self) -> str:
         """What the times were taken on: the device, and for a processor the number of threads too."""
+        if self.record.kind == RENDERS:
+            return UNTIMED
         device, threads = self.record.provenance.device, self.record.provenance.threads
         if isinstance(device, str):
             name, kind = device, device

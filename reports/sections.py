@@ -11,10 +11,13 @@ import pandas as pd
 
 from envgs_bench.records import ProtocolName
 
-from .labels import Label, label_runs, method_order
+from .estimates import Numbers
+from .labels import Label, flat_settings, label_runs, method_order
+from .layouts import Contents, layouts
+from .pareto import knobs
 from .published import PROTOCOL, paper_scene
-from .runs import Run
-from .summary import Numbers, Table, average_table, dataset_table, region_table, with_published
+from .runs import UNTIMED, Run
+from .tables import Table
 from .tidy import attempts_table, tidy_table
 
 ALL = "all data sets"
@@ -51,7 +54,7 @@ class Section:
 
     @cached_property
     def datasets(self) -> list[str]:
-        return sorted({item.dataset for item in self.runs})
+        return sorted(self._by_dataset)
 
     @cached_property
     def methods(self) -> list[str]:
@@ -60,9 +63,7 @@ class Section:
 
     @cached_property
     def tidy(self) -> pd.DataFrame:
-        order = {method: index for index, method in enumerate(self.methods)}
-        runs = sorted(self.runs, key=lambda item: (item.dataset, order[item.method], item.run.record.seed))
-        return tidy_table([(item.dataset, item.method, item.run) for item in runs])
+        return tidy_table([(dataset, item.method, item.run) for dataset in self.datasets for item in self.of(dataset)])
 
     @cached_property
     def numbers(self) -> Numbers:
@@ -70,28 +71,39 @@ class Section:
 
     @cached_property
     def tables(self) -> list[Table]:
-        return [self._beside_paper(dataset_table(self.numbers, name, self.methods)) for name in self.datasets]
-
-    @cached_property
-    def averages(self) -> list[Table]:
-        groups = self.families
-        return [
-            self._beside_paper(average_table(self.numbers, title, datasets, self.methods))
-            for title, datasets in groups.items()
-        ]
-
-    @cached_property
-    def region_tables(self) -> list[Table]:
-        found = [region_table(self.numbers, name, self.methods) for name in self.datasets]
-        return [table for table in found if table is not None]
+        """In the order of every format."""
+        alone = {name: (name,) for name in self.datasets}
+        contents = Contents(
+            self.numbers,
+            self.families | alone,
+            self.methods,
+            {item.method: item.label for item in self.runs},
+            {method: settings["kind"] for method, settings in self.settings.items()},
+            self.protocol.name == PROTOCOL,
+        )
+        return layouts(contents, ALL)
 
     @property
-    def all_tables(self) -> list[Table]:
-        """In the order of every format: averages, data sets, regions."""
-        return [*self.averages, *self.tables, *self.region_tables]
+    def subjects(self) -> list[Table]:
+        """What is known of each data set and of the mean over each family, those first: what charts are drawn from."""
+        return [table for table in self.tables if table.kind == "subject"]
 
-    @property
-    def families(self) -> dict[str, list[str]]:
+    @cached_property
+    def settings(self) -> dict[str, dict[str, str]]:
+        """Every setting of each method, as text, its code's name ("kind") and the steps among them."""
+        return {
+            item.method: flat_settings(item.run.record.config.get("method"))
+            | {"kind": item.run.record.kind, "steps": str(item.run.record.steps)}
+            for item in reversed(self.runs)
+        }
+
+    @cached_property
+    def knobs(self) -> list[list[str]]:
+        """The methods that one turned knob joins, by its value."""
+        return knobs(self.settings)
+
+    @cached_property
+    def families(self) -> dict[str, tuple[str, ...]]:
         """Families of two data sets and more by name, then all data sets where that adds any.
 
         A data set's family is the paper's where the paper has it, or the first part of its name (`toy/chrome_room`),
@@ -104,41 +116,52 @@ class Section:
             first, slash, _ = dataset.partition("/")
             family = scene[0] if scene else first if slash else str(kinds[dataset] or dataset)
             groups.setdefault(family, []).append(dataset)
-        several = {family: members for family, members in groups.items() if len(members) > 1}
+        several = {family: tuple(members) for family, members in groups.items() if len(members) > 1}
         if len(groups) > 1:
-            several[ALL] = self.datasets
+            several[ALL] = tuple(self.datasets)
         return several
-
-    def _beside_paper(self, table: Table) -> Table:
-        return with_published(table) if self.protocol.name == PROTOCOL else table
 
     def of(self, dataset: str) -> list[LabelledRun]:
         """The data set's runs, methods in the tables' order, seeds ascending."""
+        return self._by_dataset[dataset]
+
+    @cached_property
+    def _by_dataset(self) -> dict[str, list[LabelledRun]]:
         order = {method: index for index, method in enumerate(self.methods)}
-        runs = [item for item in self.runs if item.dataset == dataset]
-        return sorted(runs, key=lambda item: (order[item.method], item.run.record.seed))
+        found: dict[str, list[LabelledRun]] = {}
+        for item in sorted(self.runs, key=lambda item: (order[item.method], item.run.record.seed)):
+            found.setdefault(item.dataset, []).append(item)
+        return found
 
     def not_computed(self, dataset: str) -> dict[str, list[str]]:
         """Metric -> the reasons why it is missing from some finished run on the data set."""
         reasons: dict[str, set[str]] = {}
-        for item in self.runs:
-            if item.dataset == dataset and item.run.record.metrics is not None:
+        for item in self.of(dataset):
+            if item.run.record.metrics is not None:
                 for metric, why in item.run.record.metrics.not_computed.items():
                     reasons.setdefault(metric, set()).add(why)
         return {metric: sorted(why) for metric, why in sorted(reasons.items())}
 
 
 def split_sections(runs: Sequence[Run]) -> list[Section]:
-    """Sections by protocol (name and hash) and device, the one with most runs first."""
-    groups: dict[tuple[str, str, str], list[Run]] = {}
+    """Sections by protocol (name and hash) and device, the one with most runs first.
+
+    Runs that took no times, as their pictures came from elsewhere, stand beside every device's.
+    """
+    groups: dict[tuple[str, str], dict[str, list[Run]]] = {}
     for run in runs:
         protocol = run.record.protocol
-        groups.setdefault((protocol.name, protocol.hash, run.device), []).append(run)
-    sections = [_section(group) for group in groups.values()]
+        groups.setdefault((protocol.name, protocol.hash), {}).setdefault(run.device, []).append(run)
+    sections = []
+    for devices in groups.values():
+        untimed = devices.pop(UNTIMED, [])
+        sections += [_section([*group, *untimed], device) for device, group in devices.items()]
+        if not devices:
+            sections.append(_section(untimed, UNTIMED))
     return sorted(sections, key=lambda section: (-len(section.runs), section.title))
 
 
-def _section(runs: list[Run]) -> Section:
+def _section(runs: list[Run], device: str) -> Section:
     labels = label_runs(runs)
     newest: dict[tuple[str, str, int], LabelledRun] = {}
     superseded = []
@@ -149,4 +172,4 @@ def _section(runs: list[Run]) -> Section:
         if key in newest:
             superseded.append(newest[key])
         newest[key] = item
-    return Section(runs[0].record.protocol, runs[0].device, tuple(newest.values()), tuple(superseded))
+    return Section(runs[0].record.protocol, device, tuple(newest.values()), tuple(superseded))

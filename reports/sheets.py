@@ -1,13 +1,11 @@
-"""Sheets: one picture of a test view as every method drew it, with a zoom into reflections and FLIP's error maps."""
+"""Sheets: one picture of a test view as every method drew it, with a zoom into reflections and its error maps."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
-import flip_evaluator
 import matplotlib as mpl
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -30,19 +28,12 @@ def draw_sheets(gallery: Gallery, out: Path, folder: str) -> dict[str, str]:
         if not shot.roles:
             continue
         stem = f"{folder}/{'-'.join(shot.roles)}-{slug(shot.view)}"
-        _save(_comparison(gallery, shot), out / f"{stem}.png")
+        _save(_comparison(gallery, shot, out), out / f"{stem}.png")
         written[f"{shot.title}: all methods"] = f"{stem}.png"
         if shot.layers:
             _save(_layer_sheet(shot), out / f"{stem}-layers.png")
             written[f"{shot.title}: layers"] = f"{stem}-layers.png"
     return written
-
-
-def flip_map(render: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, float]:
-    """FLIP's error map in its own colours, [H, W, 3] in [0, 1], and its mean. Pictures are [H, W, 3] uint8, sRGB."""
-    reference, test = (np.ascontiguousarray(picture, dtype=np.float32) / 255 for picture in (target, render))
-    colors, mean, _ = flip_evaluator.evaluate(reference, test, "LDR")
-    return colors, float(mean)
 
 
 def zoom_window(errors: Sequence[np.ndarray], weight: np.ndarray) -> tuple[slice, slice]:
@@ -61,7 +52,7 @@ def zoom_window(errors: Sequence[np.ndarray], weight: np.ndarray) -> tuple[slice
     return slice(int(top), int(top) + rows), slice(int(left), int(left) + columns)
 
 
-def _comparison(gallery: Gallery, shot: Shot) -> Image.Image:
+def _comparison(gallery: Gallery, shot: Shot, out: Path) -> Image.Image:
     target = read_picture(shot.target)
     if target is None:
         return _grid(["ground truth"], [""], [("", [(None, "not readable")])], 0.75)
@@ -72,18 +63,17 @@ def _comparison(gallery: Gallery, shot: Shot) -> Image.Image:
     if fitting:
         errors = [np.abs(picture / 255.0 - target / 255.0).mean(-1) for picture in fitting.values()]
         rows, columns = zoom_window(errors, _weight(shot, target.shape[:2]))
-    with ThreadPoolExecutor() as pool:  # the evaluator lets other threads run
-        maps = dict(zip(fitting, pool.map(lambda picture: flip_map(picture, target)[0], fitting.values()), strict=True))
+    maps = {m: read_picture(out / flip["flip"]) for m in fitting if (flip := gallery.flips.get((shot.view, m)))}
     notes = ["", *(f"{shot.psnr[m]:.2f} dB" if m in shot.psnr else "" for m in methods)]
     failed = list(gallery.missing)[: MOST_COLUMNS - len(methods)]
 
-    def line(first: Panel, of: Callable[[str], np.ndarray]) -> list[Panel]:
+    def line(first: Panel, of: Callable[[str], np.ndarray | None]) -> list[Panel]:
         drawn = [(of(method), "") if method in fitting else (None, "not readable") for method in methods]
         return [first, *drawn, *((None, gallery.missing[method]) for method in failed)]
 
     whole = line((_framed(target, rows, columns), ""), lambda m: _framed(fitting[m], rows, columns))
     zoomed = line((target[rows, columns], ""), lambda m: fitting[m][rows, columns])
-    flips = line((None, "FLIP error map\nblack 0, white 1"), lambda m: maps[m])
+    flips = line((None, "FLIP error map\nblack 0, white 1"), lambda m: maps.get(m))
     titles = ["ground truth", *methods, *failed]
     lines = [("", whole), ("zoom", zoomed), ("FLIP", flips)]
     return _grid(titles, notes + [""] * len(failed), lines, target.shape[0] / target.shape[1])

@@ -8,7 +8,7 @@ from typing import Any
 from .columns import Column
 from .runs import BrokenRecord
 from .sections import Section
-from .summary import Cell, Row, Table
+from .tables import Cell, Row, Table
 
 
 def structured(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> dict[str, Any]:
@@ -19,7 +19,7 @@ def structured(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> d
                 "title": section.title,
                 "protocol": section.protocol.model_dump(),
                 "device": section.device,
-                "tables": [_table(table) for table in section.all_tables],
+                "tables": [_table(table) for table in section.tables],
             }
             for section in sections
         ],
@@ -30,6 +30,7 @@ def structured(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> d
 def _table(table: Table) -> dict[str, Any]:
     return {
         "title": table.title,
+        "kind": table.kind,
         "datasets": list(table.datasets),
         "columns": [_column(column) for column in table.columns],
         "rows": [_row(row) for row in table.rows],
@@ -37,7 +38,7 @@ def _table(table: Table) -> dict[str, Any]:
 
 
 def _column(column: Column) -> dict[str, Any]:
-    names = ("key", "metric", "region", "title", "places", "better", "axis", "explanation")
+    names = ("key", "metric", "region", "group", "title", "places", "better", "axis", "explanation")
     return {name: getattr(column, name) for name in names}
 
 
@@ -47,22 +48,21 @@ def _row(row: Row) -> dict[str, Any]:
         "runs": row.runs_text,
         "done": row.done,
         "attempts": row.attempts,
-        "published": {metric: float(value) for metric, value in row.published.items()},
+        "published": {key: float(value) for key, value in row.published.items()},
         "cells": {key: _cell(cell) for key, cell in row.cells.items()},
     }
 
 
 def _cell(cell: Cell) -> dict[str, Any]:
-    scale = float(cell.column.scale)
-    interval = None if cell.interval is None else [scale * end for end in cell.interval]
+    scale, estimate = float(cell.column.scale), cell.estimate
     return {
         "text": cell.text,
         "mean": None if cell.mean is None else float(cell.mean * cell.column.scale),
-        "std": None if cell.spread is None else scale * cell.spread,
-        "interval": interval,
-        "done": cell.done,
-        "expected": cell.expected,
+        "std": None if estimate.spread is None else scale * estimate.spread,
+        "interval": None if cell.interval is None else [scale * end for end in cell.interval],
+        "done": estimate.done,
+        "expected": estimate.expected,
         "rank": cell.rank,
         "tied": cell.tied,
-        "not_computed": cell.not_computed,
+        "not_computed": estimate.not_computed,
     }

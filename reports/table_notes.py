@@ -5,15 +5,15 @@ from __future__ import annotations
 from math import log10
 
 from .sections import Section
-from .summary import Table
+from .tables import Table
 
 QUIET_CORES = 0.2  # what others may use of a machine that counts as ours
 
 
 def caption(section: Section, table: Table) -> str:
-    """Size and number of pictures of a data set, or the number of data sets of an average."""
+    """Size and number of pictures of a data set, or the number of data sets of a mean."""
     if len(table.datasets) > 1:
-        return f"average over {len(table.datasets)} data sets, complete rows only"
+        return f"mean of {len(table.datasets)} data sets, complete rows only"
     records = [item.run.record for item in section.of(table.datasets[0]) if item.run.ok]
     sizes = sorted({f"{record.timing.width}×{record.timing.height}" for record in records if record.timing})
     views = sorted({len(record.metrics.per_view) for record in records if record.metrics})
@@ -25,25 +25,30 @@ def caption(section: Section, table: Table) -> str:
 
 
 def notes(section: Section, table: Table) -> list[str]:
-    """Why cells are empty, how large the regions are, and what the paper's column means."""
+    """Why cells are empty, how large the regions are, and what the paper's columns mean."""
     found = []
-    for dataset in table.datasets:
-        for metric, reasons in section.not_computed(dataset).items():
-            found.append(f"n/c: {metric.upper()} was not computed: {'; '.join(reasons)}.")
+    if any(cell.text == "n/c" for row in table.rows for cell in row.cells.values()):
+        for dataset in table.datasets:
+            for metric, reasons in section.not_computed(dataset).items():
+                found.append(f"n/c: {metric.upper()} was not computed: {'; '.join(reasons)}.")
     found += _shares(section, table)
     if any(column.metric == "frame_ms" for column in table.columns):
         found += _company(section, table)
+    if any(column.against for column in table.columns):
+        found.append("Δ: the mean over seeds of the difference on the same seed, with the spread of that difference.")
     if table.published:
         found.append("Paper: printed in the EnvGS paper, and ours minus it. Rows marked published: by the paper only.")
+    if any(column.elsewhere for column in table.columns):
+        found.append("The paper's frame rates and training times are of its machine, an RTX 4090, not of this one.")
     return list(dict.fromkeys(found))
 
 
 def _shares(section: Section, table: Table) -> list[str]:
     """How much of the pixels the table's regions are. White around a region has no error: it adds −10·log₁₀(share)."""
-    regions = {column.region for column in table.columns}
+    regions = {column.region for column in table.columns} if len(table.datasets) == 1 else set()
     shares: dict[str, float] = {}
-    for item in section.runs:
-        if item.dataset in table.datasets:
+    for dataset in table.datasets:
+        for item in section.of(dataset):
             shares |= {name: scores.fraction for name, scores in item.run.record.masked.items() if name in regions}
     words = [
         f"{name.replace('_', '-')} {share:.1%}" + (f" ({-10 * log10(share):.1f} dB)" if share > 0 else "")
@@ -56,9 +61,8 @@ def _shares(section: Section, table: Table) -> list[str]:
 
 def _company(section: Section, table: Table) -> list[str]:
     """Times taken while others used the machine are no better than upper bounds, and say so."""
-    provenances = [
-        item.run.record.provenance for item in section.runs if item.dataset in table.datasets and item.run.ok
-    ]
+    runs = [item.run for dataset in table.datasets for item in section.of(dataset)]
+    provenances = [run.record.provenance for run in runs if run.ok]
     busy = max((p.machine.get("others_cores") or 0 for p in provenances), default=0)
     shared = sum(isinstance(p.device, dict) and bool(p.device.get("shared")) for p in provenances)
     found = []

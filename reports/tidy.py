@@ -19,7 +19,8 @@ def tidy_table(runs: Sequence[tuple[str, str, Run]]) -> pd.DataFrame:
     """`COLUMNS` for the finished runs among (data set's label, method's label, run).
 
     Values are in the records' units (dB, ms, seconds, bytes), NaN for what could not be computed; `primitives` is the
-    sum over the sets and `primitives_<set>` one set. Times and costs have the region `full`.
+    sum over the sets and `primitives_<set>` one set. A run whose pictures came from elsewhere has no times and costs.
+    Times and costs have the region `full`.
     """
     rows = [
         (dataset, method, run.record.seed, region, metric, value)
@@ -38,19 +39,18 @@ def attempts_table(runs: Sequence[tuple[str, str, Run]]) -> pd.DataFrame:
 
 
 def _numbers(record: Record) -> Iterator[tuple[str, str, float | None]]:
-    assert record.metrics is not None
-    assert record.timing is not None
-    assert record.cost is not None
-    for name, value in record.metrics.mean.items():
+    """region, metric, value: None for a score that could not be computed; times and costs not taken are absent."""
+    for name, value in record.metrics.mean.items() if record.metrics else ():
         yield "full", name, value
     for region, scores in record.masked.items():
         for name, value in scores.scores.items():
             yield region, name, value
         yield region, "fraction", scores.fraction
-    for name in TIMES:
-        yield "full", name, getattr(record.timing, name)
-    for name in COSTS:
-        yield "full", name, getattr(record.cost, name)
-    yield "full", "primitives", sum(record.cost.primitives.values())
-    for name, count in record.cost.primitives.items():
-        yield "full", f"primitives_{name}", count
+    for part, names in ((record.timing, TIMES), (record.cost, COSTS)):
+        for name in names:
+            if (value := getattr(part, name, None)) is not None:
+                yield "full", name, value
+    if record.cost is not None:
+        yield "full", "primitives", sum(record.cost.primitives.values())
+        for name, count in record.cost.primitives.items():
+            yield "full", f"primitives_{name}", count

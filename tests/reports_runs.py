@@ -26,6 +26,7 @@ METHODS: dict[str, tuple[float, float, float, float, int, int, float]] = {
     "envmap": (27.8, 4.4, 24.0, 39.0, 12_300, 0, 1.8),
     "envgs": (29.6, 2.6, 61.0, 66.0, 12_100, 3_400, 0.8),
 }
+KINDS = {name: "envgs" for name in ("envgs_no_joint", "envgs_no_mono_normal", "envgs_no_perceptual")}
 DATASETS = {"toy/chrome_room": 0.0, "toy/sky_ball": 3.1, "toy/diffuse_room": 5.4}
 VIEWS = 5
 
@@ -92,7 +93,7 @@ def record(dataset: str, method: str, seed: int, size: tuple[int, int] = (60, 80
         "status": "ok",
         "error": None,
         "method": method,
-        "kind": method,
+        "kind": KINDS.get(method, method),
         "dataset": dataset,
         "seed": seed,
         "steps": 1500,
@@ -148,12 +149,14 @@ def record(dataset: str, method: str, seed: int, size: tuple[int, int] = (60, 80
 def _curve(dataset: str, method: str, seed: int) -> str:
     random = np.random.default_rng(zlib.crc32(f"{dataset} {method} {seed} curve".encode()))
     psnr, _, _, _, base, env, _ = METHODS.get(method, (25.0, 5.0, 30.0, 40.0, 9_000, 0, 3.0))
-    lines = ["step,seconds,loss,psnr,primitives_base" + (",primitives_env" if env else "")]
+    lines = ["step,seconds,loss,psnr,skipped_steps,primitives_base" + (",primitives_env" if env else "")]
     for step in range(50, 1501, 50):
         share = 1 - np.exp(-step / 350)
         value = 12 + (psnr - 12) * share + random.normal(0, 0.15)
         counts = [int(count * share) for count in (base, env) if count]
-        lines.append(",".join(map(str, [step, step / 50, f"{0.3 * (1 - share) + 0.02:.4f}", f"{value:.3f}", *counts])))
+        skipped = step // 400 * seed
+        row = [step, step / 50, f"{0.3 * (1 - share) + 0.02:.4f}", f"{value:.3f}", skipped, *counts]
+        lines.append(",".join(map(str, row)))
     return "\n".join(lines) + "\n"
 
 
@@ -170,13 +173,13 @@ def _write_pictures(run: Path, method: str, size: tuple[int, int]) -> None:
         reflection = gaussian_filter(far["reflection"], (width, width, 0))
         beta = gaussian_filter(parts["beta"], (width / 3, width / 3, 0))
         picture = (1 - beta) * base + beta * reflection
-        _save(
-            run / "targets" / f"{name}.png", (1 - parts["beta"]) * parts["base"] + parts["beta"] * parts["reflection"]
-        )
+        target = (1 - parts["beta"]) * parts["base"] + parts["beta"] * parts["reflection"]
+        _save(run / "targets" / f"{name}.png", target)
         _save(run / "renders" / f"{name}.png", picture)
         _save(run / "masks" / f"{name}-reflective.png", parts["beta"] > 0)
         if method in ("envmap", "envgs"):
-            layers = {"base": base, "reflection": reflection, "beta": beta, "normal": parts["normal"]}
+            error = np.abs(picture - target).mean(-1, keepdims=True) * 4
+            layers = {"base": base, "reflection": reflection, "beta": beta, "normal": parts["normal"], "error": error}
             for layer, image in layers.items():
                 _save(run / "layers" / f"{name}-{layer}.png", image)
 

@@ -12,17 +12,14 @@ from hypothesis import strategies as st
 from PIL import Image
 from reports_runs import METHODS, record, run_folder, write_failure, write_record, write_runs
 
-from envgs_bench.reports.columns import MAIN_COLUMNS
+from envgs_bench.reports.columns import FLIP, FRAME_MS, MEGABYTES, PSNR, in_region
 from envgs_bench.reports.curves import merged_curves, read_curve, training_curves
 from envgs_bench.reports.label_placement import Box, place_labels
-from envgs_bench.reports.labels import Label
 from envgs_bench.reports.palette import styles
 from envgs_bench.reports.pareto import Point, front, knobs, points
-from envgs_bench.reports.pareto_chart import draw_pareto, panel_rows
+from envgs_bench.reports.pareto_chart import draw_charts, panel_rows
 from envgs_bench.reports.runs import read_run, read_runs
 from envgs_bench.reports.sections import split_sections
-
-SPEED, PSNR, FLIP = (next(c for c in MAIN_COLUMNS if c.key == key) for key in ("frame_ms", "psnr", "flip"))
 
 
 def point(x: float, y: float, done: int = 3, label: str = "") -> Point:
@@ -36,7 +33,7 @@ coordinates = st.lists(st.tuples(st.integers(1, 6), st.integers(1, 6)), max_size
 def test_the_front_is_what_nothing_dominates(places: list[tuple[int, int]]) -> None:
     """A point is off the front if and only if another is as good in both columns and better in one."""
     given_points = [point(x, y) for x, y in places]
-    found = front(given_points, SPEED, PSNR)
+    found = front(given_points, FRAME_MS, PSNR)
     for p in given_points:
         dominated = any(q.x <= p.x and q.y >= p.y and (q.x, q.y) != (p.x, p.y) for q in given_points)
         assert (p in found) != dominated
@@ -45,19 +42,35 @@ def test_the_front_is_what_nothing_dominates(places: list[tuple[int, int]]) -> N
 
 def test_less_error_is_better_on_the_front() -> None:
     good, bad = point(10, 0.1), point(20, 0.2)
-    assert front([bad, good], SPEED, FLIP) == [good]
-    assert front([bad, good], SPEED, PSNR) == [good, bad]
+    assert front([bad, good], FRAME_MS, FLIP) == [good]
+    assert front([bad, good], FRAME_MS, PSNR) == [good, bad]
 
 
 def test_a_method_that_failed_somewhere_beats_nobody() -> None:
     lucky, solid = point(5, 40, done=2), point(10, 30)
-    assert front([lucky, solid], SPEED, PSNR) == [solid]
+    assert front([lucky, solid], FRAME_MS, PSNR) == [solid]
 
 
 def test_one_turned_knob_is_a_line() -> None:
-    envmap = [Label("envmap", (("settings.envmap_size", size),)) for size in ("256", "64", "128")]
-    others = [Label("3dgs"), Label("envgs", (("settings.beta_reset", "min"),)), Label("envgs", (("steps", "9"),))]
-    assert knobs([*envmap, *others]) == [[f"envmap [envmap_size={size}]" for size in (64, 128, 256)]]
+    """Rows of one code that differ in one number; a grid of two knobs has a line for each turn of either."""
+    filtered = {
+        f"envgs [beta_filter={share}]": {"kind": "envgs", "beta_filter": share} for share in ("0.9", "0", "0.5")
+    }
+    others = {"3dgs": {"kind": "3dgs"}, "2dgs": {"kind": "2dgs", "steps": "9"}}
+    line = [f"envgs [beta_filter={share}]" for share in ("0", "0.5", "0.9")]
+    assert knobs(filtered | others) == [line]
+    grid = {f"m [{a} {b}]": {"kind": "m", "a": a, "b": b} for a in "12" for b in "12"}
+    assert {tuple(line) for line in knobs(grid)} == {
+        *(("m [1 1]", "m [2 1]"), ("m [1 2]", "m [2 2]")),
+        *(("m [1 1]", "m [1 2]"), ("m [2 1]", "m [2 2]")),
+    }
+
+
+def test_other_differences_are_no_knob() -> None:
+    ablated = {"envgs": {"kind": "envgs", "joint": "True", "mono": "0.01"}}
+    ablated |= {"envgs_no_joint": ablated["envgs"] | {"joint": "False"}}  # no number
+    ablated |= {"envgs_no_mono": ablated["envgs"] | {"mono": "0"}}  # a configuration of its own
+    assert knobs(ablated) == []
 
 
 def test_colours_and_marks_tell_methods_apart() -> None:
@@ -94,24 +107,37 @@ def test_the_chart_has_a_row_a_data_set_and_a_panel_a_region(tmp_path: Path) -> 
     write_runs(tmp_path / "runs", ("toy/chrome_room", "toy/diffuse_room"), pictures=False)
     write_failure(tmp_path / "runs", "toy/chrome_room", "single_set", 0, "diverged", "nan")
     sections = split_sections(read_runs(tmp_path / "runs")[0])
-    assert [[p.accuracy.key for p in row] for row in panel_rows(sections)] == [["psnr", "psnr_near_field"], ["psnr"]]
-    png, pdf = draw_pareto(sections, tmp_path)
-    with Image.open(png) as image:
-        assert np.asarray(image.convert("L")).std() > 10
-    assert pdf.read_bytes().startswith(b"%PDF")
+    rows = panel_rows(sections, FRAME_MS, [PSNR, in_region(PSNR, "near_field")])
+    assert [[p.accuracy.key for p in row] for row in rows] == [["psnr", "psnr_near_field"], ["psnr"]]
+
+
+def test_every_accuracy_is_drawn_against_every_cost(tmp_path: Path) -> None:
+    write_runs(tmp_path / "runs", seeds=(0,), pictures=False)
+    files = draw_charts(split_sections(read_runs(tmp_path / "runs")[0]), tmp_path)
+    accuracies = ("psnr", "ssim", "flip", "psnr_reflective", "psnr_near_field")  # LPIPS was not computed
+    costs = ("frame_ms", "train_seconds", "model_bytes", "primitives")
+    stems = {"pareto", *(f"charts/{accuracy}-{cost}" for accuracy in accuracies for cost in costs)}
+    assert {str(path.relative_to(tmp_path)) for path in files} == {
+        f"{s}.{kind}" for s in stems for kind in ("png", "pdf")
+    }
+    for path in files:
+        if path.suffix == ".pdf":
+            assert path.read_bytes().startswith(b"%PDF")
+        else:
+            with Image.open(path) as image:
+                assert np.asarray(image.convert("L")).std() > 8
 
 
 def test_many_data_sets_are_drawn_as_averages(tmp_path: Path) -> None:
     write_runs(tmp_path, tuple(f"toy/room{i}" for i in range(6)), ("3dgs", "envgs"), (0,), pictures=False)
-    rows = panel_rows(split_sections(read_runs(tmp_path)[0]))
+    rows = panel_rows(split_sections(read_runs(tmp_path)[0]), FRAME_MS, [PSNR])
     assert [row[0].table.title for row in rows] == ["toy"]
 
 
 def test_points_carry_intervals_in_printed_units(tmp_path: Path) -> None:
     write_runs(tmp_path, methods=("envgs",), pictures=False)
     section = split_sections(read_runs(tmp_path)[0])[0]
-    size = next(c for c in MAIN_COLUMNS if c.key == "model_bytes")
-    (found,) = points(section.tables[0], size, PSNR)
+    (found,) = points(section.subjects[0], MEGABYTES, PSNR)
     values = section.tidy.query("metric == 'model_bytes'")["value"] / 1e6
     assert found.x == pytest.approx(values.mean())
     assert found.x_interval is not None
@@ -122,17 +148,19 @@ def test_curves_are_the_mean_and_the_extremes_over_seeds(tmp_path: Path) -> None
     write_runs(tmp_path, methods=("envgs",), pictures=False)
     frames = [pd.read_csv(path) for path in tmp_path.rglob("curve.csv")]
     together = pd.concat(frames).groupby("step")
-    ((curve,),) = (item["curves"] for item in training_curves(split_sections(read_runs(tmp_path)[0])[0]))
+    ((_, (curve,)),) = training_curves(split_sections(read_runs(tmp_path)[0])[0])
     assert curve["step"] == sorted(together.groups)
     for name, expected in (("mean", together.mean()), ("low", together.min()), ("high", together.max())):
         np.testing.assert_allclose(curve["psnr"][name], expected["psnr"], rtol=1e-4)
     sets = pd.concat([f.assign(total=f["primitives_base"] + f["primitives_env"]) for f in frames])
     np.testing.assert_allclose(curve["primitives"]["mean"], sets.groupby("step")["total"].mean(), rtol=1e-4)
+    assert curve["skipped_steps"]["low"][-1] == 0
+    assert curve["skipped_steps"]["high"][-1] == 2 * (1500 // 400)
 
 
 def test_a_seed_that_stopped_early_counts_as_far_as_it_came() -> None:
-    short = pd.DataFrame({"psnr": [10.0]}, index=[1.0])
-    long = pd.DataFrame({"psnr": [20.0, 30.0]}, index=[1.0, 2.0])
+    short = {"step": np.array([1.0]), "psnr": np.array([10.0])}
+    long = {"step": np.array([1.0, 2.0]), "psnr": np.array([20.0, 30.0])}
     merged = merged_curves([short, long])
     assert merged["psnr"] == {"mean": [15.0, 30.0], "low": [10.0, 30.0], "high": [20.0, 30.0]}
 

@@ -9,10 +9,11 @@ import pytest
 from PIL import Image
 from reports_runs import METHODS, ball_in_a_box, record, run_folder, write_failure, write_record, write_runs
 
+from envgs_bench.reports.error_maps import draw_error_maps, flip_map
 from envgs_bench.reports.pictures import Gallery, copy_pictures, galleries, read_picture, slug
 from envgs_bench.reports.runs import read_runs
 from envgs_bench.reports.sections import split_sections
-from envgs_bench.reports.sheets import CELL, draw_sheets, flip_map, zoom_window
+from envgs_bench.reports.sheets import CELL, draw_sheets, zoom_window
 
 ROOM = "toy/chrome_room"
 
@@ -33,7 +34,7 @@ def test_the_worst_and_the_median_view_lead(tmp_path: Path) -> None:
         ("004", ()),
     ]
     assert gallery.methods == ("3dgs", "envgs")
-    assert list(gallery.shots[0].layers["envgs"]) == ["base", "reflection", "beta", "normal"]
+    assert list(gallery.shots[0].layers["envgs"]) == ["error", "base", "reflection", "beta", "normal"]
     assert gallery.shots[0].psnr["envgs"] == record(ROOM, "envgs", 0)["metrics"]["per_view"][0]["psnr"]
 
 
@@ -54,7 +55,7 @@ def test_sheets_have_a_column_a_method_and_name_what_failed(tmp_path: Path) -> N
         with Image.open(tmp_path / "out" / path) as sheet:
             assert sheet.width > CELL * (len(METHODS) + 1)
     copies = [tmp_path / "out" / name for name in gallery.files.values()]
-    assert len(copies) == 5 * (1 + len(METHODS) + 2 * 4)
+    assert len(copies) == 5 * (1 + len(METHODS) + 2 * 5)
     assert all(copy.read_bytes() == source.read_bytes() for source, copy in zip(gallery.files, copies, strict=True))
 
 
@@ -66,6 +67,9 @@ def test_damaged_and_missing_pictures_are_not_fatal(tmp_path: Path) -> None:
     (run_folder(tmp_path / "runs", ROOM, "envmap", 0) / "renders" / "000.png").unlink()
     gallery = gallery_of(tmp_path / "runs")
     assert "envmap" not in gallery.shots[0].renders
+    copy_pictures(gallery, tmp_path / "out", "pictures")
+    draw_error_maps(gallery, tmp_path / "out")
+    assert [method for view, method in gallery.flips if view == "000"] == ["envgs"]
     sheets = draw_sheets(gallery, tmp_path / "out", "pictures")
     assert all((tmp_path / "out" / path).is_file() for path in sheets.values())
 
@@ -111,15 +115,26 @@ def test_the_window_looks_at_reflections_where_they_are_known() -> None:
     assert mask[rows, columns].sum() == mask.sum()
 
 
-def test_flip_maps_average_to_flip() -> None:
-    """The map's grey values, undone from its colours by eye, are not needed: its mean is the evaluator's own."""
-    parts = ball_in_a_box((48, 64), 0.3)
-    target = (255 * np.clip(parts["base"], 0, 1)).astype(np.uint8)
+def test_flip_maps_lie_beside_their_renders(tmp_path: Path) -> None:
+    write_runs(tmp_path / "runs", methods=("3dgs", "envgs"), seeds=(0,))
+    gallery = gallery_of(tmp_path / "runs")
+    copy_pictures(gallery, tmp_path / "out", "pictures")
+    draw_error_maps(gallery, tmp_path / "out")
+    assert set(gallery.flips) == {(shot.view, method) for shot in gallery.shots for method in ("3dgs", "envgs")}
+    shot = gallery.shots[0]
+    render, target = read_picture(shot.renders["envgs"]), read_picture(shot.target)
+    drawn = read_picture(tmp_path / "out" / gallery.flips[shot.view, "envgs"]["flip"])
+    assert render is not None
+    assert target is not None
+    np.testing.assert_allclose(drawn, 255 * flip_map(render, target)[0], atol=0.51)
+
+
+def test_flip_is_0_for_equal_pictures_and_large_for_opposite_ones() -> None:
+    target = (255 * np.clip(ball_in_a_box((48, 64), 0.3)["base"], 0, 1)).astype(np.uint8)
     colors, same = flip_map(target, target)
     assert same == 0
     assert colors.shape == (48, 64, 3)
-    _, different = flip_map(255 - target, target)
-    assert 0.3 < different <= 1
+    assert 0.3 < flip_map(255 - target, target)[1] <= 1
 
 
 def test_pictures_are_read_as_they_are(tmp_path: Path) -> None:

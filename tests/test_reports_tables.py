@@ -15,18 +15,19 @@ import pytest
 from reports_runs import METHODS, record, run_folder, write_failure, write_record, write_runs
 
 from envgs_bench.records import RecordError
-from envgs_bench.reports.columns import MAIN_COLUMNS
+from envgs_bench.reports.columns import MAIN_COLUMNS, PSNR, of
 from envgs_bench.reports.decimals import mean, rounded
+from envgs_bench.reports.estimates import Numbers
 from envgs_bench.reports.latex import latex
 from envgs_bench.reports.layout import entries, headings
 from envgs_bench.reports.markdown import markdown
-from envgs_bench.reports.published import paper_scene, paper_tables, published_means
+from envgs_bench.reports.published import paper_scene, paper_tables, published_values
 from envgs_bench.reports.report import build_report
 from envgs_bench.reports.runs import read_runs
 from envgs_bench.reports.sections import Section, split_sections
 from envgs_bench.reports.structured import structured
-from envgs_bench.reports.summary import Numbers, Row, Table, average_table, dataset_table
 from envgs_bench.reports.table_notes import notes
+from envgs_bench.reports.tables import Row, Table, build_table
 
 ROOM = "toy/chrome_room"
 
@@ -43,11 +44,21 @@ def table_of(scores: dict[str, list[float | None]], metric: str = "psnr", attemp
     ]
     frame = pd.DataFrame(tidy, columns=["dataset", "method", "seed", "region", "metric", "value"])
     tried = pd.DataFrame(runs, columns=["dataset", "method", "seed", "status"])
-    return dataset_table(Numbers(frame.astype({"value": float}), tried), ROOM, scores)
+    return build_table(
+        Numbers(frame.astype({"value": float}), tried), ROOM, "subject", of((ROOM,), MAIN_COLUMNS), scores
+    )
 
 
 def row_of(table: Table, method: str) -> Row:
     return next(row for row in table.rows if row.method == method)
+
+
+def titled(section: Section, title: str) -> Table:
+    return next(table for table in section.tables if table.title == title)
+
+
+def titles(table: Table) -> list[str]:
+    return [heading.full for heading in headings(table)]
 
 
 # ---------------------------------------------------------------------------------------------- the paper's tables
@@ -73,7 +84,7 @@ def test_table_7_averages_to_every_psnr_of_tables_1_and_5() -> None:
         members = [name for name in tidy["dataset"].unique() if name.split("/")[0] in dataset.split("+")]
         if method in ("ENVIDR", "NDE"):  # Table 7 does not have them
             continue
-        average = average_table(numbers, dataset, members, [method]).rows[0].cells["psnr"]
+        average = build_table(numbers, dataset, "subject", of(members, [PSNR]), [method]).rows[0].cells["psnr"]
         assert average.complete
         assert str(rounded(average.mean, 3)) == value, (table, dataset, method)
         checked += 1
@@ -85,7 +96,7 @@ def test_unreadable_cells_of_the_paper_are_empty() -> None:
     unreadable = rows[rows["note"].str.startswith("unreadable")]
     assert len(unreadable) == 9
     assert (unreadable["value"] == "").all()
-    assert "EnvGS" not in published_means(["Ref-Real/sedan"], "lpips")
+    assert "EnvGS" not in published_values(("Ref-Real/sedan",), "full", "lpips")
 
 
 @pytest.mark.parametrize(
@@ -106,8 +117,8 @@ def test_a_paper_scene_needs_its_family(name: str, scene: tuple[str, str] | None
 
 def test_published_psnr_stands_beside_ours(tmp_path: Path) -> None:
     write_runs(tmp_path, ("Ref-Real/sedan",), seeds=(0,), pictures=False)
-    table = sections_of(tmp_path)[0].tables[0]
-    column = headings(table).index("PSNR paper (Δ)")
+    table = titled(sections_of(tmp_path)[0], "Ref-Real/sedan")
+    column = titles(table).index("PSNR paper (Δ)")
     printed = (
         paper_tables().query("table == '7' and scene == 'sedan' and metric == 'psnr'").set_index("method")["value"]
     )
@@ -116,8 +127,9 @@ def test_published_psnr_stands_beside_ours(tmp_path: Path) -> None:
     expected = f"{printed['EnvGS']} ({rounded(ours, 3) - Decimal(printed['EnvGS']):+})".replace("-", "−")
     assert entries(table, row_of(table, "envgs"))[column].text == expected
     assert entries(table, row_of(table, "ZipNeRF"))[column].text == printed["ZipNeRF"]
-    assert row_of(table, "ZipNeRF").runs_text == "published"
-    assert {"SSIM paper (Δ)", "LPIPS paper (Δ)"} <= set(headings(table))
+    assert row_of(table, "ZipNeRF").runs_text == "published, not real-time"
+    assert row_of(table, "3DGS-DR").runs_text == "published"
+    assert {"SSIM paper (Δ)", "LPIPS paper (Δ)"} <= set(titles(table))
     write_runs(tmp_path / "strict", ("Ref-Real/sedan",), seeds=(0,), pictures=False, protocol=other_protocol())
     strict = next(s for s in sections_of(tmp_path) if s.protocol.name == "strict")
     assert not strict.tables[0].published
@@ -176,7 +188,7 @@ def test_averages_are_over_complete_rows_only(tmp_path: Path) -> None:
     write_runs(tmp_path, (ROOM, "toy/sky_ball"), ("3dgs", "envgs"), seeds=(0, 1), pictures=False)
     write_failure(tmp_path, "toy/sky_ball", "envgs", 1, "timeout", "60 minutes")
     section = sections_of(tmp_path)[0]
-    (average,) = section.averages
+    average = titled(section, "toy")
     assert row_of(average, "envgs").cells["psnr"].text == "— (1/2)"
     assert row_of(average, "envgs").cells["psnr"].rank is None
     expected = section.tidy.query("method == '3dgs' and metric == 'psnr' and region == 'full'")
@@ -219,7 +231,7 @@ def test_protocols_and_devices_never_share_a_table(tmp_path: Path) -> None:
         ("strict", "made-up CPU, 2 threads", 8),
         ("envgs", "made-up GPU", 4),
     ]
-    assert all(row.attempts == 3 for row in sections[0].tables[0].rows)
+    assert all(row.attempts == 3 for table in sections[0].tables for row in table.rows)
     build_report(tmp_path / "runs", tmp_path / "out")
     lengths = {path.name: len(path.read_text().splitlines()) for path in (tmp_path / "out").glob("table*.csv")}
     assert sorted(lengths) == sorted(s.csv_name(i) for i, s in enumerate(sections))
@@ -311,14 +323,12 @@ def plain(text: str) -> str:
 
 
 def test_every_format_prints_the_same_numbers(mixed: Section) -> None:
-    expected = [
-        [plain(entry.text) for entry in entries(table, row)] for table in mixed.all_tables for row in table.rows
-    ]
+    expected = [[plain(entry.text) for entry in entries(table, row)] for table in mixed.tables for row in table.rows]
     pipes = [line for line in markdown([mixed], []).splitlines() if line.startswith("| ")]
     cells = [[plain(cell) for cell in line.strip("| ").split(" | ")] for line in pipes]
     assert [line for line in cells if line[0] in METHODS] == expected
-    lines = [line for line in latex([mixed]).splitlines() if line.endswith(r"\\") and not line.startswith("method")]
-    assert [[plain(cell) for cell in line.split(" & ")] for line in lines] == expected
+    lines = [line.split(" & ") for line in latex([mixed]).splitlines() if line.endswith(r"\\")]
+    assert [[plain(cell) for cell in line] for line in lines if plain(line[0]) in METHODS] == expected
     content = json.loads(json.dumps(structured([mixed], [])))
     texts = [
         [row["method"], row["runs"], *(row["cells"][column["key"]]["text"] for column in table["columns"])]
@@ -341,10 +351,10 @@ def test_the_json_holds_what_stands_behind_a_number(mixed: Section) -> None:
 
 
 def test_region_tables_hold_the_masked_scores(mixed: Section) -> None:
-    table = next(table for table in mixed.region_tables if table.title.startswith(ROOM))
-    assert [column.title for column in table.columns][:3] == ["PSNR near-field", "SSIM near-field", "FLIP near-field"]
+    table = titled(mixed, f"{ROOM}: inside the regions")
+    assert titles(table)[2:6] == ["near-field PSNR ↑", "near-field SSIM ↑", "near-field FLIP ↓", "near-field LPIPS ↓"]
     truth = [record(ROOM, "envgs", seed)["masked"]["reflective"]["psnr"] for seed in (0, 1, 2)]
-    assert row_of(table, "envgs").cells["psnr_reflective"].strata == (tuple(truth),)
+    assert row_of(table, "envgs").cells["reflective: psnr_reflective"].estimate.strata == (tuple(truth),)
     assert "reflective 18.0% (7.4 dB)" in " ".join(notes(mixed, table))
 
 

@@ -1,14 +1,19 @@
 "use strict";
-/* Sortable tables, and the methods' colours beside their names. Without scripts the tables stand as they are. */
+/* Sortable tables. Without scripts they stand as they are. */
 (function () {
-  function value(row, column) {
-    const cell = row.children[column];
-    if (cell.dataset.value !== undefined) return Number(cell.dataset.value);
-    return cell.classList.contains("number") ? NaN : cell.textContent.trim();
+  /* The number that a cell begins with ("27.20¹ ± 0.1", "−0.3", "1/6,158"), or NaN. */
+  function number(text) {
+    const plain = text.trim().replace(/,/g, "").replace("−", "-");
+    return plain.startsWith("1/") ? 1 / parseFloat(plain.slice(2)) : parseFloat(plain);
+  }
+
+  function value(cell) {
+    if (cell.matches("th, .runs")) return cell.textContent.trim();
+    return number((cell.querySelector("b") || cell).textContent);
   }
 
   function compare(a, b) {
-    if (typeof a === "string" || typeof b === "string") return String(a).localeCompare(String(b), "en", { numeric: true });
+    if (typeof a === "string") return a.localeCompare(b, "en", { numeric: true });
     return a - b;
   }
 
@@ -18,23 +23,14 @@
     const descending = heading.getAttribute("aria-sort") === "ascending";
     table.querySelectorAll("[aria-sort]").forEach((other) => other.removeAttribute("aria-sort"));
     heading.setAttribute("aria-sort", descending ? "descending" : "ascending");
-    const body = table.tBodies[0];
-    const rows = Array.from(body.rows).map((row) => ({ row, key: value(row, column) }));
+    const rows = Array.from(table.tBodies[0].rows).map((row) => ({ row, key: value(row.children[column]) }));
     const missing = rows.filter((item) => Number.isNaN(item.key)); // stays below, whatever the direction
     const present = rows.filter((item) => !Number.isNaN(item.key)).sort((a, b) => compare(a.key, b.key));
     if (descending) present.reverse();
-    present.concat(missing).forEach((item) => body.appendChild(item.row));
+    present.concat(missing).forEach((item) => table.tBodies[0].appendChild(item.row));
   }
 
   document.querySelectorAll(".sort").forEach((button) => {
     button.addEventListener("click", () => sort(button.closest("th")));
-  });
-
-  document.querySelectorAll("[data-section]").forEach((group) => {
-    const styles = window.REPORT.sections[Number(group.dataset.section)].styles;
-    group.querySelectorAll(".dot").forEach((dot) => {
-      const style = styles[dot.dataset.method];
-      if (style) dot.style.background = style.color;
-    });
   });
 })();

@@ -1,31 +1,11 @@
 "use strict";
-/* The picture viewer: ground truth against any method, with a slider, side by side, or as a difference. */
+/* The picture viewer: any two of ground truth and methods, in any of their layers, with a slider, side by side, or as
+   their difference. */
 (function () {
-  const TARGET = "target";
-
-  function option(value, text, chosen) {
-    return new Option(text, value, false, value === chosen);
-  }
-
-  /* Every picture of a view: [key, name, path], by groups for the menus. */
-  function sources(shot) {
-    const groups = [["", [[TARGET, "ground truth", shot.target]]], ["methods", []]];
-    for (const [method, path] of Object.entries(shot.renders)) groups[1][1].push([method, method, path]);
-    for (const [method, layers] of Object.entries(shot.layers)) {
-      groups.push([method + ", layers", Object.entries(layers).map(([layer, path]) => [method + "\u0000" + layer, `${method}: ${layer === "beta" ? "β" : layer}`, path])]);
-    }
-    return groups;
-  }
-
-  function fillSources(select, groups, chosen) {
-    select.replaceChildren();
-    for (const [label, items] of groups) {
-      const parent = label ? document.createElement("optgroup") : select;
-      if (label) parent.label = label;
-      items.forEach(([key, name]) => parent.append(option(key, name, chosen)));
-      if (label && items.length) select.append(parent);
-    }
-  }
+  const { element, fill, groups } = window.Report;
+  const TARGET = "ground truth";
+  const NAMES = { image: "image", beta: "β", flip: "FLIP map", error: "error map" };
+  const PAN = 4; // per cent of the picture, a key press
 
   function setUp(group, section) {
     const root = group.querySelector(".viewer");
@@ -37,58 +17,72 @@
     const state = { zoom: 1, x: 0, y: 0 };
     const gallery = () => section.galleries.find((item) => item.dataset === pick("dataset").value);
     const shot = () => gallery().shots[Number(pick("view").value)];
+    const layer = () => pick("layer").value || "image";
 
-    pick("dataset").replaceChildren(...section.galleries.map((item) => option(item.dataset, item.dataset)));
+    fill(pick("dataset"), section.galleries.map((item) => [item.dataset, item.dataset]));
 
     function fillViews() {
-      pick("view").replaceChildren(...gallery().shots.map((item, i) => option(String(i), item.title)));
-      fillPictures();
+      fill(pick("view"), gallery().shots.map((item, i) => [String(i), item.title]));
+      fillChoices();
     }
 
-    function fillPictures() {
-      const groups = sources(shot());
-      const keys = groups.flatMap(([, items]) => items.map(([key]) => key));
+    function fillChoices() {
+      const methods = Object.keys(shot().pictures);
+      const layers = [...new Set(methods.flatMap((method) => Object.keys(shot().pictures[method])))];
       const best = Object.entries(shot().psnr).sort((a, b) => b[1] - a[1]).map(([method]) => method)[0];
-      const keep = (select, wanted) => (keys.includes(select.value) ? select.value : wanted);
-      fillSources(pick("a"), groups, keep(pick("a"), TARGET));
-      fillSources(pick("b"), groups, keep(pick("b"), best || keys[1]));
-      fillStrip();
+      const keep = (select, values, wanted) => (values.includes(select.value) ? select.value : wanted);
+      const sources = [TARGET, ...methods];
+      const options = sources.map((name) => [name, name]);
+      fill(pick("a"), options, keep(pick("a"), sources, TARGET));
+      fill(pick("b"), options, keep(pick("b"), sources, best || methods[0]));
+      fill(pick("layer"), layers.map((name) => [name, NAMES[name] || name]), keep(pick("layer"), layers, "image"));
       show();
     }
 
+    /* The ground truth has no layers: it is shown itself. null: the method has no such layer. */
+    function path(source) {
+      if (source === TARGET) return shot().target;
+      return shot().pictures[source][layer()] || null;
+    }
+
+    function caption(source) {
+      return source === TARGET || layer() === "image" ? source : `${source}: ${NAMES[layer()] || layer()}`;
+    }
+
     function fillStrip() {
-      strip.replaceChildren(...sources(shot()).slice(0, 2).flatMap(([, items]) => items).map(([key, name, path]) => {
-        const item = document.createElement("li");
-        const button = document.createElement("button");
-        const picture = document.createElement("img");
-        const title = document.createElement("b");
-        const score = document.createElement("span");
-        button.type = "button";
-        button.dataset.key = key;
-        picture.loading = "lazy";
-        picture.src = path;
-        picture.alt = "";
-        title.textContent = name;
-        score.textContent = shot().psnr[key] === undefined ? "" : ` ${shot().psnr[key].toFixed(2)} dB`;
-        button.append(picture, title, score);
-        button.addEventListener("click", () => { pick("b").value = key; show(); });
-        item.append(button);
-        return item;
+      strip.replaceChildren(...Array.from(pick("b").options).map((option) => {
+        const name = option.value;
+        const file = path(name);
+        const score = shot().psnr[name];
+        const button = element("button", { type: "button" },
+          file ? element("img", { loading: "lazy", src: file, alt: "" }) : element("span", { className: "absent", textContent: "none" }),
+          element("b", { textContent: name }),
+          element("span", { textContent: score === undefined ? "" : ` ${score.toFixed(2)} dB` }));
+        button.dataset.key = name;
+        button.addEventListener("click", () => { pick("b").value = name; show(); });
+        return element("li", {}, button);
       }));
     }
 
     function place(side) {
-      const [, name, path] = sources(shot()).flatMap(([, items]) => items).find(([key]) => key === pick(side).value);
+      const source = pick(side).value;
+      const file = path(source);
       const image = root.querySelector(".img-" + side);
-      if (image.getAttribute("src") !== path) image.src = path;
-      image.alt = `${name}, ${shot().title} of ${gallery().dataset}`;
-      root.querySelector(".tag-" + side).textContent = name;
+      image.hidden = file === null;
+      if (file !== null && image.getAttribute("src") !== file) image.src = file;
+      image.alt = `${caption(source)}, ${shot().title} of ${gallery().dataset}`;
+      root.querySelector(".tag-" + side).textContent = caption(source) + (file === null ? ": none" : "");
     }
 
     function show() {
       place("a");
       place("b");
-      strip.querySelectorAll("button").forEach((button) => button.setAttribute("aria-pressed", String(button.dataset.key === pick("b").value)));
+      const focused = strip.contains(document.activeElement) ? document.activeElement.dataset.key : null;
+      fillStrip();
+      strip.querySelectorAll("button").forEach((button) => {
+        button.setAttribute("aria-pressed", String(button.dataset.key === pick("b").value));
+        if (button.dataset.key === focused) button.focus();
+      });
       stage.dataset.mode = pick("mode").value;
       split.disabled = pick("mode").value !== "slider";
       move();
@@ -118,7 +112,7 @@
         state.x = 50 - (100 * (event.clientX - box.left)) / box.width;
         state.y = 50 - (100 * (event.clientY - box.top)) / box.height;
       }
-      state.zoom = zoom;
+      state.zoom = Math.max(1, Math.min(8, zoom));
       move();
       root.querySelectorAll(".window img").forEach((image) => fit({ target: image }));
     }
@@ -149,28 +143,49 @@
       move();
     }
 
+    function otherView(step) {
+      const count = gallery().shots.length;
+      pick("view").value = String((Number(pick("view").value) + step + count) % count);
+      fillChoices();
+    }
+
+    stage.addEventListener("keydown", (event) => {
+      const steps = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+      const others = { "+": () => zoomTo(state.zoom * 2), "=": () => zoomTo(state.zoom * 2), "-": () => zoomTo(state.zoom / 2), "[": () => otherView(-1), "]": () => otherView(1) };
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      if (others[event.key]) others[event.key]();
+      else if (steps[event.key] && state.zoom > 1) {
+        state.x += (PAN * steps[event.key][0]) / state.zoom;
+        state.y += (PAN * steps[event.key][1]) / state.zoom;
+        move();
+      } else if (steps[event.key] && steps[event.key][0] && pick("mode").value === "slider") {
+        split.value = String(Number(split.value) - 2 * steps[event.key][0]);
+        move();
+      } else return;
+      event.preventDefault();
+    });
+
     root.querySelectorAll(".window img").forEach((image) => image.addEventListener("load", fit));
     split.addEventListener("input", move);
     pick("dataset").addEventListener("change", fillViews);
-    pick("view").addEventListener("change", fillPictures);
+    pick("view").addEventListener("change", fillChoices);
     pick("zoom").addEventListener("change", () => zoomTo(Number(pick("zoom").value)));
-    ["a", "b", "mode"].forEach((name) => pick(name).addEventListener("change", show));
+    ["a", "b", "mode", "layer"].forEach((name) => pick(name).addEventListener("change", show));
     group.addEventListener("show-method", (event) => {
       const { method, dataset } = event.detail;
       if (section.galleries.some((item) => item.dataset === dataset) && pick("dataset").value !== dataset) {
         pick("dataset").value = dataset;
         fillViews();
       }
-      if (method in shot().renders) {
+      if (method in shot().pictures) {
         pick("b").value = method;
         show();
         root.scrollIntoView();
+        stage.focus({ preventScroll: true });
       }
     });
     fillViews();
   }
 
-  document.querySelectorAll("[data-section]").forEach((group) => {
-    setUp(group, window.REPORT.sections[Number(group.dataset.section)]);
-  });
+  groups.forEach(([group, section]) => setUp(group, section));
 })();

@@ -1,0 +1,37 @@
+"""Which files a report is made of, so that the next one in the same folder leaves none of them behind."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+LIST = "assets/files.json"
+FOLDERS = ("assets", "charts", "pictures")  # what a report has below its own folder
+
+
+def forget(out: Path) -> None:
+    """Delete what the last report wrote into `out`, and nothing else: the folder may hold other things too."""
+    try:
+        listed = json.loads((out / LIST).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return
+    root = out.resolve()
+    for name in listed if isinstance(listed, list) else []:
+        path = out / str(name)
+        if path.parent.resolve().is_relative_to(root) and path.is_file():
+            path.unlink()
+            for folder in path.relative_to(out).parents[:-1]:
+                if not any((out / folder).iterdir()):
+                    (out / folder).rmdir()
+
+
+def remember(out: Path, before: set[Path]) -> None:
+    """List the files of the report in `out` that were not there `before`."""
+    new = sorted(str(path.relative_to(out)) for path in files_below(out) - before)
+    (out / LIST).write_text(json.dumps([*new, LIST], indent=0), encoding="utf-8")
+
+
+def files_below(out: Path) -> set[Path]:
+    """The files in `out` and in the folders that reports have; runs may lie in `out` too."""
+    found = [path for name in FOLDERS for path in (out / name).rglob("*")]
+    return {path for path in (*out.glob("*"), *found) if path.is_file()}
