@@ -43,9 +43,10 @@ def write_colmap(scene: Scene, root: Path, text: bool) -> dict[str, Any]:
     for view in views:
         write_image(root / "images" / f"{view.name}.png", view)
     write_masks(root, views, {view.name: view.name for view in views})
-    if all(view.normal is not None for view in views):
-        for view in views:
-            write_normals(root / "normals" / f"{view.name}.npy", view.normal)
+    normals = [view.normal for view in views if view.normal is not None]
+    if len(normals) == len(views):  # a folder of siblings is complete or not there
+        for view, normal in zip(views, normals, strict=True):
+            write_normals(root / "normals" / f"{view.name}.npy", normal)
     return {"kind": "colmap"}
 
 

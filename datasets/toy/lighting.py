@@ -31,8 +31,8 @@ def bake(world: World, rng: np.random.Generator) -> None:
     if world.ior.any():
         opaque = World([part for part in world.parts if not part.ior], world.sky)
         bake(opaque, rng)
-        lit = iter(opaque.textures)
-        world.set_textures([np.zeros((1, 1, 3)) if part.ior else next(lit) for part in world.parts])
+        baked = iter(opaque.textures)
+        world.set_textures([np.zeros((1, 1, 3)) if part.ior else next(baked) for part in world.parts])
         return
     places = [_places(part) for part in world.parts]
     counts = np.cumsum([points.shape[0] * points.shape[1] for points, _ in places])[:-1]

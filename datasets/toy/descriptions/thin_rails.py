@@ -59,7 +59,7 @@ def _rod(start: Array, end: Array, radius: float, color: tex.Color, rng: np.rand
     """A bar with rings of a darker shade, which give it something to match along its length."""
     rod = Rod(tuple(start.tolist()), tuple(end.tolist()), radius)
     x, y = tex.grid(*rod.extent)
-    dark = tuple(0.45 * channel for channel in color)
+    dark = (0.45 * color[0], 0.45 * color[1], 0.45 * color[2])
     return painted(rod, tex.weathered(tex.stripes(x, y, 90, 0.16, (color, color, color, dark)), rng))
 
 
