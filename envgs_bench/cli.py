@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.command == "report":
         return _report(options.runs, options.out)
     if options.command == "rescore":
-        return _explained("rescore", lambda: _rescore(options.runs, options.protocol, options.out))
+        return _explained("rescore", lambda: _rescore(options))
     if options.command == "masks":
         return _explained("masks", lambda: _masks(options))
     if options.command == "ply":
@@ -83,10 +83,17 @@ def _parser() -> argparse.ArgumentParser:
     report = commands.add_parser("report", help="tables, charts and pages from records")
     report.add_argument("runs", type=Path, metavar="RUNS", help="a folder with runs: the runs_dir of `run`")
     report.add_argument("--out", type=Path, metavar="DIR", help="where to write; RUNS/report by default")
-    rescore = commands.add_parser("rescore", help="finished runs under another protocol, from the pictures they left")
+    rescore = commands.add_parser("rescore", help="finished runs under another protocol, without training them again")
     rescore.add_argument("runs", type=Path, metavar="RUNS", help="a folder with runs, or one run's")
     rescore.add_argument("--protocol", required=True, metavar="NAME", help="`envgs-bench list` names them")
     rescore.add_argument("--out", type=Path, metavar="DIR", help="where records go; RUNS-<protocol> by default")
+    rescore.add_argument(
+        "--redraw",
+        action="store_true",
+        help="draw the views again from the checkpoints, instead of taking the 8-bit pictures that runs left: "
+        "for protocols that score floats, and for masks added since; needs the data",
+    )
+    rescore.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="of --redraw")
     masks = commands.add_parser("masks", help="masks of what reflects, from an EnvGS that was trained on a capture")
     masks.add_argument("run", type=Path, metavar="RUN", help="the folder of one run of method=envgs")
     masks.add_argument(
@@ -143,25 +150,31 @@ def _report(runs: Path, out: Path | None) -> int:
     return int(bool(report.broken))
 
 
-def _rescore(runs: Path, name: str, out: Path | None) -> int:
+def _rescore(options: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import track
 
     from .metrics import get_protocol
-    from .records import RecordError, find_records
-    from .rescoring import rescore
+    from .records import find_records
+    from .rescoring import redraw, rescore
 
-    protocol = get_protocol(name)
-    out = out or Path(f"{runs.resolve()}-{name}")
+    runs, protocol = options.runs, get_protocol(options.protocol)
+    out = options.out or Path(f"{runs.resolve()}-{options.protocol}")
     folders = [path.parent for path in find_records(runs) if out.resolve() not in path.resolve().parents]
-    problems = []
+    names, problems = set(), []
     for folder in track(folders, "scoring", console=Console(stderr=True), transient=True):
-        target = folder.relative_to(runs)
+        below = folder.relative_to(runs)
+        target = out / (folder.resolve().name if below == Path() else below)
         try:
-            rescore(folder, protocol, out / (folder.resolve().name if target == Path() else target))
-        except RecordError as error:
+            again = (
+                redraw(folder, protocol, target, options.device)
+                if options.redraw
+                else rescore(folder, protocol, target)
+            )
+            names.add(again.protocol.name)
+        except (OSError, ValueError) as error:
             problems.append(error)
-    print(f"{len(folders) - len(problems)} records under protocol {protocol.of_pictures().name}: {out}")
+    print(f"{len(folders) - len(problems)} records under protocol {', '.join(sorted(names)) or protocol.name}: {out}")
     for problem in problems:
         print(f"envgs-bench rescore: {problem}", file=sys.stderr)
     return int(bool(problems) or not folders)

@@ -1,7 +1,9 @@
-"""Rescoring: finished runs under another protocol, from the pictures they left. Nothing is trained or drawn again.
+"""Rescoring: finished runs under another protocol, or with masks added since, without training them again.
 
-The pictures have 8 bits a channel, rounded. Protocols that round to 8 bits themselves get the very numbers that the
-runs would have had; the others take predictions as floats, or cut instead of rounding: see `Protocol.of_pictures`.
+From the pictures that a run left: quick, and all it takes is the run's folder. They have 8 bits a channel, rounded;
+protocols that round to 8 bits themselves get the very numbers that the run would have had, the others take predictions
+as floats, or cut instead of rounding: see `Protocol.of_pictures`. Or from its checkpoint, with the views drawn again:
+that needs the data, and every protocol gets its own numbers.
 """
 
 from __future__ import annotations
@@ -9,23 +11,39 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from PIL import Image
 from torch import Tensor
 
+from .datasets.registry import load_scene
 from .draft import now
+from .evaluation import evaluate
 from .metrics import METRICS, Protocol
-from .records import ProtocolName, Record, RecordError, Scores, ViewScores, read_record, write_record
+from .records import (
+    RENDERS,
+    MaskedScores,
+    Metrics,
+    ProtocolName,
+    Record,
+    RecordError,
+    Scores,
+    ViewScores,
+    read_record,
+    write_record,
+)
+from .renders import score_renders
+from .reopening import reopen
 from .scoring import FULL, Pair, score_pairs
+from .settings import read_settings
 
-SHARED = ("renders", "targets", "masks", "layers", "curve.csv")  # what a report looks for beside a record
+PICTURES = ("renders", "targets", "masks", "layers")
+CURVE = "curve.csv"
 
 
 def rescore(run: Path, protocol: Protocol, out: Path) -> Record:
-    """Write the record of the run in the folder `run`, scored by `protocol`, into the folder `out`.
+    """Write the record of the run in the folder `run`, its pictures scored by `protocol`, into the folder `out`.
 
     All else in it is the run's own, timing, cost and failures too; `provenance.rescored` says where it comes from.
     Pictures are linked, not copied. The run's folder is only read.
@@ -33,22 +51,64 @@ def rescore(run: Path, protocol: Protocol, out: Path) -> Record:
     Raises:
         RecordError: the run's record cannot be read, or a picture is missing or unreadable.
     """
+    record, protocol = read_record(run), protocol.of_pictures()
+    scores = None if record.metrics is None else score_pairs(_pairs(run, record), protocol)
+    return _write(run, record, protocol, scores, out, "pictures", (*PICTURES, CURVE))
+
+
+def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Record:
+    """As `rescore`, of the test views drawn again from the run's checkpoint, with the masks that the data have now.
+
+    Raises:
+        RecordError, ValueError, FileNotFoundError: as `rescore`, `reopen` and `load_scene`.
+    """
     record = read_record(run)
-    protocol = protocol.of_pictures()
-    name = ProtocolName(name=protocol.name, hash=protocol.hash, description=protocol.description)
-    origin = {"run": str(run.resolve()), "protocol": record.protocol.model_dump(), "at": now()}
-    provenance = record.provenance.model_copy(update={"rescored": origin})
-    changes: dict[str, Any] = {"protocol": name, "provenance": provenance}
+    scores = None
+    for name in PICTURES:
+        if (out / name).is_symlink():  # to the run's own, which are not to be written
+            (out / name).unlink()
     if record.metrics is not None:
-        metrics, masked = score_pairs(_pairs(run, record), protocol)
-        changes |= {"metrics": metrics, "masked": masked}
-    rescored = record.model_copy(update=changes)
+        settings = read_settings(run)
+        scene = load_scene(settings.dataset, settings.cache_dir)
+        if record.kind == RENDERS:
+            scores = score_renders(settings.method.settings, scene, protocol, out, _silent)
+        else:
+            _, method = reopen(run, device)
+            method.prepare()
+            scores = evaluate(method, scene.test, protocol, out, _silent)
+    return _write(run, record, protocol, scores, out, "checkpoint", (CURVE,))
+
+
+def _write(
+    run: Path,
+    record: Record,
+    protocol: Protocol,
+    scores: tuple[Metrics, dict[str, MaskedScores]] | None,
+    out: Path,
+    source: str,
+    shared: tuple[str, ...],
+) -> Record:
+    """The record with these scores, in `out`, beside links to what it shares with the run."""
+    origin = {"run": str(run.resolve()), "from": source, "protocol": record.protocol.model_dump(), "at": now()}
+    metrics, masked = scores or (None, {})
+    rescored = record.model_copy(
+        update={
+            "protocol": ProtocolName(name=protocol.name, hash=protocol.hash, description=protocol.description),
+            "provenance": record.provenance.model_copy(update={"rescored": origin}),
+            "metrics": metrics,
+            "masked": masked,
+        }
+    )
     out.mkdir(parents=True, exist_ok=True)
-    for shared in SHARED:
-        if (run / shared).exists() and not os.path.lexists(out / shared):
-            (out / shared).symlink_to(os.path.relpath(run / shared, out.resolve()))
+    for name in shared:
+        if (run / name).exists() and not os.path.lexists(out / name):
+            (out / name).symlink_to(os.path.relpath(run / name, out.resolve()))
     write_record(out, rescored)
     return rescored
+
+
+def _silent(event: dict) -> None:
+    pass
 
 
 def _pairs(run: Path, record: Record) -> Iterator[Pair]:

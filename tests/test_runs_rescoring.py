@@ -60,7 +60,7 @@ def test_a_rescored_record_keeps_the_run_and_leaves_its_folder_alone(tmp_path: P
     assert (new.timing, new.cost, new.run_id, new.config) == (old.timing, old.cost, old.run_id, old.config)
     origin = new.provenance.model_dump()["rescored"]
     assert origin["run"] == str(folder)
-    assert origin["protocol"]["name"] == "envgs"
+    assert (origin["protocol"]["name"], origin["from"]) == ("envgs", "pictures")
     report = build_report(strict, tmp_path / "report")
     assert report.sections[0].protocol.name == "strict"
     assert list((tmp_path / "report" / "pictures").rglob("*.png"))  # the run's pictures, through the links
@@ -74,6 +74,29 @@ def test_floats_cannot_be_had_from_pictures_and_the_record_says_so(tmp_path: Pat
         assert record.protocol.hash != get_protocol(name).hash
         assert "rounded to 8 bits" in record.protocol.description
         assert other is None or record.protocol.hash == get_protocol(other).hash
+
+
+@pytest.mark.parametrize("protocol", ["envgs", "nerfbaselines"])
+def test_views_drawn_again_get_the_runs_own_numbers_under_every_protocol(
+    tmp_path: Path, finished: Path, protocol: str
+) -> None:
+    out = ("--out", str(tmp_path / "again"), "--device", "cpu")
+    assert main(["rescore", str(finished), "--protocol", protocol, "--redraw", *out]) == 0
+    (again,), (run_itself,) = records(tmp_path / "again"), records(finished)
+    assert again.protocol.name == protocol
+    same = (again.metrics, again.masked) == (run_itself.metrics, run_itself.masked)
+    assert same == (protocol == "envgs")
+    assert again.provenance.model_dump()["rescored"]["from"] == "checkpoint"
+    assert (only_folder(tmp_path / "again") / "renders" / "view0.png").is_file()
+
+
+def test_drawing_again_where_pictures_were_linked_leaves_the_run_alone(tmp_path: Path, finished: Path) -> None:
+    folder = only_folder(finished)
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    command = ["rescore", str(finished), "--protocol", "strict", "--out", str(tmp_path / "again"), "--device", "cpu"]
+    assert main(command) == 0
+    assert main([*command, "--redraw"]) == 0
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 
 def test_saved_pictures_round_as_protocols_do(tmp_path: Path) -> None:
