@@ -13,13 +13,14 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from .paths import clean_name
+from .paths import clean_name, listed, path_below
 from .photographs import Photograph
 from .pictures import EXTENSIONS, read_header
 from .settings import DatasetError
 
 FLAT_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 FISHEYE_MODELS = ("OPENCV_FISHEYE", "FISHEYE")
+INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y")
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -52,13 +53,14 @@ class FrameFile:
             if path is None:
                 missing.append(name)
                 continue
-            masks = {}
-            if frame.get("mask_path"):
-                masks["foreground"] = self.root / clean_name(str(frame["mask_path"]), self.path)
-            name = (
-                PurePosixPath(name).with_suffix(path.suffix).as_posix() if _has_extension(name) else name + path.suffix
-            )
-            found.append(Photograph(name, path, self._camera(frame, path), self._pose(frame, name), masks))
+            own = any(key in frame for key in INTRINSICS)
+            camera_id = f"{self.path.name}, frame {index}" if own else self.path.name
+            name = PurePosixPath(name).with_suffix("").as_posix() if _has_extension(name) else name
+            camera, pose = self._camera(frame, path), self._pose(frame, name)
+            found.append(Photograph(name + path.suffix, path, camera, camera_id, pose, self._masks(frame)))
+        without = [photograph.name for photograph in found if not photograph.masks]
+        if 0 < len(without) < len(found):
+            raise DatasetError(f"{self.path}: gives a mask_path for some frames only; add one for {listed(without)}")
         return found, missing
 
     def number(self, key: str, frame: dict[str, Any]) -> float | None:
@@ -74,6 +76,14 @@ class FrameFile:
         if not isinstance(frame.get("file_path"), str):
             raise DatasetError(f"{self.path}: frame {index} has no file_path; add the image's path below {self.root}")
         return clean_name(frame["file_path"], self.path)
+
+    def _masks(self, frame: dict[str, Any]) -> dict[str, Path]:
+        if not frame.get("mask_path"):
+            return {}
+        path = path_below(self.root, str(frame["mask_path"]), self.path)
+        if not path.is_file():
+            raise DatasetError(f"{self.path}: names the mask {path}, which is not there; add it, or drop mask_path")
+        return {"foreground": path}
 
     def _find(self, name: str) -> Path | None:
         """The image's file: as named, or with an extension added, or with another, as after a conversion."""

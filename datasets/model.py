@@ -64,8 +64,9 @@ class Model:
             if path is None:
                 missing.append(image.name)
                 continue
-            found.append(Photograph(image.name, path, cameras[image.camera_id], self._pose(image)))
-            self._check_finite(f"camera {image.camera_id}", found[-1].camera.params, image.name)
+            camera = cameras[image.camera_id]
+            self._check_finite(f"camera {image.camera_id}", camera.params, image.name)
+            found.append(Photograph(image.name, path, camera, str(image.camera_id), self._pose(image)))
         return found, missing
 
     def _pose(self, image: pycolmap.Image) -> np.ndarray:

@@ -21,7 +21,7 @@ Floats = NDArray[np.float32]
 SHORTEST, LONGEST = 0.5, 1.5  # of a decoded vector that is a normal: grey, black and white pixels hold none
 ROUNDING = 1e-5  # lengths this close to 1 are 1: what is normalised already keeps its bits
 NEARLY_UNIT = 0.03
-MOST, SOME = 0.9, 0.1  # shares of a picture's opaque pixels
+MOST = 0.9  # of a picture's opaque pixels
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,10 @@ class NormalMap:
             return _known(np.nan_to_num(_array(self.path, mapped=False).astype(np.float32), posinf=0, neginf=0), opaque)
         rgb: Floats = read_picture(self.path, (0.5, 0.5, 0.5))[0].astype(np.float32) / np.float32(255)
         signed = 2 * rgb - 1
-        if not self.rendered or _share_of_unit(signed, opaque) >= MOST:
+        if not self.rendered or _share(_is_unit(signed), opaque) >= MOST:
             return _known(signed, opaque)
         clamped = _linear(rgb)
-        if _share_of_unit(clamped, opaque) < SOME:
+        if _share(np.linalg.norm(clamped, axis=-1) < 1 + NEARLY_UNIT, opaque) < MOST:
             raise DatasetError(
                 f"{self.path}: holds neither rgb = 255·(n/2 + 1/2) nor sRGB of max(n, 0); "
                 "remove the file, or store the normals as float [H, W, 3] in a .npy of the same name"
@@ -108,10 +108,9 @@ def _is_unit(normals: Floats) -> NDArray[np.bool_]:
     return np.abs(np.linalg.norm(normals, axis=-1) - 1) < NEARLY_UNIT
 
 
-def _share_of_unit(normals: Floats, opaque: NDArray[np.bool_] | None) -> float:
-    """Of the pixels that show something, those whose vector has unit length; 1 where none shows anything."""
-    unit = _is_unit(normals)
-    chosen = unit if opaque is None else unit[opaque]
+def _share(which: NDArray[np.bool_], opaque: NDArray[np.bool_] | None) -> float:
+    """The share of these pixels [H, W] among those that show something; 1 where none shows anything."""
+    chosen = which if opaque is None else which[opaque]
     return float(chosen.mean()) if chosen.size else 1.0
 
 

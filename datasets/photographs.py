@@ -28,6 +28,7 @@ class Photograph:
     name: str  # as the data name it: a path, unique among the photographs
     path: Path
     camera: pycolmap.Camera  # of its file's size once fitted; may be distorted
+    camera_id: str  # photographs of one camera have one size
     world_to_camera: NDArray[np.float64]  # [4, 4]
     masks: dict[str, Path] = field(default_factory=dict)  # by region
     normal: NormalMap | None = None
@@ -70,15 +71,7 @@ def fit_to_files(photographs: Sequence[Photograph], draft: Draft) -> list[Photog
     """
     _refuse_equal_names(photographs)
     fitted = [_fit(photograph) for photograph in photographs]
-    sizes: dict[int, dict[tuple[int, int], list[str]]] = defaultdict(lambda: defaultdict(list))
-    for before, after in zip(photographs, fitted, strict=True):
-        sizes[id(before.camera)][after.camera.width, after.camera.height].append(before.name)
-    for by_size in sizes.values():
-        if len(by_size) > 1:
-            found = "; ".join(f"{w}×{h}: {listed(names)}" for (w, h), names in by_size.items())
-            raise DatasetError(
-                f"{photographs[0].path.parent}: images of one camera have several sizes ({found}); make them one size"
-            )
+    _refuse_mixed_sizes(fitted)
     _check_siblings(fitted, draft)
     return fitted
 
@@ -91,6 +84,19 @@ def _refuse_equal_names(photographs: Iterable[Photograph]) -> None:
         if len(names) > 1:
             raise DatasetError(
                 f"several images are called {view_name}: {listed(names)}; rename them or remove all but one"
+            )
+
+
+def _refuse_mixed_sizes(photographs: Sequence[Photograph]) -> None:
+    """A conversion that stopped half-way leaves files of two sizes."""
+    sizes: dict[str, dict[tuple[int, int], list[str]]] = defaultdict(lambda: defaultdict(list))
+    for photograph in photographs:
+        sizes[photograph.camera_id][photograph.camera.width, photograph.camera.height].append(photograph.name)
+    for by_size in sizes.values():
+        if len(by_size) > 1:
+            found = "; ".join(f"{width}×{height}: {listed(names)}" for (width, height), names in by_size.items())
+            raise DatasetError(
+                f"{photographs[0].path.parent}: images of one camera have several sizes ({found}); make them one size"
             )
 
 
@@ -111,8 +117,8 @@ def _fit(photograph: Photograph) -> Photograph:
 
 
 def _same_shape(size: tuple[int, int], camera: pycolmap.Camera) -> bool:
-    """Whether `size` is the camera's, scaled and rounded."""
-    return abs(size[0] - camera.width * size[1] / camera.height) <= 1
+    """Whether `size` is the camera's, scaled and rounded up or down."""
+    return abs(size[0] / camera.width - size[1] / camera.height) <= 1 / camera.width + 1 / camera.height
 
 
 def _check_siblings(photographs: Sequence[Photograph], draft: Draft) -> None:

@@ -42,7 +42,7 @@ def run_id(settings: RunSettings, device: str) -> str:
         "vgg16": _has_vgg16(),
         "code": code_version(),
         "renders": _content(settings.method.settings.get("path")) if settings.method.kind == RENDERS else None,
-        "extensions": [_extension_hash(kind) for kind in (settings.method.kind, settings.dataset["kind"])],
+        "extensions": [_extension_hash(path) for path in _extensions(settings)],
     }
     digest = hashlib.sha256(json.dumps(determining, sort_keys=True, default=str).encode()).hexdigest()
     return f"seed{settings.seed}-{digest[:8]}"
@@ -78,6 +78,11 @@ def _location(part: str) -> Path:
     assert spec is not None
     assert spec.origin is not None
     return Path(spec.origin).parent
+
+
+def _extensions(settings: RunSettings) -> tuple[str, ...]:
+    """What a run may take from somebody else's code: names or import paths."""
+    return settings.method.kind, settings.dataset["kind"], settings.dataset.get("normal_estimator") or ""
 
 
 def _extension_hash(kind: str) -> str | None:
