@@ -15,6 +15,8 @@ Train, render, score and time methods on data sets; one folder and one record.js
   envgs-bench run -m method=2dgs,3dgs,envmap,envgs seed=0,1,2      every combination, one after the other
   envgs-bench run -m experiment=demo                               a prepared sweep
   envgs-bench run dataset=colmap dataset.root=FOLDER steps=3000    a capture of your own
+  envgs-bench run dataset=ref_real/sedan data_root=FOLDER          a scene of the paper, below FOLDER
+  envgs-bench run method=renders path=FOLDER method.name=other     test views that another program drew
 
 Keys of every run:
   method, dataset     see `envgs-bench list`; their settings are method.settings.<key>=, dataset.<key>=

@@ -56,11 +56,12 @@ def test_the_renders_of_a_run_score_as_the_run(tmp_path: Path) -> None:
 def test_pictures_drawn_again_are_another_run(tmp_path: Path) -> None:
     for view in ("view0", "view1"):
         write(tmp_path / "renders" / f"{view}.png")
-    options = ("method=renders", f"path={tmp_path / 'renders'}")
+    (tmp_path / "renders").rename(tmp_path / "tiny")
+    options = ("method=renders", f"path={tmp_path}/${{dataset.name}}")  # one call for many scenes
     assert run(tmp_path / "runs", *options) == 0
     assert run(tmp_path / "runs", *options) == 0
     assert len(records(tmp_path / "runs")) == 1
-    Image.new("RGB", (WIDTH, HEIGHT), (9, 9, 9)).save(tmp_path / "renders" / "view0.png")
+    Image.new("RGB", (WIDTH, HEIGHT), (9, 9, 9)).save(tmp_path / "tiny" / "view0.png")
     assert run(tmp_path / "runs", *options) == 0
     assert len(records(tmp_path / "runs")) == 2
 
