@@ -17,7 +17,7 @@ def caption(section: Section, table: Table) -> str:
     records = [item.run.record for item in section.of(table.datasets[0]) if item.run.ok]
     sizes = sorted({f"{record.timing.width}×{record.timing.height}" for record in records if record.timing})
     views = sorted({len(record.metrics.per_view) for record in records if record.metrics})
-    steps = sorted({record.steps for record in records})
+    steps = sorted({record.steps for record in records if record.steps})  # none for pictures from elsewhere
     words = [f"{' and '.join(sizes)} pixels"] if sizes else []
     words += [f"{' or '.join(map(str, views))} test views"] if views else []
     words += [f"{' or '.join(f'{count:,}' for count in steps)} steps"] if steps else []
