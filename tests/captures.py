@@ -10,6 +10,7 @@ from PIL import Image
 WIDTH, HEIGHT = 64, 48
 PINHOLE = "PINHOLE 64 48 60.0 62.0 30.5 25.0"
 OPENCV = "OPENCV 64 48 60.0 62.0 30.5 25.0 0.06 -0.03 0.002 -0.001"
+NAMES_OF_TEN = [f"{index:03d}.png" for index in range(10)]
 POINTS = np.random.default_rng(7).uniform([-1, -0.7, 3], [1, 0.7, 5], (30, 3))
 
 
