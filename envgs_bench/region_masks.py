@@ -29,6 +29,7 @@ from .reopening import reopen
 
 REGIONS = ("reflective", "near_field")
 BOX_QUANTILE = 0.995  # of the points, as where EnvGS places its environment (paper, Sec. 4.3)
+BOX_MARGIN = 0.05  # of its edges, on each side: a room's walls stand on the box's faces
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,9 @@ class _Drawing:
     def __init__(self, region: str, base: GaussianSet, kept: Tensor, scene: Scene, radius: float, near: float) -> None:
         self.region, self.base, self.radius, self.near = region, base, radius, near
         self.foreground = base.map(lambda values: values[kept])
-        inside = in_box(base, *quantile_box(scene.points.float(), BOX_QUANTILE))
+        low, high = quantile_box(scene.points.float(), BOX_QUANTILE)
+        margin = BOX_MARGIN * (high - low)
+        inside = in_box(base, low - margin, high + margin)
         self.surroundings = base.map(lambda values: values[inside])
 
     def mask(self, camera: Camera) -> Tensor:
