@@ -28,7 +28,7 @@ from envgs_bench.methods.registry import create_method
 from envgs_bench.metrics import get_protocol
 from envgs_bench.training import Training
 
-TINY = {"kind": "toy", "width": 32, "height": 24, "views": 10, "supersampling": 1, "normal_noise": 8.0}
+TINY = {"kind": "toy", "width": 24, "height": 16, "views": 10, "supersampling": 1, "normal_noise": 8.0}
 Load = Callable[[str], Scene]
 
 
@@ -143,7 +143,7 @@ def test_a_text_model_says_in_colmaps_terms_where_points_are_seen(load: Load, tm
         return [line.split() for line in (folder / name).read_text().splitlines() if line and line[0] != "#"]
 
     (camera,) = rows("cameras.txt")
-    assert camera[1:4] == ["PINHOLE", "32", "24"]
+    assert camera[1:4] == ["PINHOLE", "24", "16"]
     fx, fy, cx, cy = map(float, camera[4:])
     images = {row[-1]: [float(number) for number in row[1:8]] for row in rows("images.txt") if len(row) == 10}
     assert sorted(images) == [f"{index:04d}.png" for index in range(10)]
@@ -174,10 +174,10 @@ def test_transforms_say_in_nerfs_terms_where_points_are_seen(load: Load, tmp_pat
     for split, views in (("train", scene.train), ("test", scene.test)):
         content = json.loads((tmp_path / f"data/transforms_{split}.json").read_text())
         assert [frame["file_path"] for frame in content["frames"]] == [f"./{split}/{view.name}" for view in views]
-        focal = 16 / np.tan(content["camera_angle_x"] / 2)
+        focal = 12 / np.tan(content["camera_angle_x"] / 2)
         for frame, view in zip(content["frames"], views, strict=True):
             in_camera = np.linalg.inv(frame["transform_matrix"]) @ [*scene.points[5].double(), 1]
-            pixel = [16 - focal * in_camera[0] / in_camera[2], 12 + focal * in_camera[1] / in_camera[2]]
+            pixel = [12 - focal * in_camera[0] / in_camera[2], 8 + focal * in_camera[1] / in_camera[2]]
             np.testing.assert_allclose(pixel, pixel_of(view.camera, scene.points[5]), atol=2e-3)
             stored = np.asarray(Image.open(tmp_path / f"data/{split}/{view.name}.png"))
             np.testing.assert_array_equal(stored, view.image)

@@ -20,7 +20,7 @@ from envgs_bench.datasets.toy.normal_noise import noisy_normals
 from envgs_bench.datasets.toy.points import sfm_points
 from envgs_bench.datasets.toy.scenes import SCENES
 
-SMALL = {"kind": "toy", "width": 64, "height": 48, "views": 17, "noise": 0.0}
+SMALL = {"kind": "toy", "width": 64, "height": 48, "views": 17, "noise": 0.0, "supersampling": 1}
 Load = Callable[..., Scene]
 
 
@@ -105,7 +105,7 @@ def test_facing_mirrors_show_each_other(load: Load, monkeypatch: pytest.MonkeyPa
     mirror = view.masks["reflective"]
     difference = (view.rgb() - other.rgb()).abs().amax(-1)
     changed, elsewhere = ((difference[where] > 0.1).float().mean() for where in (mirror, ~mirror))
-    assert changed > 0.2
+    assert changed > 0.1
     assert elsewhere < 0.3 * changed  # pixels that a mirror covers in part
 
 
