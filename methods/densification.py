@@ -29,6 +29,7 @@ class DensificationRule:
     gradient_threshold: float  # mean criterion above which a primitive is cloned or split
     min_opacity: float  # pruned below
     max_primitives: int  # the least-weighted above this count are pruned
+    min_coverage: float = 0.0  # pixels that a primitive must fill, on average over its views, to be cloned or split
     clone_below: float = 0.01  # largest scale up to which a primitive is cloned; above it is split
     oversized_above: float = 0.1  # largest scale above which a primitive is split in five or pruned
 
@@ -87,7 +88,7 @@ def densify(
     twentieth, which takes the place of the least-weighted.
     """
     weights = record.mean_weight()
-    grows = _growing(record.mean_gradient(), rule)
+    grows = _growing(record.mean_gradient(), weights, rule)
     small = _largest_scale(parameters) <= rule.clone_below * radius
 
     clones = torch.nonzero(grows & small)[:, 0]
@@ -114,11 +115,15 @@ def densify(
     return DensificationRecord(len(parameters), weights.device)
 
 
-def _growing(gradients: Tensor, rule: DensificationRule) -> Tensor:
-    """Which primitives [N] are cloned or split: of those above the threshold the largest that there is room for."""
+def _growing(gradients: Tensor, weights: Tensor, rule: DensificationRule) -> Tensor:
+    """Which primitives [N] are cloned or split: of those above the threshold the largest that there is room for.
+
+    A blending weight summed over a view's pixels is the number of pixels that the primitive fills. One that fills less
+    than `min_coverage` shows nothing that two could show better.
+    """
     room = max(rule.max_primitives - len(gradients), math.ceil(EXCHANGED_AT_CAP * len(gradients)))
     room = min(room, math.ceil(LARGEST_GROWTH * len(gradients)))
-    return _largest(gradients >= rule.gradient_threshold, gradients, room)
+    return _largest((gradients >= rule.gradient_threshold) & (weights >= rule.min_coverage), gradients, room)
 
 
 def _largest(rows: Tensor, values: Tensor, most: int) -> Tensor:

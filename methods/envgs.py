@@ -8,12 +8,13 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Bvh, Camera, Scene, Statistics, build_bvh, trace
+from envgs_bench.core import Camera, Scene, Statistics
 
 from .densification import DensificationRule, spatial_criterion
 from .initialization import quantile_box, random_points_in_grid
-from .reflection import ReflectionSettings, ReflectiveMethod
+from .reflection import ReflectionSettings
 from .schedule import ENV_RESET_FLOOR
+from .traced import TracedReflection
 
 PAPER_GRID = 32  # N of Sec. 4.3
 
@@ -30,27 +31,23 @@ class EnvGSSettings(ReflectionSettings):
     env_opacity_reset_every: int = 6_000  # 0: never
 
 
-class EnvGS(ReflectiveMethod):
+class EnvGS(TracedReflection):
     """EnvGS (paper, Sec. 4)."""
 
     Settings: ClassVar[type] = EnvGSSettings
     settings: EnvGSSettings
+    traced: ClassVar[str] = "env"
 
     def __init__(self, settings: EnvGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
         self._box = (torch.zeros(3), torch.ones(3))
         self._points = 0
-        self._bvh: Bvh | None = None
 
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
         self.sets.pop("env", None)
         self._points = len(scene.points)
         self._box = environment_box(scene.points.float(), self.settings)
-
-    def prepare(self) -> None:
-        super().prepare()
-        self._bvh = build_bvh(self._prepared["env"], backend=self.settings.backend) if "env" in self.sets else None
 
     def _start_reflection(self) -> None:
         s = self.settings
@@ -60,14 +57,7 @@ class EnvGS(ReflectiveMethod):
         self.sets["env"] = self._new_set(points, colors, self._rule("env"), None, self.generator)
 
     def _reflected_color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict]:
-        rendering = trace(
-            self._gaussians("env", step),
-            origins,
-            directions,
-            background=self.background,
-            bvh=self._bvh if step is None else None,
-            backend=self.settings.backend,
-        )
+        rendering = self._trace(origins, directions, step)
         return rendering.color, {"env": rendering.statistics}
 
     def _criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:

@@ -16,7 +16,7 @@ from .reflection import ReflectionSettings, ReflectiveMethod
 @dataclass(frozen=True)
 class EnvMapSettings(ReflectionSettings):
     envmap_size: int = 128  # texels along a face's edge (EnvGS paper, App. B.1: 128 and 256)
-    envmap_lr: float = 1e-3  # of the texels' logits; noise in a fine map misleads the normals
+    envmap_lr: float = 1e-2  # of the texels' logits
 
 
 class EnvMap(ReflectiveMethod):

@@ -14,7 +14,7 @@ from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, 
 from .checkpoint import read_checkpoint, write_checkpoint
 from .densification import DensificationRule, screen_criterion
 from .initialization import initial_tensors
-from .losses import depth_normals, nearness, normal_loss, photometric_loss, psnr
+from .losses import depth_normals, nearness, normal_distance, normal_loss, photometric_loss, psnr
 from .method import Method
 from .parameters import GaussianParameters, LearningRates
 from .schedule import Schedule
@@ -38,6 +38,8 @@ class GaussianMethod(Method):
         super().__init__(settings, device, seed)
         if settings.normal_weighting not in ("none", "depth", "alpha"):
             raise ValueError(f"normal_weighting is {settings.normal_weighting!r}, expected none, depth or alpha")
+        if settings.mono_loss not in ("cos", "l1_cos"):
+            raise ValueError(f"mono_loss is {settings.mono_loss!r}, expected cos or l1_cos")
         self.sets: dict[str, TrainedSet] = {}
         self.perceptual: Callable[[Tensor, Tensor], Tensor] | None = None
         self.schedule = Schedule(1)
@@ -129,13 +131,16 @@ class GaussianMethod(Method):
         settings = self.settings
         terms = {"rgb": photometric_loss(rendering.color, target)}
         weight = self._normal_weights(rendering)
-        if settings.normal_weight > 0:
+        if settings.normal_weight > 0 and step > self.schedule.at(settings.normal_from):
             reference = depth_normals(rendering.depth, self._directions(view))
             terms["normal"] = settings.normal_weight * normal_loss(rendering.normal, reference, weight)
         if settings.mono_weight > 0 and view.normal is not None:
             reference = view.normal.to(rendering.normal)
             mono_weight = settings.mono_weight * self.schedule.rate_scale
-            terms["mono"] = mono_weight * normal_loss(rendering.normal, reference, weight)
+            error = normal_loss(rendering.normal, reference, weight)
+            if settings.mono_loss == "l1_cos":
+                error = error + normal_distance(rendering.normal, reference, weight)
+            terms["mono"] = mono_weight * error
         if self.perceptual and settings.perceptual_weight > 0 and step > self.schedule.at(settings.perceptual_from):
             terms["perceptual"] = settings.perceptual_weight * self.perceptual(rendering.color, target)
         return terms
@@ -151,10 +156,12 @@ class GaussianMethod(Method):
             self.sets["base"].reset_opacity()
 
     def _set_rates(self, step: int) -> None:
-        rate = self.schedule.position_rate(step, self.settings.position_lr, self.settings.position_lr_final)
-        rate *= self.schedule.rate_scale
+        s, schedule = self.settings, self.schedule
+        position = schedule.rate(step, s.position_lr, s.position_lr_final) * schedule.rate_scale
+        rotation = schedule.rate(step, s.rotation_lr, s.rotation_lr_final) * schedule.rate_scale
         for trained in self.sets.values():
-            trained.parameters.set_learning_rate("means", rate * self.radius)
+            trained.parameters.set_learning_rate("means", position * self.radius)
+            trained.parameters.set_learning_rate("quaternions", rotation)
 
     def _optimizers(self) -> list[torch.optim.Optimizer]:
         return [trained.parameters.optimizer for trained in self.sets.values()]
@@ -227,7 +234,7 @@ class GaussianMethod(Method):
 
     def _rule(self, name: str) -> DensificationRule:
         s = self.settings
-        return DensificationRule(s.densify_threshold, s.min_opacity, s.max_primitives)
+        return DensificationRule(s.densify_threshold, s.min_opacity, s.max_primitives, s.min_coverage)
 
     def _rates(self) -> LearningRates:
         s, scale = self.settings, self.schedule.rate_scale

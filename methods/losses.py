@@ -32,6 +32,16 @@ def normal_loss(normal: Tensor, reference: Tensor, weight: Tensor | None = None)
     return (error if weight is None else error * weight).mean()
 
 
+def normal_distance(normal: Tensor, reference: Tensor, weight: Tensor | None = None) -> Tensor:
+    """Mean over pixels of the L1 distance Σ|n − N|, with `normal_loss`'s arguments.
+
+    Its gradient does not vanish as the angle does, which 1 − cos's does (EnvGS's released code adds both).
+    """
+    known = (reference.detach().abs().sum(-1) > 0).to(normal)
+    error = (normal - reference).abs().sum(-1) * known
+    return (error if weight is None else error * weight).mean()
+
+
 def depth_normals(depth: Tensor, directions: Tensor) -> Tensor:
     """Normals of the surface that a depth map shows, by central differences (Eq. 8).
 

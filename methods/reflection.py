@@ -33,6 +33,8 @@ HOLD_FLOOR = 10  # steps
 class ReflectionSettings(GaussianSettings):
     """Settings of a base set with reflections. Steps are those of a run of 30,000."""
 
+    rotation_lr_final: float = 1e-4  # a tenth, so that normals settle: a mirror shows each degree twice
+
     densify_until: int = 21_000
     densify_slowly_every: int = 500  # the base set's interval while the reflections settle
 
@@ -41,6 +43,7 @@ class ReflectionSettings(GaussianSettings):
     initial_beta: float = 0.1  # 1e-3 where little reflects, 0.01 to 0.1 where much does
     beta_lr: float = 1e-2
     beta_threshold: float = 1 / 255  # an image traces no ray whose β is below; in training every surface reflects
+    beta_filter: float = 0.0  # share of an image's pixels, those of the smallest β, that are not traced either
     ray_offset: float = 1e-3  # a reflected ray starts this far above the surface, × scene radius
 
     disturb_every: int = 1_000  # colour sabotage and normal propagation; 0: never
@@ -63,6 +66,8 @@ class ReflectiveMethod(GaussianMethod):
         super().__init__(settings, device, seed)
         if settings.beta_reset not in ("min", "max", "none"):
             raise ValueError(f"beta_reset is {settings.beta_reset!r}, expected min, max or none")
+        if not 0 <= settings.beta_filter < 1:
+            raise ValueError(f"beta_filter is {settings.beta_filter:g}, expected a share of at least 0 and below 1")
         self.reflects = False  # once the bootstrapping is over
         self._hold_until = 0
 
@@ -91,24 +96,36 @@ class ReflectiveMethod(GaussianMethod):
         statistics = {"base": base.statistics}
         if not self.reflects:
             return base, statistics
+        reflection, beta, of_rays = self._reflection(base, camera, step)
+        statistics |= of_rays
+        blended = torch.lerp(base.color, reflection, beta)  # Eq. 5
+        layers = {"base": base.color, "reflection": reflection, "beta": base.extras}
+        return replace(base, color=blended, layers=layers), statistics
+
+    def _reflection(self, base: Rendering, camera: Camera, step: int | None) -> tuple[Tensor, Tensor, dict]:
+        """Reflected colour [H, W, 3], its β [H, W, 1] (0 where nothing reflects), and statistics by set."""
         beta = base.extras
         seen, origins, directions = reflected_rays(
             base,
             camera,
             offset=self.settings.ray_offset * self.radius,
-            beta_min=None if step is not None else self.settings.beta_threshold,
+            beta_min=None if step is not None else self._least_beta(beta),
             joint=self.settings.joint,
         )
-        color, of_rays = self._reflected_color(origins, directions, step)
-        statistics |= of_rays
+        color, statistics = self._reflected_color(origins, directions, step)
         height, width = base.alpha.shape
         if len(seen) < height * width:
             color = color.new_zeros(height * width, 3).index_copy(0, seen, color)
             beta = beta * torch.zeros_like(base.alpha).reshape(-1).index_fill(0, seen, 1.0).reshape(height, width, 1)
-        reflection = color.reshape(height, width, 3)
-        blended = torch.lerp(base.color, reflection, beta)  # Eq. 5
-        layers = {"base": base.color, "reflection": reflection, "beta": base.extras}
-        return replace(base, color=blended, layers=layers), statistics
+        return color.reshape(height, width, 3), beta, statistics
+
+    def _least_beta(self, beta: Tensor) -> Tensor | float:
+        """The β [H, W, 1] of an image above which its rays are traced (paper, App. B.2)."""
+        threshold, share = self.settings.beta_threshold, self.settings.beta_filter
+        if share == 0:
+            return threshold
+        rank = max(1, round(share * beta.numel()))
+        return beta.reshape(-1).kthvalue(rank).values.clamp_min(threshold)
 
     def events(self, step: int) -> set[str]:
         s, schedule = self.settings, self.schedule
@@ -179,7 +196,7 @@ class ReflectiveMethod(GaussianMethod):
 
 
 def reflected_rays(
-    base: Rendering, camera: Camera, *, offset: float, beta_min: float | None, joint: bool
+    base: Rendering, camera: Camera, *, offset: float, beta_min: Tensor | float | None, joint: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The rays that a rendered surface reflects (Eqs. 3 and 4).
 

@@ -19,6 +19,7 @@ BUILT_IN = {
     "3dgs": "envgs_bench.methods.three_d_gs:ThreeDGS",
     "envmap": "envgs_bench.methods.envmap:EnvMap",
     "envgs": "envgs_bench.methods.envgs:EnvGS",
+    "single_set": "envgs_bench.methods.single_set:SingleSet",
 }
 
 

@@ -45,8 +45,8 @@ class Schedule:
         """An interval of the reference run in steps of this run, at least `floor`."""
         return max(self.at(reference_interval), floor)
 
-    def position_rate(self, step: int, first: float, last: float) -> float:
-        """3DGS's log-linear decay of the position learning rate, `first` at step 0 and `last` at the run's end."""
+    def rate(self, step: int, first: float, last: float) -> float:
+        """A learning rate's log-linear decay (3DGS's, of positions): `first` at step 0 and `last` at the run's end."""
         progress = min(step / self.steps, 1.0)
         return math.exp((1 - progress) * math.log(first) + progress * math.log(last))
 

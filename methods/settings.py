@@ -22,19 +22,23 @@ class GaussianSettings:
     sh_lr: float = 2.5e-3  # of the constant term; 1/20 of it for the rest
     opacity_lr: float = 5e-2
     scale_lr: float = 5e-3
-    rotation_lr: float = 1e-3
+    rotation_lr: float = 1e-3  # at the start; log-linear to
+    rotation_lr_final: float = 1e-3  # at the end
 
     initial_opacity: float = 0.1
     densify_from: int = 500
     densify_until: int = 15_000
     densify_every: int = 100
     densify_threshold: float = 2e-4  # gradient of the projected centre, in half images
+    min_coverage: float = 1.0  # pixels that a primitive must fill, on average over its views, to be cloned or split
     min_opacity: float = 0.05  # pruned below
     max_primitives: int = 1_800_000
     opacity_reset_every: int = 3_000  # 0: never
 
     normal_weight: float = 0.04  # of L_norm, rendered normals against those of the depth map
+    normal_from: int = 0
     mono_weight: float = 0.01  # of L_mono, against the view's own normals where it has any
+    mono_loss: str = "cos"  # 1 − cos (paper), or l1_cos: the L1 distance beside it (released code)
     normal_weighting: str = "none"  # of both normal losses' pixels: none, depth (near ones count more), alpha
     perceptual_weight: float = 0.01  # of L_perc, where the harness provides it
     perceptual_from: int = 0

@@ -14,6 +14,7 @@ class TwoDGSSettings(GaussianSettings):
     """As published: normals are held to the depth map alone, and pictures are compared pixel by pixel."""
 
     normal_weight: float = 0.05
+    normal_from: int = 7_000
     mono_weight: float = 0.0
     perceptual_weight: float = 0.0
 

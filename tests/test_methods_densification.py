@@ -1,5 +1,6 @@
 """Clone, split, prune and cap on sets whose outcome can be counted by hand."""
 
+import dataclasses
 import math
 
 import pytest
@@ -116,6 +117,15 @@ def test_a_tenth_grows_at_once_the_largest_gradients():
     assert growing(gradients, max_primitives=1000) == list(range(90, 100))
     assert growing([0.5] * 50 + gradients[:50], max_primitives=1000) == list(range(90, 100))
     assert growing([0.5] * 97 + gradients[:3], max_primitives=1000) == [97, 98, 99]
+
+
+def test_what_fills_less_than_a_pixel_does_not_grow():
+    rule = dataclasses.replace(RULE, min_coverage=1.0)
+    record = make_record([2.0, 2.0] + [0.0] * 18, [0.9, 1.1] + [1.0] * 18)
+    record.add(torch.tensor([2.0, 2.0] + [0.0] * 18), torch.tensor([1.0, 1.0] + [1.0] * 18))  # means 0.95 and 1.05
+    parameters = make_parameters([0.005] * 20, [0.5] * 20)
+    densify(parameters, record, rule, RADIUS, generator())
+    assert colours(parameters) == [0, 1, 1, *range(2, 20)]
 
 
 def test_towards_the_cap_there_is_less_room():

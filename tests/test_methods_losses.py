@@ -8,7 +8,7 @@ from torch import Tensor
 
 from envgs_bench.core import Camera
 from envgs_bench.core.ssim import ssim
-from envgs_bench.methods.losses import depth_normals, nearness, normal_loss, photometric_loss, psnr
+from envgs_bench.methods.losses import depth_normals, nearness, normal_distance, normal_loss, photometric_loss, psnr
 
 
 def make_camera(width: int = 48, height: int = 36) -> Camera:
@@ -82,6 +82,18 @@ def test_normal_loss_is_one_minus_cosine_and_spares_unknown_pixels():
     assert normal_loss(normal, reference).item() == pytest.approx(0.5 * (1 - math.cos(angle)))
     weight = torch.tensor([[1.0, 0.0], [1.0, 1.0]])
     assert normal_loss(normal, reference, weight).item() == pytest.approx(0.25 * (1 - math.cos(angle)))
+
+
+def test_normal_distance_grows_with_the_angle_from_the_start():
+    """|n − N|₁ of a normal turned by θ in the xz-plane is sin θ + 1 − cos θ: its slope at 0 is 1, and 1 − cos's is 0."""
+    angle = torch.tensor(0.02, dtype=torch.float64, requires_grad=True)
+    reference = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).expand(2, 2, 3).clone()
+    reference[0, 0] = 0  # unknown
+    turned = torch.stack([angle.sin(), torch.zeros_like(angle), angle.cos()]).expand(2, 2, 3)
+    loss = normal_distance(turned, reference)
+    torch.testing.assert_close(loss, 0.75 * (angle.sin() + 1 - angle.cos()))
+    (slope,) = torch.autograd.grad(loss, angle)
+    torch.testing.assert_close(slope, 0.75 * (angle.cos() + angle.sin()))
 
 
 def test_photometric_loss_is_the_stated_mixture():

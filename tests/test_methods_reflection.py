@@ -134,6 +134,27 @@ def test_base_and_reflection_are_blended_by_beta(monkeypatch):
     assert torch.equal(image.layers["beta"][..., 0], beta)
 
 
+@pytest.mark.parametrize(("share", "traced"), [(0.0, 256), (0.5, 160), (0.75, 80), (0.9, 32)])
+def test_the_filter_traces_the_pixels_of_the_greatest_beta(monkeypatch, share, traced):
+    """Of β rising over 320 pixels from 0 to 1, the threshold 0.199 leaves 256 and the filter its share of all 320."""
+    beta = torch.linspace(0, 1, WIDTH * HEIGHT).reshape(HEIGHT, WIDTH)
+    shown = mirror(make_camera(), torch.tensor([0.0, 0.0, -1.0]), -4.0)
+    rendering = make_rendering(shown.depth, shown.normal, shown.alpha, beta)
+    method = EnvMap(EnvMapSettings(envmap_size=4, beta_threshold=0.199, beta_filter=share))
+    method.reflects = True
+    monkeypatch.setattr(method, "_rasterize_base", lambda camera, step: rendering)
+    image = method._draw(make_camera(), None)[0]
+    seen = image.layers["reflection"].sum(-1).reshape(-1) > 0
+    assert seen.sum() == traced
+    assert seen[-traced:].all()
+
+
+def test_an_image_is_filtered_where_no_eye_can_tell():
+    """The default threshold moves no pixel by more than 1/255 where colours lie in [0, 1]."""
+    assert EnvMapSettings().beta_threshold == 1 / 255
+    assert EnvMapSettings().beta_filter == 0
+
+
 def test_envgs_and_envmap_differ_in_the_reflected_colour_only():
     """The shared settings have one default, and the shared class decides everything but that colour."""
     envgs, envmap = create_method("envgs"), create_method("envmap")

@@ -1,7 +1,9 @@
 """The schedule of a reference run, number by number, and that a short run leaves nothing out."""
 
 import pytest
+import torch
 
+from envgs_bench.core import Camera, Scene, View
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.schedule import Schedule
 
@@ -66,9 +68,24 @@ def test_what_is_switched_off_never_happens():
 
 def test_positions_decay_log_linearly():
     schedule = Schedule(1000)
-    assert schedule.position_rate(0, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-4)
-    assert schedule.position_rate(500, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-5)
-    assert schedule.position_rate(1000, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-6)
+    assert schedule.rate(0, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-4)
+    assert schedule.rate(500, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-5)
+    assert schedule.rate(1000, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-6)
+
+
+def test_the_normals_of_what_reflects_settle():
+    """A tenth of the rotation rate remains at the end; 2DGS keeps its own."""
+    view = View("view", Camera(torch.eye(4), torch.eye(3), 4, 4), torch.zeros(4, 4, 3, dtype=torch.uint8))
+    points = torch.rand(20, 3, generator=torch.Generator().manual_seed(0))
+    scene = Scene("points", [view], [view], points, torch.full((20, 3), 0.5))
+    rates = {}
+    for kind in ("2dgs", "envgs"):
+        method = create_method(kind)
+        method.initialize(scene, 30_000)
+        method._set_rates(30_000)
+        groups = method.sets["base"].parameters.optimizer.param_groups
+        rates[kind] = next(group["lr"] for group in groups if group["name"] == "quaternions")
+    assert rates == {"2dgs": pytest.approx(1e-3), "envgs": pytest.approx(1e-4)}
 
 
 @pytest.mark.parametrize(("steps", "scale"), [(60_000, 1), (30_000, 1), (7500, 2), (300, 10), (10, 10)])

@@ -13,12 +13,13 @@ from envgs_bench.core import Camera, Scene, View
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method, method_names
 
-KINDS = ("2dgs", "3dgs", "envmap", "envgs")
+KINDS = ("2dgs", "3dgs", "envmap", "envgs", "single_set")
 SMALL = {
     "2dgs": {},
     "3dgs": {},
     "envmap": {"envmap_size": 8},
     "envgs": {"env_grid": 3, "env_per_cell": 2},
+    "single_set": {},
 }
 STEPS = 60
 
@@ -87,7 +88,7 @@ def test_a_render_is_an_image_with_its_layers(trained, scene, kind):
     assert rendering.color.shape == (camera.height, camera.width, 3)
     assert not rendering.color.requires_grad
     assert torch.isfinite(rendering.color).all()
-    expected = {"base", "reflection", "beta"} if kind in ("envmap", "envgs") else set()
+    expected = set() if kind in ("2dgs", "3dgs") else {"base", "reflection", "beta"}
     assert set(rendering.layers) == expected
     assert all(layer.shape[:2] == rendering.color.shape[:2] for layer in rendering.layers.values())
 
@@ -110,11 +111,11 @@ def test_what_is_loaded_renders_what_was_saved(trained, scene, kind, tmp_path):
 def test_counts_and_bytes(trained, kind):
     method, _ = trained[kind]
     primitives, size = method.primitives(), method.model_bytes()
-    floats = {"2dgs": 37, "3dgs": 38, "envmap": 38, "envgs": 38}[kind]  # β is one more than a surfel's 37
+    floats = 37 if kind == "2dgs" else 38  # a third scale, or β, beside a surfel's 37
     assert set(primitives) == set(size) == {"base", "env"}
     assert size["base"] == 4 * floats * primitives["base"]
-    expected = {"2dgs": 0, "3dgs": 0, "envmap": 4 * 6 * 8 * 8 * 3, "envgs": 4 * 37 * primitives["env"]}[kind]
-    assert size["env"] == expected
+    expected = {"envmap": 4 * 6 * 8 * 8 * 3, "envgs": 4 * 37 * primitives["env"]}
+    assert size["env"] == expected.get(kind, 0)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -234,6 +235,20 @@ CONFIGURED = {
     "envmap128": "envmap",
     "envmap256": "envmap",
     "envgs": "envgs",
+    "envgs_no_joint": "envgs",
+    "envgs_no_mono_normal": "envgs",
+    "envgs_no_color_sabotage": "envgs",
+    "envgs_no_normal_propagation": "envgs",
+    "envgs_no_perceptual": "envgs",
+    "envgs_single_set": "single_set",
+}
+DIFFERENCES = {
+    "envmap256": {"envmap_size": 256},
+    "envgs_no_joint": {"joint": False},
+    "envgs_no_mono_normal": {"mono_weight": 0.0},
+    "envgs_no_color_sabotage": {"sabotage": False},
+    "envgs_no_normal_propagation": {"propagate": False},
+    "envgs_no_perceptual": {"perceptual_weight": 0.0},
 }
 
 
@@ -245,6 +260,5 @@ def test_the_configuration_lists_every_setting_with_its_default(name):
     method = config["method"]
     assert (method["name"], method["kind"]) == (name, CONFIGURED[name])
     defaults = dataclasses.asdict(create_method(method["kind"]).settings)
-    overrides = {"envmap_size": 256} if name == "envmap256" else {}
-    assert method["settings"] == defaults | overrides
+    assert method["settings"] == defaults | DIFFERENCES.get(name, {})
     create_method(method["kind"], method["settings"])

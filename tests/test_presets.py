@@ -65,7 +65,8 @@ def test_the_papers_settings_reach_the_run() -> None:
     sizes = {name: composed(f"dataset=mipnerf360/{name}")["dataset"]["downsample"] for name in ("garden", "room")}
     assert sizes == {"garden": 4, "room": 2}
     assert composed("dataset=ref_real/sedan", "steps=7")["steps"] == 7
-    assert composed("dataset=toy/chrome_room")["steps"] == 7_000
+    assert composed("dataset=toy/chrome_room")["steps"] == 3_000
+    assert composed("dataset=colmap", "dataset.root=capture")["steps"] == 7_000
 
 
 def test_hints_go_to_the_methods_that_know_them_and_give_way_to_overrides() -> None:
@@ -78,7 +79,11 @@ def test_hints_go_to_the_methods_that_know_them_and_give_way_to_overrides() -> N
     assert composed("dataset=ref_real/sedan")["method"]["settings"]["initial_beta"] == 0.001
     told = composed("dataset=ref_real/spheres", "method.settings.env_box=50")
     assert told["method"]["settings"]["env_box"] == 50
-    assert composed("dataset=toy/chrome_room")["hints"] == {}
+    assert composed("dataset=colmap", "dataset.root=capture")["hints"] == {}
+    toy = {"mono_weight": 0.1, "mono_loss": "l1_cos", "min_coverage": 3.0}
+    assert toy.items() <= composed("dataset=toy/chrome_room")["method"]["settings"].items()
+    plain = composed("dataset=toy/chrome_room", "method=2dgs")["method"]["settings"]
+    assert plain["mono_weight"] == 0
 
 
 def test_data_root_is_an_override_or_an_environment_variable(monkeypatch: pytest.MonkeyPatch) -> None:

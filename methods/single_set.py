@@ -1,0 +1,25 @@
+"""One set of surfels for the scene and for what it reflects: the design that the paper's App. B.3 decides against."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from torch import Tensor
+
+from .traced import TracedReflection
+
+
+class SingleSet(TracedReflection):
+    """EnvGS without environment Gaussians: reflected rays are traced through the base set (paper, App. B.3).
+
+    A wrong reflected ray then pulls at the scene's own geometry, which sends it elsewhere; the paper reports that this
+    does not converge. Densification sees only what the picture's own pass learned.
+    """
+
+    traced: ClassVar[str] = "base"
+
+    def _start_reflection(self) -> None:
+        pass
+
+    def _reflected_color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict]:
+        return self._trace(origins, directions, step).color, {}
