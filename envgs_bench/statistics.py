@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -48,11 +49,16 @@ def bootstrap_interval(
         return None
     if not all(np.isfinite(values).all() for values in arrays):
         raise ValueError("a value is not finite: leave failed runs out, and count them")
-    generator = np.random.default_rng(seed)
     means = np.zeros(draws)
-    for values in arrays:
-        picks = generator.integers(len(values), size=(draws, len(values)))
+    for values, picks in zip(arrays, _picks(tuple(map(len, arrays)), draws, seed), strict=True):
         means += values[picks].mean(axis=1) / len(arrays)
     tail = (1 - coverage) / 2
     low, high = np.quantile(means, [tail, 1 - tail])
     return Interval(float(low), float(high))
+
+
+@lru_cache(maxsize=32)
+def _picks(sizes: tuple[int, ...], draws: int, seed: int) -> list[np.ndarray]:
+    """Indices into strata of these sizes, [draws, size] each: the same for all numbers of one table."""
+    generator = np.random.default_rng(seed)
+    return [generator.integers(size, size=(draws, size)) for size in sizes]

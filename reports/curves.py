@@ -46,9 +46,9 @@ def read_curve(run: Run) -> Curve | None:
     try:
         head, *lines = (run.folder / "curve.csv").read_text(encoding="utf-8").splitlines()
         names = head.split(",")
-        rows = [cells for line in lines if len(cells := line.split(",")) == len(names)]
-        values = np.array([[float(cell or "nan") for cell in row] for row in rows], dtype=float).T
-        curve = dict(zip(names, values, strict=True))
+        rows = [line for line in lines if line.count(",") == len(names) - 1]
+        values = np.loadtxt(rows, delimiter=",", ndmin=2) if rows else np.empty((0, len(names)))
+        curve = dict(zip(names, values.T, strict=True))
         steps, first = np.unique(curve["step"], return_index=True)
     except (OSError, ValueError, KeyError):
         return None
@@ -75,12 +75,19 @@ def _band(curves: list[Curve], steps: np.ndarray, name: str) -> dict[str, list[f
     values = np.full((len(curves), len(steps)), np.nan)
     for row, curve in zip(values, curves, strict=True):
         if name in curve:
-            _, mine, theirs = np.intersect1d(steps, curve["step"], assume_unique=True, return_indices=True)
-            row[mine] = curve[name][theirs]
-    finite = np.ma.masked_invalid(values)
-    bands = {"mean": finite.mean(axis=0), "low": finite.min(axis=0), "high": finite.max(axis=0)}
-    return {key: [_plain(value) for value in np.ma.filled(band, np.nan)] for key, band in bands.items()}
+            places = np.searchsorted(curve["step"], steps).clip(max=len(curve["step"]) - 1)
+            there = curve["step"][places] == steps
+            row[there] = curve[name][places[there]]
+    finite = np.isfinite(values)
+    count = finite.sum(axis=0)
+    mean = np.where(finite, values, 0).sum(axis=0) / np.maximum(count, 1)
+    low, high = np.where(finite, values, np.inf).min(axis=0), np.where(finite, values, -np.inf).max(axis=0)
+    return {key: _plain(band, count > 0) for key, band in (("mean", mean), ("low", low), ("high", high))}
 
 
-def _plain(value: float) -> float | None:
-    return float(f"{value:.5g}") if np.isfinite(value) else None
+def _plain(values: np.ndarray, known: np.ndarray) -> list[float | None]:
+    """Five significant digits each, None where nothing is known."""
+    found = np.where(known, values, 0)
+    unit = 10.0 ** (4 - np.floor(np.log10(np.maximum(np.abs(found), 1e-30))))
+    short = (np.round(found * unit) / unit).tolist()
+    return [value if there else None for value, there in zip(short, known.tolist(), strict=True)]

@@ -24,7 +24,7 @@ from .columns import (
 )
 from .estimates import Numbers
 from .labels import Label
-from .published import published_source, published_values
+from .published import paper_scene, published_source, published_values
 from .tables import Table, build_table
 
 KINDS = {
@@ -116,10 +116,16 @@ def scenes(contents: Contents, everything: str) -> list[Table]:
                 having = contents.numbers.having(members, score.region)
                 if len(having) < 2:
                     continue
-                columns = [c for d in having for c in of((d,), (score,), d.removeprefix(f"{name}/"))]
+                columns = [c for d in having for c in of((d,), (score,), _scene(d, name))]
                 columns += of(having, (score,), "mean")
                 tables.append(contents.table(f"{name}: {score.title}", "scenes", columns))
     return [table for table in tables if any(cell.shown for row in table.rows for cell in row.cells.values())]
+
+
+def _scene(dataset: str, family: str) -> str:
+    """A data set's name within its family."""
+    known = paper_scene(dataset)
+    return known[1] if known else dataset.removeprefix(f"{family}/")
 
 
 def regions(contents: Contents) -> list[Table]:

@@ -11,9 +11,9 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from .chart_font import chart_fonts
 from .columns import ACCURACIES, COSTS, FRAME_MS, PSNR, Column
 from .label_placement import Box, along, place_labels
 from .palette import Style, styles
@@ -26,9 +26,10 @@ CROWD = 12  # points, above which a dominated one goes without its name if there
 MOST_ROWS = 4  # data sets drawn one by one; more are drawn as their averages
 FORMATS = ("png", "pdf")
 DPI = 200
+WIDTH, HEIGHT = 5.6, 2.9  # of one panel, inches
+LEFT, RIGHT, BOTTOM, TOP = 0.85, 0.2, 0.62, 0.72  # around it, for what stands beside its axes
 REGIONS = ("near_field", "reflective", "foreground")  # the first that the data set has is drawn beside the full image
 RC: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
     "font.size": 9.5,
     "axes.edgecolor": "#98a2b3",
     "axes.linewidth": 0.8,
@@ -91,7 +92,7 @@ def _pareto_rows(sections: Sequence[Section]) -> list[list[Panel]]:
 
 def _write(rows: list[list[Panel]], stem: Path) -> list[Path]:
     stem.parent.mkdir(parents=True, exist_ok=True)
-    with mpl.rc_context(RC):
+    with mpl.rc_context(RC | {"font.family": chart_fonts()}):
         figure = _figure(rows)
         paths = [stem.with_name(f"{stem.name}.{kind}") for kind in FORMATS]
         for path in paths:
@@ -101,19 +102,25 @@ def _write(rows: list[list[Panel]], stem: Path) -> list[Path]:
 
 
 def _figure(rows: list[list[Panel]]) -> Figure:
-    width = max(len(row) for row in rows)
-    height = 3.7 * len(rows) + 0.35
-    spacing = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12, wspace=0.05, hspace=0.07)
-    figure = Figure(figsize=((5.1 if width > 1 else 6.6) * width + 0.1, height), layout=spacing)
-    axes = figure.subplots(len(rows), width, squeeze=False)
+    columns = max(len(row) for row in rows)
+    wide = WIDTH if columns == 1 else WIDTH * 0.78
+    size = (columns * (wide + LEFT) + RIGHT, len(rows) * (HEIGHT + TOP + BOTTOM))
+    figure = Figure(figsize=size)
+    axes = figure.subplots(len(rows), columns, squeeze=False)
+    figure.subplots_adjust(
+        left=LEFT / size[0],
+        right=1 - RIGHT / size[0],
+        bottom=BOTTOM / size[1],
+        top=1 - TOP / size[1],
+        wspace=LEFT / wide,
+        hspace=(TOP + BOTTOM) / HEIGHT,
+    )
     for row, line in zip(rows, axes, strict=True):
         for axis in line[len(row) :]:
             axis.set_axis_off()
             axis.text(0.5, 0.5, "no masked region", transform=axis.transAxes, color=GREY, ha="center")
         for column, (panel, axis) in enumerate(zip(row, line, strict=False)):
             _prepare(axis, panel, first=column == 0)
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # the layout stands: names are placed in it, and each file would compute it again
     for row, line in zip(rows, axes, strict=True):
         for panel, axis in zip(row, line, strict=False):
             _label(figure, axis, panel)
@@ -139,11 +146,12 @@ def _prepare(axis: Axes, panel: Panel, first: bool) -> None:
     axis.tick_params(which="both", length=0, pad=5)
     axis.spines[["top", "right"]].set_visible(False)
     axis.set_xlabel(f"{panel.cost.axis} (log)   ← less is better")
-    axis.set_ylabel(f"{panel.accuracy.axis}   {'higher' if panel.accuracy.better == 'higher' else 'lower'} is better →")
+    better = "higher is better →" if panel.accuracy.better == "higher" else "← lower is better"
+    axis.set_ylabel(f"{panel.accuracy.axis}   {better}")
     failed = [row for row in panel.table.rows if row.attempts and not row.done]
     if failed:
         words = "no run finished: " + ", ".join(f"{_short(row.method)} (0/{row.attempts})" for row in failed)
-        axis.text(0.985, 0.03, words, transform=axis.transAxes, fontsize=8.5, color=SOFT, ha="right")
+        axis.text(1, 1.03, words, transform=axis.transAxes, fontsize=8.5, color=SOFT, ha="right")
     if first:
         count = len(panel.table.datasets)
         title = _short(panel.table.title, 44) + (f": mean of {count}" if count > 1 and panel.table.title != ALL else "")
@@ -203,13 +211,12 @@ def _label(figure: Figure, axis: Axes, panel: Panel) -> None:
     """The methods' names beside their marks, dominated ones in grey, failures with their count."""
     places = panel.places
     best = front(places, panel.cost, panel.accuracy)
-    style = styles(panel.section.methods)
     texts = [
         axis.text(
             0,
             0,
             _short(p.label) + ("" if p.complete else f" ({p.done}/{p.attempts} runs)"),
-            color=style[p.label].color if p in best or not p.complete else SOFT,
+            color=INK if p in best or not p.complete else SOFT,
             fontsize=10 if len(places) <= 8 else 7.5,
             zorder=6,
         )

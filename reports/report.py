@@ -65,7 +65,7 @@ def build_report(runs: Path, out: Path) -> Report:
         section.tidy.to_csv(out / section.csv_name(index), index=False)
     (out / "table.md").write_text(markdown(sections, broken), encoding="utf-8")
     (out / "table.tex").write_text(latex(sections), encoding="utf-8")
-    (out / "table.json").write_text(json.dumps(structured(sections, broken), indent=1), encoding="utf-8")
+    (out / "table.json").write_text(json.dumps(structured(sections, broken)), encoding="utf-8")
     draw_charts(sections, out)
     pictures = [_pictures(section, out, index if len(sections) > 1 else None) for index, section in enumerate(sections)]
     write_page(out, sections, broken, pictures)

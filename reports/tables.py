@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
+from functools import cached_property
 
 from envgs_bench.statistics import Interval
 
@@ -44,7 +45,7 @@ class Cell:
         """Whether the mean is printed: one over a part of several data sets would compare with nothing."""
         return self.mean is not None and (self.complete or not self.estimate.averaged)
 
-    @property
+    @cached_property
     def text(self) -> str:
         """What every format prints for the number, before any emphasis."""
         if self.mean is None:

@@ -13,6 +13,11 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
+from envgs_bench.reports.layout import headings
+from envgs_bench.reports.runs import read_runs
+from envgs_bench.reports.sections import Section, split_sections
+from envgs_bench.reports.tables import Row, Table
+
 CONTRACT = "render(camera) to an image in memory, every view warmed up once, at least 50 frames or 1 s a view"
 PROTOCOL = {
     "name": "envgs",
@@ -26,7 +31,7 @@ METHODS: dict[str, tuple[float, float, float, float, int, int, float]] = {
     "envmap": (27.8, 4.4, 24.0, 39.0, 12_300, 0, 1.8),
     "envgs": (29.6, 2.6, 61.0, 66.0, 12_100, 3_400, 0.8),
 }
-KINDS = {name: "envgs" for name in ("envgs_no_joint", "envgs_no_mono_normal", "envgs_no_perceptual")}
+KINDS = dict.fromkeys(("envgs_no_joint", "envgs_no_mono_normal", "envgs_no_perceptual"), "envgs")
 DATASETS = {"toy/chrome_room": 0.0, "toy/sky_ball": 3.1, "toy/diffuse_room": 5.4}
 VIEWS = 5
 
@@ -218,3 +223,19 @@ def _box(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
 def _save(path: Path, image: np.ndarray) -> None:
     pixels = np.broadcast_to(image, (*image.shape[:2], 3))
     Image.fromarray((np.clip(pixels, 0, 1) * 255 + 0.5).astype(np.uint8)).save(path)
+
+
+def sections_of(folder: Path) -> list[Section]:
+    return split_sections(read_runs(folder)[0])
+
+
+def row_of(table: Table, method: str) -> Row:
+    return next(row for row in table.rows if row.method == method)
+
+
+def titled(section: Section, title: str) -> Table:
+    return next(table for table in section.tables if table.title == title)
+
+
+def titles(table: Table) -> list[str]:
+    return [heading.full for heading in headings(table)]

@@ -1,4 +1,4 @@
-"""The reports' tables: pinned to the paper's own averages, to SciPy, and to one another."""
+"""The reports' tables: what a cell says, which runs share a table, and that every format prints the same."""
 
 from __future__ import annotations
 
@@ -12,28 +12,39 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from reports_runs import METHODS, record, run_folder, write_failure, write_record, write_runs
+from reports_runs import (
+    METHODS,
+    record,
+    row_of,
+    run_folder,
+    sections_of,
+    titled,
+    titles,
+    write_failure,
+    write_record,
+    write_runs,
+)
 
 from envgs_bench.records import RecordError
-from envgs_bench.reports.columns import MAIN_COLUMNS, PSNR, of
+from envgs_bench.reports.columns import MAIN_COLUMNS, of
 from envgs_bench.reports.decimals import mean, rounded
 from envgs_bench.reports.estimates import Numbers
 from envgs_bench.reports.latex import latex
-from envgs_bench.reports.layout import entries, headings
+from envgs_bench.reports.layout import entries
 from envgs_bench.reports.markdown import markdown
-from envgs_bench.reports.published import paper_scene, paper_tables, published_values
 from envgs_bench.reports.report import build_report
-from envgs_bench.reports.runs import read_runs
-from envgs_bench.reports.sections import Section, split_sections
+from envgs_bench.reports.sections import Section
 from envgs_bench.reports.structured import structured
 from envgs_bench.reports.table_notes import notes
-from envgs_bench.reports.tables import Row, Table, build_table
+from envgs_bench.reports.tables import Table, build_table
 
 ROOM = "toy/chrome_room"
 
 
-def sections_of(folder: Path) -> list[Section]:
-    return split_sections(read_runs(folder)[0])
+@pytest.fixture(autouse=True)
+def no_charts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Charts have tests of their own, and take their time."""
+    monkeypatch.setattr("envgs_bench.reports.report.draw_charts", lambda sections, out: [])
 
 
 def table_of(scores: dict[str, list[float | None]], metric: str = "psnr", attempts: int | None = None) -> Table:
@@ -47,92 +58,6 @@ def table_of(scores: dict[str, list[float | None]], metric: str = "psnr", attemp
     return build_table(
         Numbers(frame.astype({"value": float}), tried), ROOM, "subject", of((ROOM,), MAIN_COLUMNS), scores
     )
-
-
-def row_of(table: Table, method: str) -> Row:
-    return next(row for row in table.rows if row.method == method)
-
-
-def titled(section: Section, title: str) -> Table:
-    return next(table for table in section.tables if table.title == title)
-
-
-def titles(table: Table) -> list[str]:
-    return [heading.full for heading in headings(table)]
-
-
-# ---------------------------------------------------------------------------------------------- the paper's tables
-
-
-def test_table_7_averages_to_every_psnr_of_tables_1_and_5() -> None:
-    """The builder over the per-scene table gives the printed means exactly: decimals, halves up."""
-    rows = paper_tables().query("table == '7' and metric == 'psnr' and value != ''")
-    tidy = pd.DataFrame(
-        {
-            "dataset": rows["dataset"] + "/" + rows["scene"],
-            "method": rows["method"],
-            "seed": 0,
-            "region": "full",
-            "metric": "psnr",
-            "value": rows["value"].astype(float),
-        }
-    )
-    numbers = Numbers(tidy, tidy.assign(status="ok")[["dataset", "method", "seed", "status"]])
-    printed = paper_tables().query("metric == 'psnr' and table in ('1', '5') and value != ''")
-    checked = 0
-    for table, dataset, method, value in printed[["table", "dataset", "method", "value"]].to_numpy():
-        members = [name for name in tidy["dataset"].unique() if name.split("/")[0] in dataset.split("+")]
-        if method in ("ENVIDR", "NDE"):  # Table 7 does not have them
-            continue
-        average = build_table(numbers, dataset, "subject", of(members, [PSNR]), [method]).rows[0].cells["psnr"]
-        assert average.complete
-        assert str(rounded(average.mean, 3)) == value, (table, dataset, method)
-        checked += 1
-    assert checked == 19  # 9 methods on 2 data sets, and EnvGS on all 7 scenes
-
-
-def test_unreadable_cells_of_the_paper_are_empty() -> None:
-    rows = paper_tables()
-    unreadable = rows[rows["note"].str.startswith("unreadable")]
-    assert len(unreadable) == 9
-    assert (unreadable["value"] == "").all()
-    assert "EnvGS" not in published_values(("Ref-Real/sedan",), "full", "lpips")
-
-
-@pytest.mark.parametrize(
-    ("name", "scene"),
-    [
-        ("Ref-Real/sedan", ("Ref-Real", "sedan")),
-        ("ref_real-gardenspheres", ("Ref-Real", "spheres")),
-        ("nerf_casting-toaster", ("NeRF-Casting", "toaster")),
-        ("shiny_blender-toaster", ("Shiny-Blender", "toaster")),
-        ("mipnerf360/garden", ("Mip-NeRF-360", "garden")),
-        ("garden", None),  # anybody's garden
-        ("toy/chrome_room", None),
-    ],
-)
-def test_a_paper_scene_needs_its_family(name: str, scene: tuple[str, str] | None) -> None:
-    assert paper_scene(name) == scene
-
-
-def test_published_psnr_stands_beside_ours(tmp_path: Path) -> None:
-    write_runs(tmp_path, ("Ref-Real/sedan",), seeds=(0,), pictures=False)
-    table = titled(sections_of(tmp_path)[0], "Ref-Real/sedan")
-    column = titles(table).index("PSNR paper (Δ)")
-    printed = (
-        paper_tables().query("table == '7' and scene == 'sedan' and metric == 'psnr'").set_index("method")["value"]
-    )
-    ours = row_of(table, "envgs").cells["psnr"].mean
-    assert ours is not None
-    expected = f"{printed['EnvGS']} ({rounded(ours, 3) - Decimal(printed['EnvGS']):+})".replace("-", "−")
-    assert entries(table, row_of(table, "envgs"))[column].text == expected
-    assert entries(table, row_of(table, "ZipNeRF"))[column].text == printed["ZipNeRF"]
-    assert row_of(table, "ZipNeRF").runs_text == "published, not real-time"
-    assert row_of(table, "3DGS-DR").runs_text == "published"
-    assert {"SSIM paper (Δ)", "LPIPS paper (Δ)"} <= set(titles(table))
-    write_runs(tmp_path / "strict", ("Ref-Real/sedan",), seeds=(0,), pictures=False, protocol=other_protocol())
-    strict = next(s for s in sections_of(tmp_path) if s.protocol.name == "strict")
-    assert not strict.tables[0].published
 
 
 # ------------------------------------------------------------------------------------- means, intervals and ranks
@@ -171,6 +96,19 @@ def test_overlapping_intervals_are_marked() -> None:
     assert [row.cells["psnr"].tied for row in table.rows] == [False, True, False]
     assert table.rows[0].cells["psnr"].text == "27.20 ± 0.20"
     assert entries(table, table.rows[1])[2].marked == "27.10 ± 0.20² ≈"
+
+
+def test_an_ablation_is_a_difference_on_the_same_seed(tmp_path: Path) -> None:
+    """Seeds differ by more than variants do: pairing them is what shows the part's worth."""
+    for seed, level in enumerate((20.0, 25.0, 30.0)):
+        for method, drop in (("envgs", 0.0), ("envgs_no_joint", 0.5 + 0.1 * seed)):
+            content = record(ROOM, method, seed)
+            content["metrics"]["mean"]["psnr"] = level - drop
+            write_record(tmp_path / f"{method}-{seed}", content)
+    table = titled(sections_of(tmp_path)[0], f"{ROOM}: envgs and what it is without")
+    assert [row.method for row in table.rows] == ["envgs_no_joint", "envgs"]
+    assert row_of(table, "envgs_no_joint").cells["psnr - envgs"].text == "−0.60 ± 0.10"
+    assert row_of(table, "envgs").cells["psnr - envgs"].text == "+0.00"
 
 
 def test_rows_that_failed_somewhere_compete_for_nothing() -> None:
@@ -238,6 +176,25 @@ def test_protocols_and_devices_never_share_a_table(tmp_path: Path) -> None:
     assert lengths["table.csv"] == 1 + len(sections[0].tidy)
 
 
+def test_pictures_from_elsewhere_stand_beside_every_device_without_times(tmp_path: Path) -> None:
+    write_runs(tmp_path / "cpu", pictures=False)
+    gpu = record(ROOM, "envgs", 0)["provenance"] | {"device": {"type": "cuda", "name": "made-up GPU"}}
+    write_runs(tmp_path / "gpu", seeds=(0,), pictures=False, provenance=gpu)
+    other = record(ROOM, "zipnerf", 0, kind="renders", timing=None, cost=None, steps=0)
+    write_record(tmp_path / "zipnerf", other)
+    sections = sections_of(tmp_path)
+    assert [(s.device, len(s.runs)) for s in sections] == [("made-up CPU, 2 threads", 13), ("made-up GPU", 5)]
+    for section in sections:
+        row = row_of(titled(section, ROOM), "zipnerf")
+        assert row.cells["psnr"].text != "—"
+        assert [row.cells[key].text for key in ("frame_ms", "train_seconds", "primitives", "model_bytes")] == ["—"] * 4
+    write_record(tmp_path / "alone" / "zipnerf", other)
+    (alone,) = sections_of(tmp_path / "alone")
+    report = build_report(tmp_path / "alone", tmp_path / "out")
+    assert [column.key for column in alone.tables[0].columns][:1] == ["psnr"]
+    assert not (report.out / "pareto.png").exists()
+
+
 def test_runs_with_different_settings_never_share_a_row(tmp_path: Path) -> None:
     for size in (128, 256):
         config = {"method": {"name": "envmap", "settings": {"envmap_size": size}}, "dataset": {"kind": "toy"}}
@@ -287,6 +244,35 @@ def test_broken_records_are_listed_and_not_fatal(tmp_path: Path) -> None:
         text = (tmp_path / "out" / name).read_text()
         assert "truncated" in text
         assert "seed0-killed" in text
+
+
+def test_a_rebuilt_report_leaves_nothing_of_the_last_one_and_nothing_else_goes(tmp_path: Path) -> None:
+    write_runs(tmp_path / "runs", seeds=(0,))
+    write_runs(tmp_path / "runs/strict", seeds=(0,), protocol=other_protocol())
+    mine = tmp_path / "out/pictures/mine.png"
+    mine.parent.mkdir(parents=True)
+    mine.write_bytes(b"mine")
+    (tmp_path / "out/runs").mkdir()
+    build_report(tmp_path / "runs", tmp_path / "out")
+    first = {path for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    shutil.rmtree(tmp_path / "runs/strict")
+    build_report(tmp_path / "runs", tmp_path / "out")
+    build_report(tmp_path / "runs", tmp_path / "fresh")
+    second = {str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    fresh = {str(path.relative_to(tmp_path / "fresh")) for path in (tmp_path / "fresh").rglob("*") if path.is_file()}
+    assert second == fresh | {"pictures/mine.png"}
+    assert len(second) < len(first)
+    assert (tmp_path / "out/runs").is_dir()
+
+
+@pytest.mark.parametrize("listed", ['["../secret"]', '{"a": 1}', "[1, null]", "broken"])
+def test_a_list_of_files_cannot_lead_out_of_the_report(tmp_path: Path, listed: str) -> None:
+    write_runs(tmp_path / "runs", methods=("3dgs",), seeds=(0,), pictures=False)
+    (tmp_path / "secret").write_text("kept")
+    (tmp_path / "out/assets").mkdir(parents=True)
+    (tmp_path / "out/assets/files.json").write_text(listed)
+    build_report(tmp_path / "runs", tmp_path / "out")
+    assert (tmp_path / "secret").read_text() == "kept"
 
 
 def test_a_report_of_nothing_says_what_to_do(tmp_path: Path) -> None:
