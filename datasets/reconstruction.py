@@ -77,7 +77,7 @@ class Reconstructor:
             header = read_header(images / name)
             by_size[header.width, header.height].append(_plain(index, name))
         options = pycolmap.FeatureExtractionOptions()
-        options.max_image_size, options.use_gpu = self.feature_size, False
+        options.max_image_size = self.feature_size
         done = 0
         for plain in by_size.values():
             reader = pycolmap.ImageReaderOptions()
@@ -95,7 +95,6 @@ class Reconstructor:
         plain = [_plain(index, name) for index, name in enumerate(names)]
         pairs = list(combinations(plain, 2)) if self.matching == "exhaustive" else list(_neighbours(plain))
         options = pycolmap.FeatureMatchingOptions()
-        options.use_gpu = False
         verification = pycolmap.TwoViewGeometryOptions()
         verification.ransac.random_seed = SEED
         pairing = pycolmap.ImportedPairingOptions()

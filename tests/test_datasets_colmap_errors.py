@@ -76,6 +76,47 @@ def test_all_images_missing(root: Path) -> None:
     refused(root, r"sparse/0: 7 of 7 images .* are not there: a\.png, b\.png, c\.png, d\.png, e\.png …;")
 
 
+def test_missing_images_may_be_left_out(root: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (root / "images/c.png").unlink()
+    scene = load_scene({"kind": "colmap", "root": str(root), "missing": "skip"}, root.parent / "cache")
+    assert [view.name for view in [*scene.test, *scene.train]] == ["a", "b", "d", "e", "f", "g"]
+    assert "1 of 7 images that it names are not there: c.png; left out" in caplog.text
+
+
+def test_images_without_a_pose_are_left_out_and_said_so(root: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for name in ("x.png", "y.JPG"):
+        Image.fromarray(gradient()).save(root / "images" / name)
+    scene = load_scene({"kind": "colmap", "root": str(root)}, root.parent / "cache")
+    assert len(scene.train) + len(scene.test) == 7
+    assert "images: 2 images have no pose in the model and are left out: x.png, y.JPG" in caplog.text
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "/etc/secret.png", "left/../../secret.png"])
+def test_names_that_climb_out_of_the_folder(root: Path, name: str) -> None:
+    Image.fromarray(gradient()).save(root / "secret.png")
+    replace_in(root / "sparse/0/images.txt", " c.png", f" {name}")
+    refused(root, "sparse/0: names a file outside its folder, ")
+
+
+def test_a_root_that_is_an_archive(tmp_path: Path) -> None:
+    (tmp_path / "bench.zip").write_bytes(b"PK")
+    refused(tmp_path / "bench.zip", r"bench\.zip: is a file; unpack it and give the folder")
+
+
+def test_points_at_infinity(tmp_path: Path) -> None:
+    """Beyond float32, which binary models can hold and text ones too."""
+    far = POINTS.copy()
+    far[[3, 8], 2] = 1e39
+    refused(
+        write_capture(tmp_path / "bench", NAMES, points=far), "sparse/0: 2 of 30 points lie at infinity .*remove them"
+    )
+
+
+def test_images_of_one_camera_and_two_sizes(root: Path) -> None:
+    Image.fromarray(gradient(32, 24)).save(root / "images/d.png")
+    refused(root, r"images of one camera have several sizes \(64×48: a\.png, .*; 32×24: d\.png\); make them one size")
+
+
 def test_one_image_only(tmp_path: Path) -> None:
     refused(write_capture(tmp_path / "bench", NAMES[:1]), "bench/images: 1 image, expected at least two")
 
