@@ -15,6 +15,8 @@ from .app import explain, register_methods, settings_of
 from .core import Camera, Scene
 from .datasets import load_scene
 from .datasets.export import export_scene
+from .datasets.progress import listening
+from .display import make_display
 from .listing import CONF
 from .settings import SettingsError
 
@@ -38,9 +40,15 @@ def export(overrides: list[str], form: str, out: Path) -> int:
     except (CompactHydraException, OmegaConfBaseException, SettingsError) as error:
         print(f"envgs-bench export: {explain(error)}", file=sys.stderr)
         return WRONG_ARGUMENTS
-    scene = load_scene(settings.dataset, settings.cache_dir)
-    written = export_scene(scene, out, form)
-    again = load_scene(written, settings.cache_dir)
+    display = make_display(alone=True)
+    display.start(settings.dataset_name)
+    try:
+        with listening(lambda stage, done, total: display.update({"stage": stage, "step": done, "steps": total})):
+            scene = load_scene(settings.dataset, settings.cache_dir)
+            written = export_scene(scene, out, form)
+            again = load_scene(written, settings.cache_dir)
+    finally:
+        display.stop()
     print(f"{out}: {len(scene.train)} training and {len(scene.test)} test views, {len(scene.points):,} points")
     print(f"cameras read back {_difference(scene, again)}")
     print(f"read it with: envgs-bench run {shlex.join(_as_overrides(written))}")

@@ -20,7 +20,7 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(name, value)
 
 
-@pytest.mark.parametrize("command", [[], ["run"], ["report"], ["list"], ["doctor"], ["bench", "core"]])
+@pytest.mark.parametrize("command", [[], ["run"], ["report"], ["export"], ["list"], ["doctor"], ["bench", "core"]])
 def test_help_answers_without_pytorch(command: list[str]) -> None:
     code = (
         "import sys; from envgs_bench.cli import main\n"

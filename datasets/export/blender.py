@@ -15,7 +15,7 @@ from envgs_bench.core import Camera, Scene, View
 from ..blender import POINTS
 from ..frames import OPENGL_TO_OPENCV
 from ..settings import DatasetError
-from .files import write_image, write_masks, write_normals
+from .files import ViewFiles, write_views
 
 
 def write_blender(scene: Scene, root: Path) -> dict[str, Any]:
@@ -28,17 +28,14 @@ def write_blender(scene: Scene, root: Path) -> dict[str, Any]:
         DatasetError: a camera is skewed: the layout has no place for it.
     """
     root.mkdir(parents=True)
-    names: dict[str, str] = {}
+    files = []
     for split, views in (("train", scene.train), ("test", scene.test)):
-        stems = _stems(views, split)
-        names |= {view.name: f"{split}/{stem}" for view, stem in zip(views, stems, strict=True)}
-        content = {**_shared([*scene.train, *scene.test]), "frames": [_frame(view, names[view.name]) for view in views]}
+        names = [f"{split}/{stem}" for stem in _stems(views, split)]
+        frames = [_frame(view, name) for view, name in zip(views, names, strict=True)]
+        content = {**_shared([*scene.train, *scene.test]), "frames": frames}
         (root / f"transforms_{split}.json").write_text(json.dumps(content, indent=2), encoding="utf-8")
-        for view in views:
-            write_image(root / f"{names[view.name]}.png", view)
-            if view.normal is not None:
-                write_normals(root / f"{names[view.name]}_normal.npy", view.normal)
-    write_masks(root, [*scene.train, *scene.test], names)
+        files += [ViewFiles(view, name, name, f"{name}_normal") for view, name in zip(views, names, strict=True)]
+    write_views(root, files)
     _write_points(root / POINTS, scene)
     return {"kind": "blender", "train_normals": any(view.normal is not None for view in scene.train)}
 

@@ -13,7 +13,7 @@ from envgs_bench.core import Camera, Scene, View
 
 from ..settings import DatasetError
 from ..split import TEST_EVERY, split_views
-from .files import write_image, write_masks, write_normals
+from .files import ViewFiles, write_views
 from .rotation import exact_rotation
 
 
@@ -40,13 +40,10 @@ def write_colmap(scene: Scene, root: Path, text: bool) -> dict[str, Any]:
     folder = root / "sparse/0"
     folder.mkdir(parents=True)
     (model.write_text if text else model.write_binary)(str(folder))
-    for view in views:
-        write_image(root / "images" / f"{view.name}.png", view)
-    write_masks(root, views, {view.name: view.name for view in views})
-    normals = [view.normal for view in views if view.normal is not None]
-    if len(normals) == len(views):  # a folder of siblings is complete or not there
-        for view, normal in zip(views, normals, strict=True):
-            write_normals(root / "normals" / f"{view.name}.npy", normal)
+    known = all(view.normal is not None for view in views)  # a folder of siblings is complete or not there
+    normals = [f"normals/{view.name}" if known else None for view in views]
+    files = [ViewFiles(view, f"images/{view.name}", view.name, path) for view, path in zip(views, normals, strict=True)]
+    write_views(root, files)
     return {"kind": "colmap"}
 
 

@@ -1,8 +1,11 @@
-"""A view's pictures as files: PNGs, masks and normals."""
+"""Views as files: pictures, masks and normals."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,34 +15,45 @@ from torch import Tensor
 
 from envgs_bench.core import View
 
-
-def write_image(path: Path, view: View) -> None:
-    """The picture as RGB PNG, its bytes as they are."""
-    _write_png(path, view.image.numpy())
+from ..progress import report
 
 
-def write_masks(root: Path, views: Iterable[View], name_of: dict[str, str]) -> None:
-    """Regions as folders beside the images: masks/ for `foreground`, masks_<region>/ for others, white inside.
+@dataclass(frozen=True)
+class ViewFiles:
+    """A view and where its files go: paths below the export's folder, without extension."""
 
-    A folder is complete; where a view lacks a region, its mask is black, which scores nothing, as before.
+    view: View
+    image: str
+    mask: str  # below each region's folder
+    normal: str | None  # not written where None
 
-    Args:
-        name_of: file names below a region's folder, without extension, by the views' names.
+
+def write_views(root: Path, views: Sequence[ViewFiles]) -> None:
+    """RGB PNGs with the pictures' bytes as they are, masks and normals, in parallel.
+
+    Masks lie in masks/ for the region `foreground` and in masks_<region>/ for others, white inside. A folder is
+    complete: where a view lacks a region, its mask is black, which scores nothing, as before. Normals are float32
+    [H, W, 3] `.npy`, world frame: eight bits would cost a fifth of a degree.
     """
-    ordered = list(views)
-    for region in sorted({region for view in ordered for region in view.masks}):
-        folder = root / ("masks" if region == "foreground" else f"masks_{region}")
-        for view in ordered:
+    regions = sorted({region for files in views for region in files.view.masks})
+
+    def write(files: ViewFiles) -> None:
+        view = files.view
+        _write_png(root / f"{files.image}.png", view.image)
+        for region in regions:
+            folder = root / ("masks" if region == "foreground" else f"masks_{region}")
             mask = view.masks.get(region, torch.zeros(view.image.shape[:2], dtype=torch.bool))
-            _write_png(folder / f"{name_of[view.name]}.png", np.where(mask.numpy(), 255, 0).astype(np.uint8))
+            _write_png(folder / f"{files.mask}.png", 255 * mask.to(torch.uint8))
+        if files.normal is not None and view.normal is not None:
+            path = root / f"{files.normal}.npy"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            np.save(path, view.normal.float().numpy())
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for done, _ in enumerate(pool.map(write, views), start=1):
+            report("writing views", done, len(views))
 
 
-def write_normals(path: Path, normal: Tensor) -> None:
-    """Normals as float32 [H, W, 3] `.npy`, world frame: eight bits would cost a fifth of a degree."""
+def _write_png(path: Path, pixels: Tensor) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    np.save(path, normal.float().numpy())
-
-
-def _write_png(path: Path, pixels: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(pixels).save(path, compress_level=3)
+    Image.fromarray(pixels.numpy()).save(path, compress_level=3)

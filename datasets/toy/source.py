@@ -16,6 +16,7 @@ from pydantic import Field
 from envgs_bench.core import Camera, Scene, View
 
 from ..cache import cached_scene
+from ..progress import report
 from ..settings import SourceSettings, parse_settings
 from ..split import split_views
 from .cameras import cameras_around
@@ -79,8 +80,11 @@ def _make(choice: ToySettings, name: str) -> Scene:
     def make_view(index: int) -> View:
         return _view(world, cameras[index], f"{index:04d}", choice.supersampling, for_views[index])
 
+    views = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        views = list(pool.map(make_view, range(choice.views)))
+        for view in pool.map(make_view, range(choice.views)):
+            views.append(view)
+            report("tracing views", len(views), choice.views)
     train, test = split_views(views, name)
     points, colors = sfm_points(train, choice.noise, description.far_points, for_points)
     if choice.normal_noise:

@@ -18,7 +18,9 @@ class View:
     camera: Camera
     image: Tensor  # [H, W, 3] uint8, sRGB
     masks: dict[str, Tensor] = field(default_factory=dict)  # region name -> [H, W] bool, True inside
-    normal: Tensor | None = None  # [H, W, 3] unit, world frame, facing the camera; 0 where unknown
+    # [H, W, 3] unit, world frame, facing the camera; 0 where unknown. A training view's may be an estimate to learn
+    # from; a test view's is what scores refer to.
+    normal: Tensor | None = None
     depth: Tensor | None = None  # [H, W] camera-frame z; 0 where unknown
 
     def rgb(self, device: torch.device | str = "cpu") -> Tensor:
