@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -41,6 +42,16 @@ def own_source(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 def test_a_source_of_ones_own(tmp_path: Path) -> None:
     scene = load_scene({"kind": f"{__name__}:own_source", "name": "mine"}, tmp_path / "here")
     assert scene.name == "mine in here"
+
+
+def test_a_source_of_ones_own_with_a_real_point_cloud(tmp_path: Path) -> None:
+    """Photographs are not all that a source can read: pictures here are drawn from the cloud, so it must be in them."""
+    root = Path(os.environ.get("ENVGS_BENCH_DATA", "")) / "gsplat_garden"
+    if "ENVGS_BENCH_DATA" not in os.environ or not root.is_dir():
+        pytest.skip("ENVGS_BENCH_DATA names no folder with gsplat_garden")
+    scene = load_scene({"kind": "fakes.datasets:garden", "root": str(root), "downsample": 4}, tmp_path)
+    assert (len(scene.points), len(scene.train), len(scene.test)) == (138_766, 2, 1)
+    assert all((view.image > 8).float().mean() > 0.5 for view in [*scene.train, *scene.test])
 
 
 @pytest.mark.parametrize(
