@@ -13,6 +13,7 @@ from PIL import Image
 from envgs_bench.core import View
 from envgs_bench.records import read_record
 from envgs_bench.renders import RendersError, match_renders, read_render
+from envgs_bench.reports import build_report
 from envgs_bench.testing import HEIGHT, WIDTH, tiny_scene
 
 BLACK = torch.zeros(3)
@@ -51,6 +52,11 @@ def test_the_renders_of_a_run_score_as_the_run(tmp_path: Path) -> None:
     copied = only_folder(tmp_path / "others")
     names = {str(path.relative_to(copied)) for path in copied.rglob("*.png")}
     assert {"renders/view0.png", "targets/view0.png", "masks/view0-reflective.png", "layers/view0-error.png"} <= names
+    (section,) = build_report(tmp_path, tmp_path / "report").sections  # what took no times stands beside what did
+    tidy = section.tidy[section.tidy["metric"] == "frame_ms"]
+    assert list(tidy["method"]) == ["fake"]
+    lines = (tmp_path / "report" / "table.md").read_text().splitlines()
+    assert "| — |" in next(line for line in lines if line.startswith("| elsewhere |"))
 
 
 def test_pictures_drawn_again_are_another_run(tmp_path: Path) -> None:
