@@ -20,7 +20,10 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(name, value)
 
 
-@pytest.mark.parametrize("command", [[], ["run"], ["report"], ["export"], ["list"], ["doctor"], ["bench", "core"]])
+@pytest.mark.parametrize(
+    "command",
+    [[], ["run"], ["report"], ["rescore"], ["masks"], ["ply"], ["export"], ["list"], ["doctor"], ["bench", "core"]],
+)
 def test_help_answers_without_pytorch(command: list[str]) -> None:
     code = (
         "import sys; from envgs_bench.cli import main\n"
