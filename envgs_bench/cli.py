@@ -55,9 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.command == "export":
         return _explained("export", lambda: _export(rest, options.format, options.out))
     if options.command == "bench":
-        from .bench.core import main as bench_core
-
-        return bench_core(rest) or 0
+        return _bench(options.subject, rest)
     if options.command == "list":
         from .listing import print_listing
 
@@ -132,9 +130,21 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--out", type=Path, metavar="DIR", required=True, help="a new folder")
     commands.add_parser("list", help="methods, data sets, protocols, experiments, backends")
     bench = commands.add_parser("bench", help="time the core itself", add_help=False, allow_abbrev=False)
-    bench.add_argument("subject", choices=["core"], help="what to time; `bench core --help` tells its options")
+    bench.add_argument(
+        "subject", choices=["core", "tracers"], help="what to time; `bench core --help` tells its options"
+    )
     commands.add_parser("doctor", help="what works on this machine, and why not what does not")
     return parser
+
+
+def _bench(subject: str, arguments: list[str]) -> int:
+    if subject == "tracers":
+        from .bench.tracers import main as bench_tracers
+
+        return bench_tracers(arguments)
+    from .bench.core import main as bench_core
+
+    return bench_core(arguments)
 
 
 def _report(runs: Path, out: Path | None) -> int:

@@ -12,6 +12,7 @@ import torch
 from envgs_bench.bench.cases import chosen_cases, sweep_cases
 from envgs_bench.bench.core import main
 from envgs_bench.bench.room import BALLS, LOWER, UPPER, first_hits, reflected_rays, room_camera, room_gaussians
+from envgs_bench.bench.tracers import compare, pixel_along
 from envgs_bench.core import trace
 from envgs_bench.core.backends import BACKENDS
 from envgs_bench.core.torch.rotation import rotation_matrices
@@ -149,3 +150,23 @@ def test_help_knows_every_backend_and_waits_for_no_library():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     for name in BACKENDS:
         assert name in done.stdout
+
+
+def test_three_tracers_draw_one_frame():
+    """PyTorch agrees to float accuracy; one-pixel pictures but for the order of overlapping surfels."""
+    rows = compare(2000, (16, 12), "cpu", 24)
+    assert [row["way"] for row in rows] == ["tracer", "PyTorch", "1×1 rasterizer"]
+    assert [row["rays"] for row in rows] == [192, 24, 24]
+    assert rows[1]["difference"] < 1e-5
+    assert 0 < rows[2]["difference"] < 0.1
+    assert all(row["seconds"] > 0 for row in rows)
+
+
+def test_a_camera_of_one_pixel_sees_along_its_ray():
+    origin, direction = (
+        torch.tensor([1.0, -2.0, 0.5]),
+        torch.nn.functional.normalize(torch.tensor([0.2, 0.9, -0.4]), dim=0),
+    )
+    origins, directions = pixel_along(origin, direction).rays()
+    torch.testing.assert_close(origins[0, 0], origin)
+    torch.testing.assert_close(directions[0, 0], direction)

@@ -8,6 +8,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from .arguments import positive, size
+
 DESCRIPTION = """\
 Time rasterize, trace and build on a room of Gaussians: medians, and the distance between the quartiles.
 
@@ -69,29 +71,16 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="envgs-bench bench core", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--primitives", type=_positive, nargs="+", metavar="N", help="numbers of Gaussians")
-    parser.add_argument("--size", type=_size, nargs="+", metavar="WxH", help="sizes of the picture: 160x120 640x480")
+    parser.add_argument("--primitives", type=positive, nargs="+", metavar="N", help="numbers of Gaussians")
+    parser.add_argument("--size", type=size, nargs="+", metavar="WxH", help="sizes of the picture: 160x120 640x480")
     parser.add_argument(
         "--backend",
         nargs="+",
         choices=("cpu", "cuda", "torch", "embree"),
         help="default: the native ones that work here, and torch",
     )
-    parser.add_argument("--repeats", type=_positive, default=20, metavar="N", help="timed calls a case (default: 20)")
+    parser.add_argument("--repeats", type=positive, default=20, metavar="N", help="timed calls a case (default: 20)")
     parser.add_argument("--peers", action="store_true", help="also time gsplat's rasterizers, where it is installed")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows here")
     parser.add_argument("--chart", type=Path, metavar="FILE", help="sweep primitives and sizes, and draw them (png)")
     return parser
-
-
-def _positive(text: str) -> int:
-    if not text.isdigit() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is no positive whole number")
-    return int(text)
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.lower().partition("x")
-    if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
-        raise argparse.ArgumentTypeError(f"{text!r} is no size, expected WxH such as 160x120")
-    return int(width), int(height)
