@@ -85,10 +85,11 @@ ENV_PRIMITIVES = Column(
 )
 MEGA = Decimal("1e-6")
 MEGABYTES = Column("model_bytes", "full", "MB", 1, "lower", "model size, MB", "10⁶ bytes", ranked=False, scale=MEGA)
+REGIONS = ("reflective", "near_field", "transmissive", "foreground")  # those whose PSNR stands beside the full image's
 COSTS = (FRAME_MS, TRAIN_SECONDS, MEGABYTES, PRIMITIVES)  # the axes of the charts
 MAIN_COLUMNS = (
     *SCORES,
-    *(in_region(PSNR, region) for region in ("reflective", "near_field", "foreground")),
+    *(in_region(PSNR, region) for region in REGIONS),
     NORMALS,
     FRAME_MS,
     TRAIN_SECONDS,

@@ -134,7 +134,7 @@ def regions(contents: Contents) -> list[Table]:
     for name, members in contents.subjects.items():
         columns: list[Column] = []
         for region in contents.numbers.regions(members):
-            inside = [replace(in_region(score, region), title=score.title) for score in SCORES]
+            inside = [replace(in_region(score, region), title=score.title) for score in (*SCORES, NORMALS)]
             columns += of(contents.numbers.having(members, region), inside, region.replace("_", "-"))
         tables.append(contents.table(f"{name}: inside the regions", "regions", columns))
     return tables
@@ -143,24 +143,37 @@ def regions(contents: Contents) -> list[Table]:
 def ablations(contents: Contents) -> list[Table]:
     """Table 4: the variants of a method, then the method itself, and by how much they differ over the same seeds."""
     tables = []
-    for full in contents.methods:
+    for full in _full_methods(contents):
         name, kind = contents.labels[full].name, contents.kinds[full]
         parts = [m for m in contents.methods if contents.kinds[m] == kind and contents.labels[m].name != name]
         parts += [m for m in contents.methods if parts and contents.kinds[m] in ABLATED.get(kind, ())]
-        parts = parts if name == kind else []
-        for name, members in contents.subjects.items() if parts else ():
-            difference = replace(PSNR, title="Δ PSNR", against=full, explanation=f"minus {full}, seed by seed")
-            columns = list(of(members, (PSNR, replace(difference, ranked=False), SSIM, LPIPS, FLIP)))
+        difference = replace(
+            PSNR, title="Δ PSNR", against=full, explanation=f"minus {full}, seed by seed", ranked=False
+        )
+        for subject, members in contents.subjects.items() if parts else ():
+            columns = list(of(members, (PSNR, difference, SSIM, LPIPS, FLIP)))
             for region in REGIONS_OF_ABLATION:
                 having = contents.numbers.having(members, region)
-                inside = (in_region(PSNR, region), replace(in_region(difference, region), ranked=False))
-                columns += of(having, inside) if having else ()
+                columns += of(having, (in_region(PSNR, region), in_region(difference, region))) if having else ()
             columns += of(members, (NORMALS,))
-            title = f"{name}: {full} and what it is without"
+            title = f"{subject}: {full} and what it is without"
             tables.append(
                 contents.table(title, "ablation", columns, [*parts, full], lambda m: published_source(m) == "ablation")
             )
     return [table for table in tables if len(table.rows) > 1]
+
+
+def _full_methods(contents: Contents) -> list[str]:
+    """Of each kind the row that has its name; of several, as a knob's, the one with the most runs."""
+    whole = tuple(dict.fromkeys(name for members in contents.subjects.values() for name in members))
+    found: dict[str, str] = {}
+    for method in contents.methods:
+        kind = contents.kinds[method]
+        if contents.labels[method].name == kind:
+            runs = contents.numbers.statuses(whole, method).total()
+            if kind not in found or runs > contents.numbers.statuses(whole, found[kind]).total():
+                found[kind] = method
+    return list(found.values())
 
 
 def speeds(contents: Contents) -> list[Table]:

@@ -22,7 +22,7 @@ LADDER = {
     "envmap256": Style("#8F5B00", ">", "triangle-right"),
     "envgs": Style("#D1495B", "o", "circle"),
 }
-COLORS = ("#332288", "#117733", "#AA4499", "#999933", "#882255", "#44AA99", "#CC6677")
+COLORS = ("#6A5ACD", "#2A8F4E", "#AA4499", "#8C8C1F", "#A3386F", "#2F9C8F", "#CC6677")
 MARKS = (("v", "triangle-down"), ("P", "cross"), ("X", "x"), ("p", "pentagon"), ("h", "hexagon"), ("*", "star"))
 
 
