@@ -19,7 +19,6 @@ from .capture import (
     Missing,
     cached_capture,
     files_of,
-    make_views,
     refuse_missing,
     require_folder,
 )
@@ -29,6 +28,7 @@ from .normals import NormalMap
 from .photographs import Photograph, with_siblings
 from .pointcloud import PointCloud, random_points, read_ply
 from .settings import parse_settings
+from .views import make_views
 
 VERSION = 1  # raise it with every change that alters a scene
 TRANSFORMS = ("transforms_train.json", "transforms_test.json")
@@ -72,7 +72,7 @@ def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     def make(draft: Draft) -> Scene:
         for file, (_, missing) in zip(files, found, strict=True):
             refuse_missing(choice.missing, len(file.frames), missing, file.path, draft)
-        views = make_views(photographs, choice, draft)
+        views = make_views(photographs, choice.downsample, choice.background, draft)
         cloud = read_ply(root / POINTS) if (root / POINTS).is_file() else _random_points(choice)
         learned = with_estimated_normals(views[: len(train)], choice.normal_estimator, draft)
         return Scene(choice.scene_name, learned, views[len(train) :], *cloud, torch.tensor(choice.background))

@@ -51,7 +51,10 @@ def estimator_version(path: str | None) -> str | None:
     """A hash of the file that the estimator comes from: where that changes, normals are estimated again."""
     if path is None:
         return None
-    source = importlib.util.find_spec(_function(path).__module__)
+    try:  # without importing it, which may take long and is needless where all is cached
+        source = importlib.util.find_spec(path.partition(":")[0])
+    except (ImportError, ValueError):
+        return None
     if source is None or source.origin is None or not Path(source.origin).is_file():
         return None
     return hashlib.sha256(Path(source.origin).read_bytes()).hexdigest()
