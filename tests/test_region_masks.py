@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import yaml
 from captures import PINHOLE, write_capture
+from fakes.methods import MeanColor, Settings
 from fakes.runs import environment, only_folder, run
 from PIL import Image
 
@@ -16,17 +18,13 @@ from envgs_bench.cli import main
 from envgs_bench.datasets import DatasetError, load_scene
 from envgs_bench.datasets.mask_files import write_masks
 from envgs_bench.methods.envgs import EnvGS, EnvGSSettings
+from envgs_bench.methods.ply import read_ply
 from envgs_bench.records import read_record
+from envgs_bench.settings import MethodChoice, read_settings
+from envgs_bench.testing import tiny_scene
 
 NAMES = ["left/1.png", "left/2.jpg", "right/1.png", "right/2.png"]
-TRAINED = (
-    "method=envgs",
-    "dataset=toy/sky_ball",
-    "dataset.views=8",
-    "dataset.width=32",
-    "dataset.height=24",
-    "steps=12",
-)
+TRAINED = ("method=envgs", "steps=12")
 
 
 @pytest.fixture(autouse=True)
@@ -133,7 +131,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         for name, value in environment().items():
             patch.setenv(name, value)
-        assert run(runs, *TRAINED, f"cache_dir={runs / 'cache'}") == 0
+        assert run(runs, *TRAINED) == 0
     return only_folder(runs)
 
 
@@ -145,7 +143,7 @@ def test_a_trained_run_gives_a_mask_a_view_and_says_how(trained: Path, tmp_path:
         region: {path.stem: np.asarray(Image.open(path)) for path in (tmp_path / f"masks_{region}").glob("*.png")}
         for region in ("reflective", "near_field")
     }
-    assert len(read["reflective"]) == len(read["near_field"]) == 8
+    assert len(read["reflective"]) == len(read["near_field"]) == 6
     for name, mask in read["reflective"].items():
         assert mask.shape == (24, 32)
         assert set(np.unique(mask)) <= {0, 255}
@@ -168,20 +166,22 @@ def test_what_cannot_give_masks_is_explained(trained: Path, tmp_path: Path, caps
     assert not list(tmp_path.glob("masks_*"))
 
 
-def test_a_run_without_beta_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(tmp_path / "runs") == 0
-    folder = only_folder(tmp_path / "runs")
-    assert main(["masks", str(folder), "--region", "reflective", "--out", str(tmp_path)]) == 1
+def test_a_run_without_beta_is_refused(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = MethodChoice(name="fake", kind="fakes.methods:MeanColor", settings={})
+    settings = read_settings(trained).model_copy(update={"method": other})
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(settings.model_dump(mode="json")))
+    method = MeanColor(Settings())
+    method.initialize(tiny_scene(), 1)
+    method.save(tmp_path / "checkpoint")
+    assert main(["masks", str(tmp_path), "--region", "reflective", "--out", str(tmp_path)]) == 1
     assert "method fake knows no β; take a run of method=envgs" in capsys.readouterr().err
-    assert main(["ply", str(folder), "--out", str(tmp_path)]) == 1
+    assert main(["ply", str(tmp_path), "--out", str(tmp_path)]) == 1
     assert "method fake has no sets of Gaussians to write" in capsys.readouterr().err
 
 
 def test_the_sets_of_a_run_are_written_as_ply(
     trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from envgs_bench.methods.ply import read_ply
-
     assert main(["ply", str(trained), "--out", str(tmp_path / "sets")]) == 0
     assert capsys.readouterr().out.split() == [str(tmp_path / "sets" / f"{name}.ply") for name in ("base", "env")]
     record = read_record(trained)

@@ -11,7 +11,7 @@ from fakes.runs import environment, only_folder, records, run
 
 from envgs_bench.cli import main
 from envgs_bench.metrics import get_protocol
-from envgs_bench.records import read_record
+from envgs_bench.records import Failure, read_record, write_record
 from envgs_bench.reports import build_report
 from envgs_bench.rescoring import read_picture
 from envgs_bench.view_pictures import save_png
@@ -34,12 +34,9 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("protocol", ["strict", "inria"])
-def test_a_protocol_that_rounds_gets_the_runs_own_numbers_to_the_last_digit(
-    tmp_path: Path, finished: Path, protocol: str
-) -> None:
-    assert run(tmp_path / "direct", f"protocol={protocol}") == 0
-    assert main(["rescore", str(finished), "--protocol", protocol, "--out", str(tmp_path / "again")]) == 0
+def test_a_protocol_that_rounds_gets_the_runs_own_numbers_to_the_last_digit(tmp_path: Path, finished: Path) -> None:
+    assert run(tmp_path / "direct", "protocol=strict") == 0
+    assert main(["rescore", str(finished), "--protocol", "strict", "--out", str(tmp_path / "again")]) == 0
     (direct,), (again,) = records(tmp_path / "direct"), records(tmp_path / "again")
     assert again.metrics == direct.metrics
     assert again.masked == direct.masked
@@ -47,6 +44,16 @@ def test_a_protocol_that_rounds_gets_the_runs_own_numbers_to_the_last_digit(
     assert again.metrics is not None
     assert "normal_degrees" in again.metrics.mean
     assert again.protocol == direct.protocol
+
+
+@pytest.mark.parametrize("protocol", ["strict", "inria"])
+def test_pictures_and_checkpoints_agree_where_protocols_round(tmp_path: Path, finished: Path, protocol: str) -> None:
+    command = ["rescore", str(finished), "--protocol", protocol, "--device", "cpu", "--out"]
+    assert main([*command, str(tmp_path / "pictures")]) == 0
+    assert main([*command, str(tmp_path / "checkpoints"), "--redraw"]) == 0
+    (pictures,), (checkpoints,) = records(tmp_path / "pictures"), records(tmp_path / "checkpoints")
+    assert (pictures.metrics, pictures.masked) == (checkpoints.metrics, checkpoints.masked)
+    assert pictures.protocol == checkpoints.protocol
 
 
 def test_a_rescored_record_keeps_the_run_and_leaves_its_folder_alone(tmp_path: Path, finished: Path) -> None:
@@ -110,13 +117,18 @@ def test_saved_pictures_round_as_protocols_do(tmp_path: Path) -> None:
     assert strict.score(read_picture(tmp_path / "a.png"), read_picture(tmp_path / "a.png"))["psnr"] == 100
 
 
-def test_failed_runs_stay_failures(tmp_path: Path) -> None:
-    failing = ("method.kind=fakes.methods:Raises", "method.settings.crash_at=2")
-    assert run(tmp_path / "runs", *failing) == 1
-    assert main(["rescore", str(tmp_path / "runs"), "--protocol", "strict"]) == 0
-    (record,) = records(tmp_path / "runs-strict")
-    assert record.status == "failed"
-    assert record.protocol.name == "strict"
+def test_failed_runs_stay_failures(tmp_path: Path, finished: Path) -> None:
+    shutil.copytree(finished, tmp_path / "runs")
+    folder = only_folder(tmp_path / "runs")
+    failure = Failure(type="RuntimeError", message="in a bad mood", log_tail="")
+    reached = {"metrics": None, "masked": {}, "timing": None}
+    failed = read_record(folder).model_copy(update={"status": "failed", "error": failure, **reached})
+    write_record(folder, failed)
+    for options in ((), ("--redraw",)):
+        assert main(["rescore", str(tmp_path / "runs"), "--protocol", "strict", *options]) == 0
+        (record,) = records(tmp_path / "runs-strict")
+        assert (record.status, record.error) == ("failed", failure)
+        assert record.protocol.name == "strict"
 
 
 def test_missing_pictures_and_wrong_arguments_are_named(
