@@ -14,8 +14,8 @@ from .shapes import Array
 class Lathe:
     """A cubic spline through (radius, height) points, from v = 0 to v = 1, turned about +z through `base`.
 
-    The normal points to the left of the profile's direction of travel in the (radius, height) plane turned clockwise,
-    so a profile that runs from the top middle outwards and down faces outwards.
+    Normals point to the left of the way along the profile, radius drawn to the right and height up: on a profile that
+    runs from the top middle outwards and down they point outwards.
     """
 
     base: tuple[float, float, float]
