@@ -43,11 +43,11 @@ def save_pair(folder: Path, view: View, image: Tensor, layers: Mapping[str, Tens
 
 
 def depth_picture(depth: Tensor, unit: float) -> Tensor:
-    """Grey in [0, 1] of a depth [H, W], unit / (unit + depth): near is white, far and nothing (0) are black.
+    """Grey in [0, 1] of a depth [H, W], unit² / (unit² + depth²): near is white, far and nothing (0) are black.
 
     The mapping is the scene's, not the picture's own, so that methods compare.
     """
-    return torch.where(depth > 0, unit / (unit + depth.clamp(min=0)), torch.zeros_like(depth))
+    return torch.where(depth > 0, unit**2 / (unit**2 + depth**2), torch.zeros_like(depth))
 
 
 def error_picture(image: Tensor, target: Tensor) -> Tensor:

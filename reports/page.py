@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections import Counter
 from collections.abc import Sequence
@@ -119,7 +120,7 @@ def _table(section: Section, table: Table) -> dict[str, Any]:
 
 
 def _heading(heading: Heading) -> dict[str, str]:
-    text = heading.text.replace(" ↑", "\N{NO-BREAK SPACE}↑").replace(" ↓", "\N{NO-BREAK SPACE}↓")
+    text = re.sub(" (?=[↑↓°])", "\N{NO-BREAK SPACE}", heading.text)
     return {"text": text, "explanation": heading.explanation}
 
 

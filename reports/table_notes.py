@@ -32,6 +32,7 @@ def notes(section: Section, table: Table) -> list[str]:
             for metric, reasons in section.not_computed(dataset).items():
                 found.append(f"n/c: {metric.upper()} was not computed: {'; '.join(reasons)}.")
     found += _shares(section, table)
+    found += _parts(table) if table.kind == "subject" else []
     if any(column.metric == "frame_ms" for column in table.columns):
         found += _company(section, table)
     if any(column.against for column in table.columns):
@@ -57,6 +58,16 @@ def _shares(section: Section, table: Table) -> list[str]:
     if not words:
         return []
     return [f"Of the pixels: {', '.join(words)}; in brackets what compositing the region on white adds to its PSNR."]
+
+
+def _parts(table: Table) -> list[str]:
+    """Over how many of the data sets a column is, where some do not have its region."""
+    counts = sorted({len(column.datasets) for column in table.columns} - {len(table.datasets)})
+    titles = {count: [column.title for column in table.columns if len(column.datasets) == count] for count in counts}
+    return [
+        f"{', '.join(titles[count])}: over the {count} of {len(table.datasets)} data sets that have the region."
+        for count in counts
+    ]
 
 
 def _company(section: Section, table: Table) -> list[str]:
