@@ -8,9 +8,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
-from .core import Camera, GaussianSet, Scene
+from .core import Camera, GaussianSet, Scene, build_bvh
 from .datasets.mask_files import write_masks
 from .datasets.registry import load_scene
 from .draft import now
@@ -26,6 +28,7 @@ from .methods.regions import (
 )
 from .records import write_atomically
 from .reopening import reopen
+from .settings import RunSettings
 
 REGIONS = ("reflective", "near_field")
 BOX_QUANTILE = 0.995  # of the points, as where EnvGS places its environment (paper, Sec. 4.3)
@@ -63,26 +66,27 @@ def make_masks(run: Path, choice: MaskChoice, out: Path, device: str = "auto") -
             f"{_point(ball.center)}; lower --beta, or give the foreground as --foreground X Y Z RADIUS"
         )
     drawing = _Drawing(choice.region, base, kept, scene, method.radius, method.settings.near)
-    masks = {}
+    masks: dict[str, NDArray[np.bool_]] = {}
     for number, view in enumerate(views, start=1):
         masks[view.name] = drawing.mask(view.camera.to(method.device)).cpu().numpy()
         yield number, len(views)
-    folder, partial = out / f"masks_{choice.region}", out / f".masks_{choice.region}.part"
+    _write(settings, masks, out / f"masks_{choice.region}")
+    about = {
+        **{"region": choice.region, "run": str(run.resolve()), "dataset": scene.name, "made": now()},
+        **{"beta_min": choice.beta_min, "base_primitives": len(base)},
+        "foreground": {"center": ball.center.tolist(), "radius": ball.radius, "primitives": int(kept.sum())},
+        "mean_fraction": float(sum(mask.mean() for mask in masks.values()) / len(masks)),
+    }
+    write_atomically(out / f"masks_{choice.region}.json", json.dumps(about, indent=1) + "\n")
+
+
+def _write(settings: RunSettings, masks: dict[str, NDArray[np.bool_]], folder: Path) -> None:
+    """All files or none: a capture with half a folder of masks would be refused."""
+    partial = folder.with_name(f".{folder.name}.part")
     shutil.rmtree(partial, ignore_errors=True)
     write_masks(settings.dataset, settings.cache_dir, masks, partial)
     shutil.rmtree(folder, ignore_errors=True)
-    partial.replace(folder)  # a capture with half a folder of masks would be refused
-    about = {
-        "region": choice.region,
-        "run": str(run.resolve()),
-        "dataset": scene.name,
-        "made": now(),
-        "beta_min": choice.beta_min,
-        "foreground": {"center": ball.center.tolist(), "radius": ball.radius, "primitives": int(kept.sum())},
-        "base_primitives": len(base),
-        "mean_fraction": float(sum(mask.mean() for mask in masks.values()) / len(masks)),
-    }
-    write_atomically(folder.with_suffix(".json"), json.dumps(about, indent=1) + "\n")
+    partial.replace(folder)
 
 
 class _Drawing:
@@ -95,12 +99,13 @@ class _Drawing:
         margin = BOX_MARGIN * (high - low)
         inside = in_box(base, low - margin, high + margin)
         self.surroundings = base.map(lambda values: values[inside])
+        self.bvh = build_bvh(self.surroundings) if region == "near_field" else None
 
     def mask(self, camera: Camera) -> Tensor:
         reflects = reflective_mask(self.foreground, camera, self.near)
         if self.region == "reflective":
             return reflects
-        return reflects & near_field_mask(self.base, self.surroundings, camera, self.radius, self.near)
+        return reflects & near_field_mask(self.base, self.surroundings, camera, self.radius, self.near, self.bvh)
 
 
 def _point(values: Tensor) -> str:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, GaussianSet, rasterize, trace
+from envgs_bench.core import Bvh, Camera, GaussianSet, rasterize, trace
 
 from .reflection import reflected_rays
 
@@ -69,7 +69,12 @@ def reflective_mask(foreground: GaussianSet, camera: Camera, near: float = 0.2) 
 
 @torch.no_grad()
 def near_field_mask(
-    base: GaussianSet, surroundings: GaussianSet, camera: Camera, radius: float, near: float = 0.2
+    base: GaussianSet,
+    surroundings: GaussianSet,
+    camera: Camera,
+    radius: float,
+    near: float = 0.2,
+    bvh: Bvh | None = None,
 ) -> Tensor:
     """Where the view's reflected rays meet the surroundings: [H, W] bool. To be intersected with `reflective_mask`.
 
@@ -78,11 +83,12 @@ def near_field_mask(
         surroundings: what rays may meet: the base set's part within the scene's box.
         radius: the scene's, world units.
         near: that of `rasterize`, world units.
+        bvh: of the surroundings; built here where None.
     """
     shown = rasterize(base, camera, near=near)
     offset = OWN_SURFACE * radius
     pixels, origins, directions = reflected_rays(shown, camera, offset=0.0, beta_min=None, joint=False)
-    alpha = trace(surroundings, origins, directions, t_min=offset).alpha
+    alpha = trace(surroundings, origins, directions, t_min=offset, bvh=bvh).alpha
     mask = torch.zeros(camera.height * camera.width, dtype=torch.bool, device=pixels.device)
     mask[pixels[alpha > INSIDE]] = True
     return mask.reshape(camera.height, camera.width)
