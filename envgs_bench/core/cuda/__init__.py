@@ -14,9 +14,10 @@ from ..trace import Bvh
 from .bvh import SurfelTree
 from .compiler import why_unavailable
 from .raster_pass import RasterPass
+from .reflect import reflect
 from .trace_pass import TracePass
 
-__all__ = ["build_bvh", "rasterize", "trace", "why_unavailable"]
+__all__ = ["build_bvh", "rasterize", "reflect", "trace", "why_unavailable"]
 
 
 def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> Rendering:

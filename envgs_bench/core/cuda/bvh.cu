@@ -1,5 +1,6 @@
 // Builds the tree: where the centres lie, keys along the curve, (a sort), surfels packed in that order with their
-// boxes, and the levels above. Refitting to changed surfels repeats only the last two.
+// boxes, 32 neighbours at a time arranged into good leaves, and the levels above. Refitting to changed surfels repeats
+// only the last two, and keeps the leaves.
 #include "bvh.cuh"
 
 using namespace envgs;
@@ -79,29 +80,108 @@ ENVGS_FN void store_union(Box box, float2* boxes, int stride, int at) {
     }
 }
 
-// order [count]: the primitives along the curve. A thread a surfel; further threads pad the two lowest levels.
+ENVGS_FN float half_area(const Box& b) {
+    float x = maximum(b.high[0] - b.low[0], 0.0f), y = maximum(b.high[1] - b.low[1], 0.0f);
+    float z = maximum(b.high[2] - b.low[2], 0.0f);
+    return x * y + y * z + z * x;
+}
+
+// The union over runs of `Lanes` threads.
+template <int Lanes>
+__device__ __forceinline__ Box united(Box box) {
+#pragma unroll
+    for (int offset = 1; offset < Lanes; offset *= 2)
+#pragma unroll
+        for (int k = 0; k < 3; ++k) {
+            box.low[k] = minimum(box.low[k], __shfl_xor_sync(kFullWarp, box.low[k], offset));
+            box.high[k] = maximum(box.high[k], __shfl_xor_sync(kFullWarp, box.high[k], offset));
+        }
+    return box;
+}
+
+// What a warp's threads pass around while they arrange their surfels.
+struct Scratch {
+    Box boxes[32];
+    int threads[32];
+};
+
+// Halves runs of `Lanes` boxes, a thread each: along that of four orders (the centres' coordinates, and size) whose
+// halves have the least area together. `from` is the thread that a box came from; those from `present` on pad.
+template <int Lanes>
+__device__ __forceinline__ void halve(Box& box, int& from, int present, Scratch& scratch) {
+    float least = kInfinity;
+    int chosen = lane_id();
+#pragma unroll 1
+    for (int order = 0; order < 4; ++order) {
+        float along = order == 0   ? box.low[0] + box.high[0]
+                      : order == 1 ? box.low[1] + box.high[1]
+                      : order == 2 ? box.low[2] + box.high[2]
+                                   : half_area(box);
+        // The thread's number in the lowest bits: no two are equal. Padding comes last.
+        u32 key = ((from < present ? min(sortable_bits(along), 0xffffffbfu) : ~0u) & ~31u) | lane_id();
+        int place = lane_id() & ~(Lanes - 1);
+#pragma unroll
+        for (int other = 1; other < Lanes; ++other) place += __shfl_xor_sync(kFullWarp, key, other) < key;
+        scratch.boxes[place] = box;
+        __syncwarp();
+        float area = half_area(united<Lanes / 2>(scratch.boxes[lane_id()]));
+        area += __shfl_xor_sync(kFullWarp, area, Lanes / 2);
+        if (area < least) least = area, chosen = place;
+        __syncwarp();
+    }
+    scratch.boxes[chosen] = box, scratch.threads[chosen] = from;
+    __syncwarp();
+    box = scratch.boxes[lane_id()], from = scratch.threads[lane_id()];
+    __syncwarp();
+}
+
+// order [count]: the primitives along the curve. A thread a surfel; further threads pad leaves and the two lowest levels.
+// Where `arrange` is set, each 32 neighbours in `order` are put in the order that makes good leaves.
 extern "C" __global__ void __launch_bounds__(256)
     pack_surfels(const float* means, const float* quaternions, const float* scales, const float* opacities, int count,
-                 const u32* order, TracedSurfel* surfels, float2* boxes) {
+                 bool arrange, u32* order, float4* surfels, float2* boxes) {
     Levels levels = Levels::of(count);
-    int stride = levels.total(), slot = blockIdx.x * blockDim.x + threadIdx.x;
+    int stride = levels.total(), slot = blockIdx.x * blockDim.x + threadIdx.x, leaf = slot / kLeaf;
     Box box = empty_box();
+    TracedSurfel s = {};
+    s.support = -1.0f, s.index = -1;
     if (slot < count) {
         Gaussians g = {means, quaternions, scales, opacities, nullptr, nullptr, count};
         int i = order[slot];
         float inverse_norm;
         float2 scale = reinterpret_cast<const float2*>(scales)[i];
         Axes<float> axes = axes_of(normalized(quaternion_at(g, i), inverse_norm));
-        TracedSurfel s = {surfel_frame(axes, scale.x, scale.y), mean_at(g, i), support_of(opacities[i]), opacities[i], i};
+        s = {surfel_frame(axes, scale.x, scale.y), mean_at(g, i), support_of(opacities[i]), opacities[i], i};
         box = box_of(s, scale.x * axes.u, scale.y * axes.v);
-        surfels[slot] = s;
     }
-    if (slot < levels.offset[1]) {
+    int own_slot = slot;
+    if (arrange) {
+        __shared__ Scratch scratches[8];
+        Scratch& scratch = scratches[warp_id()];
+        int from = lane_id(), present = count - (slot - lane_id());
+        static_assert(kLeaf == 4, "three halvings");
+        halve<32>(box, from, present, scratch);
+        halve<16>(box, from, present, scratch);
+        halve<8>(box, from, present, scratch);
+        scratch.threads[from] = lane_id();
+        __syncwarp();
+        own_slot += scratch.threads[lane_id()] - lane_id();
+        if (own_slot < count) order[own_slot] = s.index;
+    }
+    if (leaf < levels.offset[1]) Surfels{surfels}.store(own_slot, s);
+    box = united<kLeaf>(box);
+    __shared__ Box leaves[256 / kLeaf];
+    if (slot % kLeaf == 0) {
+        leaves[threadIdx.x / kLeaf] = box;
+        if (leaf < levels.offset[1])
 #pragma unroll
-        for (int k = 0; k < 3; ++k) boxes[long(k) * stride + slot] = make_float2(box.low[k], box.high[k]);
+            for (int k = 0; k < 3; ++k) boxes[long(k) * stride + leaf] = make_float2(box.low[k], box.high[k]);
     }
-    if (levels.count > 1 && slot / 32 < levels.offset[2] - levels.offset[1])
-        store_union(box, boxes, stride, levels.offset[1] + slot / 32);
+    __syncthreads();
+    if (levels.count == 1 || threadIdx.x >= 256 / kLeaf) return;
+    int parent = (blockIdx.x * (256 / kLeaf) + threadIdx.x) / 32;
+    if (parent < levels.offset[2] - levels.offset[1])
+        store_union(leaves[threadIdx.x], boxes, stride, levels.offset[1] + parent);
 }
 
 // Level `level` + 1 from level `level`; further threads pad it.

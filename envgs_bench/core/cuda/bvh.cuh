@@ -1,25 +1,46 @@
-// The tree: surfels along a Hilbert curve through their centres, 32 to a leaf, and 32 boxes to a node above. Children
-// follow from positions, so there are no pointers to build; a warp tests a node's 32 boxes at once, a thread each, from
-// three coalesced loads.
+// The tree: surfels along a Hilbert curve through their centres, 4 to a leaf, and 32 boxes to a node. Children follow
+// from positions, so there are no pointers to build; a warp tests a node's 32 boxes at once, a thread each, from three
+// coalesced loads.
 #pragma once
 #include "gaussians.cuh"
 #include "warp.cuh"
 
 namespace envgs {
 
-constexpr int kMaxLevels = 6;
+constexpr int kLeaf = 4;       // surfels
+constexpr int kMaxLevels = 5;  // enough for 2²⁴ surfels
 
-struct alignas(16) TracedSurfel {
+struct TracedSurfel {
     SurfelFrame<float> frame;
     Vec3<float> mean;
     float support, opacity;  // support < 0 where never visible
-    int index;               // in the set
-    float unused;
+    int index;               // in the set; −1: none
 };
-static_assert(sizeof(TracedSurfel) == 64, "four 16-byte loads");
 
-// Level 0 holds a box a surfel, level l + 1 a box for 32 of level l; each level is padded to whole groups of 32 with
-// empty boxes, and the last is one group. A plane of (low, high) pairs for each axis.
+// Surfels by slot, their place in the tree. A leaf keeps the first 16 bytes of all its surfels, then the next: threads
+// that read a surfel each of one leaf read side by side.
+struct Surfels {
+    float4* quarters;
+
+    ENVGS_FN float4* first(u32 slot) const { return quarters + (slot / kLeaf * (4 * kLeaf) + slot % kLeaf); }
+
+    __device__ __forceinline__ TracedSurfel load(u32 slot) const {
+        const float4* at = first(slot);
+        float4 a = at[0], b = at[kLeaf], c = at[2 * kLeaf], d = at[3 * kLeaf];
+        return {{{a.x, a.y, a.z}, {a.w, b.x, b.y}, {b.z, b.w, c.x}}, {c.y, c.z, c.w}, d.x, d.y, __float_as_int(d.z)};
+    }
+    __device__ __forceinline__ void store(u32 slot, const TracedSurfel& s) const {
+        float4* at = first(slot);
+        const SurfelFrame<float>& f = s.frame;
+        at[0] = make_float4(f.u.x, f.u.y, f.u.z, f.v.x), at[kLeaf] = make_float4(f.v.y, f.v.z, f.n.x, f.n.y);
+        at[2 * kLeaf] = make_float4(f.n.z, s.mean.x, s.mean.y, s.mean.z);
+        at[3 * kLeaf] = make_float4(s.support, s.opacity, __int_as_float(s.index), 0.0f);
+    }
+    __device__ __forceinline__ int index(u32 slot) const { return __float_as_int(first(slot)[3 * kLeaf].z); }
+};
+
+// Level 0 holds a box a leaf, level l + 1 a box for 32 of level l; each level is padded to whole groups of 32 with empty
+// boxes, and the last is one group. A plane of (low, high) pairs for each axis.
 struct Levels {
     int offset[kMaxLevels + 1];  // of each level in a plane; the last is the planes' length
     int count;
@@ -27,7 +48,7 @@ struct Levels {
     __device__ static Levels of(int surfels) {
         Levels levels;
         levels.count = 0;
-        int size = max((surfels + 31) / 32, 1), at = 0;
+        int size = max((surfels + 32 * kLeaf - 1) / (32 * kLeaf), 1), at = 0;
         for (;;) {
             levels.offset[levels.count++] = at;
             at += size * 32;

@@ -11,6 +11,7 @@ from .sorting import radix_sort
 
 MAX_SURFELS = 1 << 24
 SURFEL_FLOATS = 16
+LEAF = 4  # surfels
 HILBERT_BITS = 30
 
 
@@ -30,10 +31,10 @@ class SurfelTree:
         self.statistics = torch.zeros(13, dtype=torch.int32, device=device)
         self.statistics[:3] = -1
         self.levels = level_sizes(self.count)
-        self.surfels = torch.empty(max(self.count, 1), SURFEL_FLOATS, device=device)
+        self.surfels = torch.empty(LEAF * self.levels[0] * SURFEL_FLOATS, device=device)
         self.boxes = torch.empty(3, sum(self.levels), 2, device=device)
         self.order = self._order(tensors)
-        self.refit(tensors)
+        self._pack(tensors, arrange=True)
 
     def _order(self, tensors: SetTensors) -> Tensor:
         means, opacities, count = tensors.means, tensors.opacities, self.count
@@ -47,20 +48,24 @@ class SurfelTree:
         return radix_sort(keys, None, whole, 32)[1]
 
     def refit(self, tensors: SetTensors) -> None:
-        """Takes over changed values of the same surfels and keeps their order along the curve: the tree stays right,
-        and good while surfels move little."""
+        """Takes over changed values of the same surfels and keeps their order: the tree stays right, and good while
+        surfels move little."""
+        self._pack(tensors, arrange=False)
+
+    def _pack(self, tensors: SetTensors, arrange: bool) -> None:
         launch, count = self._kernels, self.count
-        threads = 32 * (self.levels[1] if len(self.levels) > 1 else 1)
+        threads = 32 * LEAF * (self.levels[1] if len(self.levels) > 1 else 1)
         launch("pack_surfels", blocks_for(threads, 256), 256, tensors.means, aligned(tensors.quaternions),
-               aligned(tensors.scales), tensors.opacities, count, self.order, self.surfels, self.boxes)  # fmt: skip
+               aligned(tensors.scales), tensors.opacities, count, arrange, self.order, self.surfels,
+               self.boxes)  # fmt: skip
         for level in range(1, len(self.levels) - 1):
             threads = 32 * self.levels[level + 1]
             launch("join_boxes", blocks_for(threads, 256), 256, self.boxes, count, level)
 
 
 def level_sizes(count: int) -> list[int]:
-    """Boxes of each level, the lowest first: whole groups of 32, one group at the top."""
-    groups = max(blocks_for(count, 32), 1)
+    """Boxes of each level, the leaves' first: whole groups of 32, one group at the top."""
+    groups = max(blocks_for(count, 32 * LEAF), 1)
     sizes = [32 * groups]
     while groups > 1:
         groups = blocks_for(groups, 32)

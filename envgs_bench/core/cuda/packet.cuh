@@ -2,8 +2,9 @@
 //
 // The rays walk the tree together, inside a shaft: along the axis that they advance most on, their positions on the
 // other two lie between straight lines. The warp holds a node's 32 boxes against the shaft at once, a thread each.
-// Surfels whose boxes meet it queue up, and are put before each ray 32 at a time, a thread each. So every step is the
-// same for all threads, and a node or a surfel is fetched once a packet.
+// Leaves that the shaft meets queue up and are put before the rays, a thread a ray and leaf; the pairs that meet queue
+// up in turn, and are put to the test surfel by surfel, a thread each. So every step is the same for all threads, a node
+// is fetched once a packet, and no surfel is tried on a ray that misses its leaf.
 //
 // A ray lists the hits that it meets, unsorted. Once those listed would end it, nothing beyond the farthest can matter,
 // and its far end shrinks to that; a full list is sorted and cut to what is blended. Where that cannot make room, the
@@ -14,35 +15,37 @@
 
 namespace envgs {
 
-constexpr int kListed = 64;               // hits a ray may list in a search
+constexpr int kListed = 56;               // hits a ray may list in a search; even, at most 64
+constexpr int kRow = kListed + 4;         // rays' lists begin four banks apart
 constexpr int kSpare = 8;                 // free places that cutting must leave
-constexpr int kStack = 32 * (kMaxLevels - 1);
-constexpr int kQueue = 128;
+constexpr int kStack = 100;               // 2²⁴ surfels leave 4 children at the top, then at most 31, 31 and 32
+constexpr int kLeavesAtOnce = 32 / kRays, kPairsAtOnce = 32 / kLeaf;
+constexpr int kLeafRing = 64, kPairRing = 64;
 constexpr float kGroupSlope = 0.12f;      // rays of a group: how far their slopes may differ from the first's
 constexpr float kGroupReach = 1.0f / 24;  // and their origins, as a share of the scene
-constexpr float kDepthSteps = 1048576.0f; // a ray's optical depth, −log₂ of its transmittance, is summed in these
+constexpr float kDepthSteps = 4096.0f;    // a ray's optical depth, −log₂ of its transmittance, is summed in these
+constexpr float kOriginSlack = 2e-6f, kDistanceSlack = 4e-6f;  // of a ray against a box, relative
 
 struct alignas(16) RayState {
     Vec3<float> origin;
     float from_t;
     Vec3<float> direction;
     float far_t;
-    int from_slot;   // −1: hits at from_t itself are taken
-    int far_slot;    // −1: hits at far_t itself are taken
-    int count;       // of the listed hits
-    int seen;        // how many of them `depth` and `farthest` know
-    u32 first_depth; // optical depth before the listed hits, and with them; both rounded down
-    u32 depth;
-    float farthest;
-    int dropped;     // hits beyond far_t may have been left for another search
+    u32 listed;       // how many hits are listed, and 256 times the optical depth with them, rounded down
+    u32 first_depth;  // optical depth before them
+    int from_slot;    // −1: hits at from_t itself are taken
+    int far_slot;     // −1: hits at far_t itself are taken
+    int dropped;      // hits beyond far_t may have been left for another search
+    int unused[7];    // rays begin in different banks
 };
 
 struct alignas(16) PacketMemory {
     RayState rays[kRays];
-    float t[kListed][kRays];
-    u32 tag[kListed][kRays];  // slot << 8 | alpha in 8 bits, rounded down
+    float t[kRays][kRow];
+    u32 tag[kRays][kRow];     // slot << 8 | alpha in 8 bits, rounded down
     uint2 stack[kStack];      // where the shaft enters (float), and level << 27 | group
-    u32 queue[kQueue];        // slots of surfels to be tested, a ring
+    u32 leaves[kLeafRing];    // that the shaft meets, a ring
+    u32 pairs[kPairRing];     // leaf << 4 | ray that meets it, a ring
 };
 
 struct Shaft {
@@ -64,10 +67,15 @@ ENVGS_FN u32 depth_of(float transmittance) {
 // Thread l works for ray l % kRays wherever threads stand for rays.
 class Packet {
 public:
-    __device__ Packet(PacketMemory& memory, const Levels& levels, const float2* boxes, const TracedSurfel* surfels,
+    __device__ Packet(PacketMemory& memory, const Levels& levels, const float2* boxes, Surfels surfels,
                       const Ray& ray, float t_min, float transmittance_min, float reach)
         : m_(memory), levels_(levels), boxes_(boxes), surfels_(surfels), own_(memory.rays[lane_id() % kRays]),
-          reach_(reach), end_depth_(depth_of(0.999f * transmittance_min) + 64) {
+          reach_(reach), end_depth_(depth_of(0.999f * transmittance_min) + 1), stride_(levels.total()) {
+        Vec3<float> d = ray.direction;
+        float least = 1e-12f * maximum(absolute(d.x), maximum(absolute(d.y), absolute(d.z)));
+        prepare(ray.origin.x, d.x, least, inverse_.x, entry_.x, exit_.x);
+        prepare(ray.origin.y, d.y, least, inverse_.y, entry_.y, exit_.y);
+        prepare(ray.origin.z, d.z, least, inverse_.z, entry_.z, exit_.z);
         if (lane_id() < kRays) {
             own_.origin = ray.origin, own_.direction = ray.direction;
             own_.from_t = t_min, own_.from_slot = -1;
@@ -76,14 +84,15 @@ public:
     }
 
     // Lists the nearest hits not yet blended, sorted, of the rays that want it.
-    __device__ void search(bool wanted, float transmittance) {
+    __device__ __forceinline__ void search(bool wanted, float transmittance) {
         __syncwarp();
         if (lane_id() < kRays) {
             own_.far_t = kInfinity, own_.far_slot = -1;
-            own_.count = own_.seen = 0, own_.dropped = 0;
-            own_.first_depth = own_.depth = depth_of(transmittance), own_.farthest = -kInfinity;
+            own_.dropped = 0;
+            own_.first_depth = depth_of(transmittance), own_.listed = own_.first_depth << 8;
         }
         __syncwarp();
+        exact_ = __any_sync(kFullWarp, own_.from_slot >= 0);
         Vec3<float> d = own_.direction;
         float size = maximum(absolute(d.x), maximum(absolute(d.y), absolute(d.z)));
         wanted = wanted && size > 0.0f && size < kInfinity;
@@ -95,10 +104,10 @@ public:
         }
         for (int r = 0; r < kRays; ++r) sort(r);
     }
-    __device__ int count() const { return own_.count; }
+    __device__ int count() const { return own_.listed & 255; }
     __device__ bool dropped() const { return own_.dropped; }
-    __device__ float t(int k) const { return m_.t[k][lane_id() % kRays]; }
-    __device__ u32 slot(int k) const { return m_.tag[k][lane_id() % kRays] >> 8; }
+    __device__ float t(int k) const { return m_.t[lane_id() % kRays][k]; }
+    __device__ u32 slot(int k) const { return m_.tag[lane_id() % kRays][k] >> 8; }
     // The ray's next search starts strictly after hit k of its list; k < 0 changes nothing.
     __device__ void resume_after(int k) {
         if (lane_id() < kRays && k >= 0) own_.from_t = t(k), own_.from_slot = slot(k);
@@ -106,8 +115,15 @@ public:
     }
 
 private:
+    __device__ static __forceinline__ void prepare(float origin, float direction, float least, float& inverse,
+                                                   float& entry, float& exit) {
+        inverse = 1.0f / (absolute(direction) > least ? direction : least);
+        float slack = kOriginSlack * absolute(origin * inverse);
+        entry = -origin * inverse - slack, exit = -origin * inverse + slack;
+    }
+
     // The group of the first pending ray, and the shaft around it.
-    __device__ void gather(u32 pending, float size, Shaft& s) const {
+    __device__ __forceinline__ void gather(u32 pending, float size, Shaft& s) const {
         const RayState& leader = m_.rays[__ffs(pending) - 1];
         Vec3<float> o = own_.origin, d = own_.direction, lo = leader.origin, ld = leader.direction;
         float ax = absolute(ld.x), ay = absolute(ld.y), az = absolute(ld.z);
@@ -136,8 +152,7 @@ private:
             s.slope_low[k] = warp_min(member ? slope[k] : kInfinity);
             s.slope_high[k] = warp_max(member ? slope[k] : -kInfinity);
         }
-        int stride = levels_.total();
-        s.along = s.axis * stride, s.across[0] = b * stride, s.across[1] = c * stride;
+        s.along = s.axis * stride_, s.across[0] = b * stride_, s.across[1] = c * stride_;
         shrink(s);
     }
 
@@ -162,21 +177,27 @@ private:
 
     // Whether the shaft meets the box, and where along it.
     __device__ bool meets(const Shaft& s, const SeenBox& box, float& near) const {
-        near = maximum(s.sign < 0.0f ? -box.along.y : box.along.x, s.start);
-        float far = minimum(s.sign < 0.0f ? -box.along.x : box.along.y, s.end);
+        near = fmaxf(s.sign < 0.0f ? -box.along.y : box.along.x, s.start);
+        float far = fminf(s.sign < 0.0f ? -box.along.x : box.along.y, s.end);
         bool met = near <= far;
         float advance_near = near - s.start, advance_far = far - s.start;
 #pragma unroll
         for (int k = 0; k < 2; ++k) {
-            float low = s.low[k] + minimum(s.slope_low[k] * advance_near, s.slope_low[k] * advance_far);
-            float high = s.high[k] + maximum(s.slope_high[k] * advance_near, s.slope_high[k] * advance_far);
+            float low = s.low[k] + fminf(s.slope_low[k] * advance_near, s.slope_low[k] * advance_far);
+            float high = s.high[k] + fmaxf(s.slope_high[k] * advance_near, s.slope_high[k] * advance_far);
             met = met & (box.across[k].x <= high) & (box.across[k].y >= low);
         }
         return met;
     }
 
-    __device__ void walk(Shaft& s) {
-        int depth = 0, head = 0, queued = 0;
+    struct Ring {
+        u32 head = 0;
+        int count = 0;
+    };
+
+    __device__ __forceinline__ void walk(Shaft& s) {
+        int depth = 0;
+        Ring leaves, pairs;
         uint2 node = make_uint2(__float_as_uint(s.start), u32(levels_.count - 1) << 27);
         for (;;) {
             int level = node.y >> 27, group = node.y & ((1u << 27) - 1);
@@ -185,41 +206,99 @@ private:
             } else if (level > 0) {
                 depth = push_children(s, level, group, depth);
             } else {
-                // Two leaves at a time, where there are two: their loads wait for memory together.
-                int other = -1;
-                if (depth > 0) {
-                    uint2 next = m_.stack[depth - 1];
-                    if (next.y >> 27 == 0) {
-                        --depth;
-                        if (__uint_as_float(next.x) <= s.end) other = next.y;
-                    }
-                }
-                SeenBox first_box = fetch(s, 32 * group), other_box = fetch(s, 32 * max(other, 0));
+                SeenBox box = fetch(s, 32 * group);
                 __syncwarp();
                 float near;
-                bool met_first = meets(s, first_box, near), met_other = meets(s, other_box, near);
-                u32 first = __ballot_sync(kFullWarp, met_first), second = __ballot_sync(kFullWarp, met_other);
-                if (other < 0) second = 0;
-                queued = enqueue(first, group, head, queued);
-                queued = enqueue(second, other, head, queued);
+                bool met = meets(s, box, near);
+                enqueue<kLeafRing>(m_.leaves, leaves, met, 32 * group + lane_id());
                 __syncwarp();
-                for (; queued >= 32; head += 32, queued -= 32)
-                    if (test(s.rays, m_.queue[(head + lane_id()) % kQueue], true)) shrink(s);
+                while (leaves.count >= kLeavesAtOnce) test_leaves(s, leaves, pairs);
             }
             if (depth == 0) break;
             node = m_.stack[--depth];
         }
-        if (queued) test(s.rays, m_.queue[(head + lane_id()) % kQueue], lane_id() < queued);
+        if (leaves.count) test_leaves(s, leaves, pairs);
+        if (pairs.count) test_pairs(s, pairs);
     }
 
-    __device__ int enqueue(u32 met, int group, int head, int queued) {
-        if (met >> lane_id() & 1)
-            m_.queue[(head + queued + __popc(met & ((1u << lane_id()) - 1))) % kQueue] = 32 * group + lane_id();
-        return queued + __popc(met);
+    template <int Size>
+    __device__ static __forceinline__ void enqueue(u32* ring, Ring& at, bool wanted, u32 value) {
+        u32 threads = __ballot_sync(kFullWarp, wanted);
+        if (wanted) ring[(at.head + at.count + __popc(threads & ((1u << lane_id()) - 1))) % Size] = value;
+        at.count += __popc(threads);
+    }
+
+    // Puts the next leaves before the rays: thread l tries leaf l / kRays on its own ray.
+    __device__ __forceinline__ void test_leaves(Shaft& s, Ring& leaves, Ring& pairs) {
+        u32 which = lane_id() / kRays, ray = lane_id() % kRays;
+        bool valid = int(which) < leaves.count && (s.rays >> ray & 1);
+        u32 leaf = m_.leaves[(leaves.head + which) % kLeafRing];
+        const float2* box = boxes_ + (valid ? leaf : 0);
+        float2 x = box[0], y = box[stride_], z = box[2 * stride_];
+        leaves.head += kLeavesAtOnce, leaves.count = max(leaves.count - kLeavesAtOnce, 0);
+        __syncwarp();
+        float enters = fmaxf(fmaxf(entry(x, inverse_.x, entry_.x), entry(y, inverse_.y, entry_.y)),
+                             fmaxf(entry(z, inverse_.z, entry_.z), own_.from_t));
+        float leaves_at = fminf(fminf(exit(x, inverse_.x, exit_.x), exit(y, inverse_.y, exit_.y)),
+                                fminf(exit(z, inverse_.z, exit_.z), own_.far_t));
+        bool met = enters - kDistanceSlack * absolute(enters) <= leaves_at + kDistanceSlack * absolute(leaves_at);
+        enqueue<kPairRing>(m_.pairs, pairs, valid && met, leaf << 4 | ray);
+        __syncwarp();
+        while (pairs.count >= kPairsAtOnce) test_pairs(s, pairs);
+    }
+
+    __device__ static __forceinline__ float entry(float2 box, float inverse, float offset) {
+        return (inverse < 0.0f ? box.y : box.x) * inverse + offset;
+    }
+    __device__ static __forceinline__ float exit(float2 box, float inverse, float offset) {
+        return (inverse < 0.0f ? box.x : box.y) * inverse + offset;
+    }
+
+    // Puts the surfels of the next pairs' leaves before the pairs' rays, a thread a surfel, and lists the hits.
+    __device__ __forceinline__ void test_pairs(Shaft& s, Ring& pairs) {
+        u32 which = lane_id() / kLeaf;
+        bool met = int(which) < pairs.count;
+        u32 pair = met ? m_.pairs[(pairs.head + which) % kPairRing] : 0;
+        pairs.head += kPairsAtOnce, pairs.count = max(pairs.count - kPairsAtOnce, 0);
+        u32 slot = (pair >> 4) * kLeaf + lane_id() % kLeaf;
+        int r = pair & 15;
+        TracedSurfel surfel = surfels_.load(slot);
+        RayState& ray = m_.rays[r];
+        Vec3<float> origin = ray.origin, direction = ray.direction;
+        float from_t = ray.from_t, far_t = ray.far_t;
+        __syncwarp();
+        PlaneHit<float> hit = intersect(surfel.frame, origin - surfel.mean, direction);
+        float rho = hit.u * hit.u + hit.v * hit.v, t = hit.t;
+        met = met & (rho <= surfel.support) & (t >= from_t) & (t <= far_t) & (absolute(hit.d_z) > kDirectionEpsilon);
+        if (exact_) met = met && in_order(ray, t, slot);
+        if (!__any_sync(kFullWarp, met)) return;
+        float alpha = response_alpha(surfel.opacity, rho);
+        u32 tag = slot << 8 | u32(alpha * 256.0f);
+        bool crowded = false;
+        if (met) {
+            u32 place = atomicAdd(&ray.listed, (depth_of(1.0f - alpha) << 8) + 1) & 255;
+            crowded = place >= kListed;
+            if (!crowded) m_.t[r][place] = t, m_.tag[r][place] = tag;
+        }
+        __syncwarp();
+        u32 left = __ballot_sync(kFullWarp, crowded), moved = left;
+        while (left) left = list_crowded(left, r, t, tag);
+        u32 ended = __ballot_sync(kFullWarp, own_.listed >> 8 > end_depth_ && !(own_.far_t < kInfinity));
+        moved |= ended;
+        for (ended &= (1u << kRays) - 1; ended; ended &= ended - 1) end_at_farthest(__ffs(ended) - 1);
+        if (moved) shrink(s);
+    }
+
+    // The hits that ray r lists end it: nothing beyond them matters.
+    __device__ __forceinline__ void end_at_farthest(int r) {
+        int n = m_.rays[r].listed & 255, k0 = lane_id(), k1 = lane_id() + 32;
+        float farthest = warp_max(fmaxf(k0 < n ? m_.t[r][k0] : -kInfinity, k1 < n ? m_.t[r][k1] : -kInfinity));
+        if (lane_id() == 0) m_.rays[r].far_t = farthest;
+        __syncwarp();
     }
 
     // Nearest on top of the stack: a child's place is how many of the others lie nearer.
-    __device__ int push_children(const Shaft& s, int level, int group, int depth) {
+    __device__ __forceinline__ int push_children(const Shaft& s, int level, int group, int depth) {
         SeenBox box = fetch(s, levels_.offset[level] + 32 * group);
         __syncwarp();
         float near;
@@ -239,131 +318,100 @@ private:
         return above;
     }
 
-    // Puts a surfel a thread before the rays of a group; true where some ray's far end has moved.
-    __device__ bool test(u32 rays, u32 slot, bool valid) {
-        TracedSurfel s;
-        if (valid) s = surfels_[slot];
-        bool moved = false;
-        u32 below = (1u << lane_id()) - 1;
-#pragma unroll 1
-        for (; rays; rays &= rays - 1) {
-            int r = __ffs(rays) - 1;
-            RayState& ray = m_.rays[r];
-            PlaneHit<float> hit = intersect(s.frame, ray.origin - s.mean, ray.direction);
-            float rho = hit.u * hit.u + hit.v * hit.v, t = hit.t;
-            bool met = valid & (rho <= s.support) & (t >= ray.from_t) & (t <= ray.far_t) &
-                       (absolute(hit.d_z) > kDirectionEpsilon);
-            u32 found = __ballot_sync(kFullWarp, met);
-            if (!found) continue;
-            if (__any_sync(kFullWarp, met && (t == ray.from_t || t == ray.far_t)))
-                found = __ballot_sync(kFullWarp, met && in_order(ray, t, slot));
-            u32 tag = slot << 8 | u32(response_alpha(s.opacity, rho) * 256.0f);
-            int count = ray.count, after = count + __popc(found);
-            if (after < kListed) {
-                int place = count + __popc(found & below);
-                if (found >> lane_id() & 1) m_.t[place][r] = t, m_.tag[place][r] = tag;
-                __syncwarp();
-                if (lane_id() == 0) ray.count = after;
-            } else {
-                list_crowded(r, found, t, tag);
-                moved = true;
-            }
-        }
-        __syncwarp();
-        bool ended = lane_id() < kRays && take_in();
-        __syncwarp();
-        return __any_sync(kFullWarp, ended) || moved;
-    }
-
     // At the ends of a ray's interval, the index decides.
-    __device__ bool in_order(const RayState& ray, float t, u32 slot) const {
+    __device__ __forceinline__ bool in_order(const RayState& ray, float t, u32 slot) const {
         if (t > ray.from_t && t < ray.far_t) return true;
-        int index = surfels_[slot].index;
-        if (t == ray.from_t && ray.from_slot >= 0 && surfels_[ray.from_slot].index >= index) return false;
-        return t < ray.far_t || ray.far_slot < 0 || index < surfels_[ray.far_slot].index;
-    }
-
-    // Thread r: what the newly listed hits mean for ray r; true where its far end has moved.
-    __device__ bool take_in() {
-        u32 depth = own_.depth;
-        float farthest = own_.farthest;
-        for (int k = own_.seen; k < own_.count; ++k) {
-            depth += depth_of_tag(m_.tag[k][lane_id()]);
-            farthest = maximum(farthest, m_.t[k][lane_id()]);
-        }
-        own_.seen = own_.count, own_.depth = depth, own_.farthest = farthest;
-        bool ends = depth > end_depth_ && !(own_.far_t < kInfinity);
-        if (ends) own_.far_t = farthest;
-        return ends;
+        int index = surfels_.index(slot);
+        if (t == ray.from_t && ray.from_slot >= 0 && surfels_.index(ray.from_slot) >= index) return false;
+        return t < ray.far_t || ray.far_slot < 0 || index < surfels_.index(ray.far_slot);
     }
 
     __device__ static u32 depth_of_tag(u32 tag) { return depth_of(1.0f - (tag & 255) * (1.0f / 256.0f)); }
 
-    // Lists the hits of the threads in `found` with ray r where that fills the list: cut as often as need be.
-    __device__ void list_crowded(int r, u32 found, float t, u32 tag) {
+    // Lists hits of threads in `left` whose ray's list is full, those of one ray; returns the threads of other rays.
+    __device__ __forceinline__ u32 list_crowded(u32 left, int ray_of_hit, float t, u32 tag) {
+        int r = __shfl_sync(kFullWarp, ray_of_hit, __ffs(left) - 1);
         RayState& ray = m_.rays[r];
-        while (found) {
-            int count = ray.count, place = count + __popc(found & ((1u << lane_id()) - 1));
-            bool taken = (found >> lane_id() & 1) && place < kListed;
-            if (taken) m_.t[place][r] = t, m_.tag[place][r] = tag;
-            u32 threads = __ballot_sync(kFullWarp, taken);
-            found &= ~threads;
-            __syncwarp();
-            if (lane_id() == 0) ray.count = count + __popc(threads);
-            __syncwarp();
-            if (ray.count < kListed) continue;
+        u32 found = __ballot_sync(kFullWarp, (left >> lane_id() & 1) && ray_of_hit == r);
+        left &= ~found;
+        if (lane_id() == 0) ray.listed = kListed;
+        __syncwarp();
+        for (;;) {
             cut(r);
             bool remains = (found >> lane_id() & 1) && t <= ray.far_t;
             found = __ballot_sync(kFullWarp, remains && in_order(ray, t, tag >> 8));
+            if (!found) break;
+            int count = ray.listed, place = count + __popc(found & ((1u << lane_id()) - 1));
+            bool taken = (found >> lane_id() & 1) && place < kListed;
+            if (taken) m_.t[r][place] = t, m_.tag[r][place] = tag;
+            u32 threads = __ballot_sync(kFullWarp, taken);
+            found &= ~threads;
+            __syncwarp();
+            if (lane_id() == 0) ray.listed = count + __popc(threads);
+            __syncwarp();
+            if (!found) break;
         }
+        return left;
     }
 
     // Sorts ray r's list, two hits a thread: a hit's place is how many others lie nearer.
-    __device__ void sort(int r) {
-        int n = m_.rays[r].count, k0 = lane_id(), k1 = lane_id() + 32;
+    __device__ __forceinline__ void sort(int r) {
+        int n = m_.rays[r].listed & 255, k0 = lane_id(), k1 = lane_id() + 32;
         if (n < 2) return;
-        float t0 = k0 < n ? m_.t[k0][r] : kInfinity, t1 = k1 < n ? m_.t[k1][r] : kInfinity;
-        u32 tag0 = k0 < n ? m_.tag[k0][r] : 0, tag1 = k1 < n ? m_.tag[k1][r] : 0;
-        u32 place0 = 0, place1 = 0;
-#pragma unroll 4
-        for (int k = 0; k < n; ++k) {
-            float t = m_.t[k][r];
-            place0 += t < t0;
-            place1 += t < t1;
-        }
-        bool distinct = __reduce_add_sync(kFullWarp, (k0 < n ? place0 : 0) + (k1 < n ? place1 : 0)) == n * (n - 1) / 2;
+        float* ts = m_.t[r];
+        u32* tags = m_.tag[r];
+        if (lane_id() < 3) ts[n + lane_id()] = kInfinity;  // the last four's rest
         __syncwarp();
-        if (distinct) {
-            if (k0 < n) m_.t[place0][r] = t0, m_.tag[place0][r] = tag0;
-            if (k1 < n) m_.t[place1][r] = t1, m_.tag[place1][r] = tag1;
+        float t0 = k0 < n ? ts[k0] : kInfinity, t1 = k1 < n ? ts[k1] : kInfinity;
+        u32 tag0 = k0 < n ? tags[k0] : 0, tag1 = k1 < n ? tags[k1] : 0;
+        int place0 = 0, place1 = 0;
+        const float4* fours = reinterpret_cast<const float4*>(ts);
+        if (n <= 32) {
+            for (int k = 0; 4 * k < n; ++k) place0 += nearer_of(fours[k], t0);
+        } else {
+            for (int k = 0; 4 * k < n; ++k) {
+                float4 four = fours[k];
+                place0 += nearer_of(four, t0), place1 += nearer_of(four, t1);
+            }
+        }
+        u32 places = __reduce_add_sync(kFullWarp, u32((k0 < n ? place0 : 0) + (k1 < n ? place1 : 0)));
+        __syncwarp();
+        if (places == n * (n - 1) / 2) {  // all distinct
+            if (k0 < n) ts[place0] = t0, tags[place0] = tag0;
+            if (k1 < n) ts[place1] = t1, tags[place1] = tag1;
         } else if (lane_id() == 0) {
-            sort_with_ties(r, n);
+            sort_with_ties(ts, tags, n);
         }
         __syncwarp();
     }
 
+    __device__ static __forceinline__ int nearer_of(float4 four, float t) {
+        return (four.x < t) + (four.y < t) + (four.z < t) + (four.w < t);
+    }
+
     // One thread, by (t, index).
-    __device__ void sort_with_ties(int r, int n) {
+    __device__ __forceinline__ void sort_with_ties(float* ts, u32* tags, int n) {
         for (int k = 1; k < n; ++k) {
-            float t = m_.t[k][r];
-            u32 tag = m_.tag[k][r];
-            int index = surfels_[tag >> 8].index, at = k;
+            float t = ts[k];
+            u32 tag = tags[k];
+            int index = surfels_.index(tag >> 8), at = k;
             for (; at > 0; --at) {
-                float before = m_.t[at - 1][r];
-                u32 before_tag = m_.tag[at - 1][r];
-                if (before < t || (before == t && surfels_[before_tag >> 8].index < index)) break;
-                m_.t[at][r] = before, m_.tag[at][r] = before_tag;
+                float before = ts[at - 1];
+                u32 before_tag = tags[at - 1];
+                if (before < t || (before == t && surfels_.index(before_tag >> 8) < index)) break;
+                ts[at] = before, tags[at] = before_tag;
             }
-            m_.t[at][r] = t, m_.tag[at][r] = tag;
+            ts[at] = t, tags[at] = tag;
         }
     }
 
     // Cuts ray r's full list to what is certainly blended, or else to the nearest that leave room.
-    __device__ void cut(int r) {
+    __device__ __forceinline__ void cut(int r) {
         sort(r);
         RayState& ray = m_.rays[r];
         int k = 2 * lane_id();
-        u32 first = depth_of_tag(m_.tag[k][r]), second = depth_of_tag(m_.tag[k + 1][r]);
+        u32 first = 0, second = 0;
+        if (k < kListed) first = depth_of_tag(m_.tag[r][k]), second = depth_of_tag(m_.tag[r][k + 1]);
         u32 through = warp_inclusive_sum(first + second);
         u32 before = ray.first_depth;
         u32 ended = __ballot_sync(kFullWarp, before + through > end_depth_);
@@ -377,20 +425,25 @@ private:
         if (drops) kept = kListed - kSpare;
         __syncwarp();
         if (lane_id() == 0) {
-            ray.count = ray.seen = kept;
-            ray.far_t = m_.t[kept - 1][r], ray.far_slot = m_.tag[kept - 1][r] >> 8;
+            ray.listed = kept;
+            ray.far_t = m_.t[r][kept - 1], ray.far_slot = m_.tag[r][kept - 1] >> 8;
             ray.dropped |= drops;
         }
+        exact_ = true;
         __syncwarp();
     }
 
     PacketMemory& m_;
     const Levels& levels_;
     const float2* boxes_;
-    const TracedSurfel* surfels_;
+    Surfels surfels_;
     RayState& own_;
     float reach_;
     u32 end_depth_;
+    bool exact_;                       // some ray's interval ends at a surfel: see in_order()
+    int stride_;                       // of the planes of boxes
+    Vec3<float> inverse_;              // of the ray's direction
+    Vec3<float> entry_, exit_;         // a plane at p of an axis is met at p·inverse + these, at the earliest and latest
 };
 
 }  // namespace envgs

@@ -44,7 +44,7 @@ class RasterPass:
         planes = Planes.empty(self.tensors.means, camera.width * camera.height, self.tensors.extras.shape[1])
         hits = planes.alpha.new_empty(planes.alpha.shape, dtype=torch.int32)
         weights = torch.empty_like(self.tensors.opacities)
-        launch = self._kernels("raster_prepare.cu", "tiles.cu", "raster_forward.cu")
+        launch = self._kernels("view.cu", "raster_prepare.cu", "tiles.cu", "raster_forward.cu")
         self._prepare(launch, weights)
         order = radix_sort(self.depth_keys, None, self.counters[:1], 32)[1] if count else self.depth_keys
         wanted = torch.empty(4, dtype=torch.int32, pin_memory=True)
@@ -65,18 +65,16 @@ class RasterPass:
         return Drawn(planes, hits, weights)
 
     def _prepare(self, launch: Kernels, weights: Tensor) -> None:
-        tensors, camera, count = self.tensors, self.camera, len(self.tensors.means)
+        tensors, count = self.tensors, len(self.tensors.means)
         blocks = blocks_for(count, 256)
         floats = SPLAT_FLOATS[tensors.scales.shape[1]] + 6 + max(tensors.extras.shape[1], 1)
         empty = tensors.means.new_empty
         self.records, self.outlines = empty(count, -(-floats // 4) * 4), empty(count, OUTLINE_FLOATS)
-        self.view = empty(VIEW_FLOATS)
+        self.view = make_view(launch, self.camera, self.options.near, self.options.low_pass)
         self.depth_keys, self.tile_counts, self.slots, self.indices = (
             empty(count, dtype=torch.int32) for _ in range(4)
         )
         self.counters, state, ticket = zeroed(self.device, 4, 2 * blocks, 1)
-        launch("make_view", 1, 1, camera.world_to_camera.contiguous(), camera.intrinsics.contiguous(), camera.width,
-               camera.height, float(self.options.near), self.options.low_pass, self.view)  # fmt: skip
         launch("prepare_primitives", blocks, 256, *tensors, count, self.view, self.records, self.outlines,
                self.depth_keys, self.tile_counts, self.slots, self.indices, weights, self.counters, state,
                ticket)  # fmt: skip
@@ -105,6 +103,14 @@ class RasterPass:
         launch("finish_primitives", blocks_for(count, 128), 128, *tensors, count, self.view, self.records, self.slots,
                sums, *result, position)  # fmt: skip
         return Gradients(result, position)
+
+
+def make_view(launch: Kernels, camera: Camera, near: float, low_pass: bool) -> Tensor:
+    """The camera as kernels see it, made on the device by view.cu, which `launch` must include."""
+    view = torch.empty(VIEW_FLOATS, device=camera.device)
+    launch("make_view", 1, 1, camera.world_to_camera.contiguous(), camera.intrinsics.contiguous(), camera.width,
+           camera.height, float(near), low_pass, view)  # fmt: skip
+    return view
 
 
 def _check_room(instances: int, device: torch.device) -> None:

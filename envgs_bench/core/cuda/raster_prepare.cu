@@ -3,25 +3,6 @@
 
 using namespace envgs;
 
-// One thread. The camera stays on the device, so that drawing never waits for it.
-extern "C" __global__ void make_view(const float* world_to_camera, const float* intrinsics, int width, int height,
-                                     float near, int low_pass, View* view) {
-    const float* m = world_to_camera;
-    View v;
-    v.rotation = {load3(m), load3(m + 4), load3(m + 8)};
-    v.translation = {m[3], m[7], m[11]};
-    v.intrinsics = load_mat3(intrinsics);
-    v.centre = -transposed_times(v.rotation, v.translation);
-    // K is upper triangular with a last row of (0, 0, 1).
-    double fx = intrinsics[0], skew = intrinsics[1], cx = intrinsics[2], fy = intrinsics[4], cy = intrinsics[5];
-    Mat3<float> inverse = {{float(1 / fx), float(-skew / (fx * fy)), float((skew * cy - cx * fy) / (fx * fy))},
-                           {0.0f, float(1 / fy), float(-cy / fy)},
-                           {0.0f, 0.0f, 1.0f}};
-    v.pixel_to_direction = transposed(v.rotation) * inverse;
-    v.width = width, v.height = height, v.near = near, v.low_pass = low_pass;
-    *view = v;
-}
-
 // Pixels whose centres lie in the box; false where there are none, or the box is not finite.
 ENVGS_FN bool pixels_of(const View& view, PixelBox box, PixelRect& rect) {
     if (!(box.x1 >= 0.5f && box.y1 >= 0.5f && box.x0 <= view.width - 0.5f && box.y0 <= view.height - 0.5f &&

@@ -15,7 +15,7 @@ ENVGS_FN void add_four(float* to, const float* four) {
 
 extern "C" __global__ void __launch_bounds__(128)
     differentiate_rays(const float* origins, const float* directions, const u32* order, int rays,
-                       const TracedSurfel* surfels, const Appearance* appearances, const float* background,
+                       float4* quarters, const Appearance* appearances, const float* background,
                        const float* color, const float* alpha, const float* depth, const float* normal,
                        const float* extras, const float* g_color, const float* g_alpha, const float* g_depth,
                        const float* g_normal, const float* g_extras, const u32* page_slots, const int* page_next,
@@ -23,6 +23,7 @@ extern "C" __global__ void __launch_bounds__(128)
                        float* g_origins, float* g_directions) {
     long place = long(blockIdx.x) * blockDim.x + threadIdx.x;
     if (place >= rays) return;
+    Surfels surfels = {quarters};
     Ray ray = ordered_ray(origins, directions, order, rays, place);
     long at = ray.index;
     Planes<const float> out = {color, alpha, depth, normal, extras, rays};
@@ -39,7 +40,7 @@ extern "C" __global__ void __launch_bounds__(128)
             u32 slot = following;
             if (k + 1 < min(rows, kPageRows)) following = slots[(k + 1) * kRays];  // while this hit is worked on
             if (slot == kNoHit) continue;
-            TracedSurfel s = surfels[slot];
+            TracedSurfel s = surfels.load(slot);
             Appearance look = appearances[slot];
             PlaneHit<float> hit = intersect(s.frame, ray.origin - s.mean, ray.direction);
             float a = response_alpha(s.opacity, hit.u * hit.u + hit.v * hit.v);

@@ -4,7 +4,7 @@
 
 using namespace envgs;
 
-constexpr int kWarps = 1, kBlocks = 20;
+constexpr int kBlocks = 32;            // at a time on a multiprocessor
 constexpr int kShares = 32 / kRays;  // threads a ray; thread l works for ray l % kRays
 
 // Products over a ray's threads: of those before this one.
@@ -48,36 +48,35 @@ struct PageWriter {
     }
 };
 
-extern "C" __global__ void __launch_bounds__(32 * kWarps, kBlocks)
-    trace_rays(const float* origins, const float* directions, const u32* order, int rays, const TracedSurfel* surfels,
+extern "C" __global__ void __launch_bounds__(32, kBlocks)
+    trace_rays(const float* origins, const float* directions, const u32* order, int rays, float4* quarters,
                const Appearance* appearances, const float2* boxes, int surfel_count, const CentreStatistics* statistics,
                float t_min, float transmittance_min, const float* background, float* color, float* alpha, float* depth,
                float* normal, float* extras, int* hit_counts, float* weights, u32* page_slots, int* page_next,
                int2* page_heads, u32* pages_used, u32 page_capacity) {
-    __shared__ PacketMemory memory[kWarps];
-    __shared__ Blended all_sums[32 * kWarps];  // not in registers, which the search is short of
+    __shared__ PacketMemory memory;
+    __shared__ Blended all_sums[kRays];  // not in registers, which the search is short of
     __shared__ Levels levels;
     if (threadIdx.x == 0) levels = Levels::of(surfel_count);
-    __syncthreads();
-    int packet_index = blockIdx.x * kWarps + warp_id();
-    long first_ray = long(packet_index) * kRays;
-    if (first_ray >= rays) return;
+    __syncwarp();
+    Surfels surfels = {quarters};
     PageWriter writer = {{page_slots, page_next, page_heads, pages_used, page_capacity}};
     int share = lane_id() / kRays;
-    Ray ray = ordered_ray(origins, directions, order, rays, first_ray + lane_id() % kRays);
+    Ray ray = ordered_ray(origins, directions, order, rays, long(blockIdx.x) * kRays + lane_id() % kRays);
     int index = ray.index;
-    const RayState& own = memory[warp_id()].rays[lane_id() % kRays];
+    const RayState& own = memory.rays[lane_id() % kRays];
     Extent extent(*statistics);
     float reach = kGroupReach * maximum(extent.size.x, maximum(extent.size.y, extent.size.z));
-    Packet packet(memory[warp_id()], levels, boxes, surfels, ray, t_min, transmittance_min, reach);
-    all_sums[threadIdx.x] = Blended::nothing();
+    Packet packet(memory, levels, boxes, surfels, ray, t_min, transmittance_min, reach);
+    if (share == 0) all_sums[lane_id()] = Blended::nothing();
     float transmittance = 1.0f;
     bool wanted = index >= 0;
     while (__any_sync(kFullWarp, wanted)) {
         packet.search(wanted, transmittance);
         bool ended = !wanted;
         int blended = 0;
-        Blended sums = all_sums[threadIdx.x];
+        Blended sums = Blended::nothing();
+        if (share == 0) sums = all_sums[lane_id()];
         for (int first = 0; __any_sync(kFullWarp, !ended && first < packet.count()); first += kShares) {
             int k = first + share;
             bool listed = !ended && k < packet.count();
@@ -86,7 +85,7 @@ extern "C" __global__ void __launch_bounds__(32 * kWarps, kBlocks)
             PlaneHit<float> hit;
             float a = 0.0f;
             if (listed) {
-                s = surfels[slot];
+                s = surfels.load(slot);
                 hit = intersect(s.frame, own.origin - s.mean, own.direction);
                 a = response_alpha(s.opacity, hit.u * hit.u + hit.v * hit.v);
             }
@@ -110,19 +109,20 @@ extern "C" __global__ void __launch_bounds__(32 * kWarps, kBlocks)
             blended += count;
             ended = ended || transmittance < transmittance_min;
         }
-        all_sums[threadIdx.x] = sums;
+        sums.color = {sum_over_shares(sums.color.x), sum_over_shares(sums.color.y), sum_over_shares(sums.color.z)};
+        sums.normal = {sum_over_shares(sums.normal.x), sum_over_shares(sums.normal.y), sum_over_shares(sums.normal.z)};
+        sums.depth = sum_over_shares(sums.depth);
+#pragma unroll
+        for (int e = 0; e < kExtras; ++e) sums.extras[e] = sum_over_shares(sums.extras[e]);
+        sums.hits = sum_over_shares(sums.hits);
+        if (share == 0) all_sums[lane_id()] = sums;
         wanted = wanted && !ended && packet.dropped();
         packet.resume_after(wanted ? blended - 1 : -1);
     }
-    if (writer.pages.capacity && lane_id() == 0) page_heads[packet_index] = make_int2(writer.first, writer.rows);
-    Blended sums = all_sums[threadIdx.x];
-    sums.color = {sum_over_shares(sums.color.x), sum_over_shares(sums.color.y), sum_over_shares(sums.color.z)};
-    sums.normal = {sum_over_shares(sums.normal.x), sum_over_shares(sums.normal.y), sum_over_shares(sums.normal.z)};
-    sums.depth = sum_over_shares(sums.depth);
-#pragma unroll
-    for (int e = 0; e < kExtras; ++e) sums.extras[e] = sum_over_shares(sums.extras[e]);
-    sums.hits = sum_over_shares(sums.hits);
+    if (writer.pages.capacity && lane_id() == 0) page_heads[blockIdx.x] = make_int2(writer.first, writer.rows);
+    if (share > 0 || index < 0) return;
+    Blended sums = all_sums[lane_id()];
     sums.transmittance = transmittance;
     Planes<float> out = {color, alpha, depth, normal, extras, rays};
-    if (share == 0 && index >= 0) sums.store(out, hit_counts, index, load3(background));
+    sums.store(out, hit_counts, index, load3(background));
 }

@@ -5,7 +5,8 @@ using namespace envgs;
 
 // Rays whose two ends are alike get neighbouring keys: the origin, and the point where the ray leaves the box of the
 // surfels, which is near to what it hits. Both lie on Hilbert curves, and the key takes three bits of either in turn.
-// The tracer's packets are rays along this order, whatever order the caller's rays come in.
+// The tracer's packets are rays along this order, whatever order the caller's rays come in. Rays without a direction
+// meet nothing and come last.
 extern "C" __global__ void ray_keys(const float* origins, const float* directions, int count,
                                     const CentreStatistics* statistics, u32* keys) {
     int i = blockIdx.x * blockDim.x + threadIdx.x;
@@ -24,7 +25,8 @@ extern "C" __global__ void ray_keys(const float* origins, const float* direction
     extent.quantise(o + leaves * d, 6, last);
     u64 from = hilbert_position(first, 5), to = hilbert_position(last, 6), key = to >> 15;
     for (int bit = 12; bit >= 0; bit -= 3) key = (key << 3 | (from >> bit & 7)) << 3 | (to >> bit & 7);
-    keys[i] = u32(key >> 1);
+    bool flies = d.x != 0.0f || d.y != 0.0f || d.z != 0.0f;
+    keys[i] = flies ? u32(key >> 1) : ~0u;
 }
 
 // surfels' appearances in the tree's order; a thread a float.
