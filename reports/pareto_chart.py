@@ -51,7 +51,8 @@ class Panel:
 
     @property
     def places(self) -> list[Point]:
-        return points(self.table, self.cost, self.accuracy)
+        """Those that a logarithmic axis of costs can show: a method without primitives is none of them."""
+        return [point for point in points(self.table, self.cost, self.accuracy) if point.x > 0]
 
 
 def draw_charts(sections: Sequence[Section], out: Path) -> list[Path]:
@@ -199,7 +200,7 @@ def _mark(axis: Axes, point: Point, style: Style, dominated: bool) -> None:
 
 
 def _limits(axis: Axes, places: list[Point]) -> None:
-    xs = [value for p in places for value in (p.x, *(p.x_interval or ()))]
+    xs = [value for p in places for value in (p.x, *(p.x_interval or ())) if value > 0]
     ys = [value for p in places for value in (p.y, *(p.y_interval or ()))]
     ratio = max(max(xs) / min(xs), 1.6)
     margin = max(0.14 * (max(ys) - min(ys)), 0.008 * max(map(abs, ys)), 1e-6)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 from reports_runs import METHODS, record, run_folder, write_failure, write_record, write_runs
 
-from envgs_bench.reports.columns import FLIP, FRAME_MS, MEGABYTES, PSNR, in_region
+from envgs_bench.reports.columns import FLIP, FRAME_MS, MEGABYTES, PRIMITIVES, PSNR, in_region
 from envgs_bench.reports.curves import merged_curves, read_curve, training_curves
 from envgs_bench.reports.label_placement import Box, place_labels
 from envgs_bench.reports.palette import styles
@@ -126,6 +126,17 @@ def test_every_accuracy_is_drawn_against_every_cost(tmp_path: Path) -> None:
         else:
             with Image.open(path) as image:
                 assert np.asarray(image.convert("L")).std() > 8
+
+
+def test_a_method_without_primitives_is_on_no_logarithmic_axis(tmp_path: Path) -> None:
+    write_runs(tmp_path, methods=("envgs",), seeds=(0,), pictures=False)
+    empty = record("toy/chrome_room", "mean", 0)
+    empty["cost"]["primitives"] = {"base": 0}
+    write_record(tmp_path / "mean", empty)
+    sections = split_sections(read_runs(tmp_path)[0])
+    (((panel,),),) = (panel_rows(sections, PRIMITIVES, [PSNR]),)
+    assert [place.label for place in panel.places] == ["envgs"]
+    assert len(draw_charts(sections, tmp_path)) == 2 * (1 + 5 * 4)
 
 
 def test_many_data_sets_are_drawn_as_averages(tmp_path: Path) -> None:

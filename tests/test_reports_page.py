@@ -241,10 +241,23 @@ def test_the_page_says_where_numbers_came_from(report: Report) -> None:
         assert words in html, words
 
 
-def test_the_data_are_plain_javascript(report: Report) -> None:
+def test_the_charts_are_drawn_from_the_tables_numbers(report: Report) -> None:
     text = (report.out / "assets/data.js").read_text()
     data = json.loads(text.removeprefix("window.REPORT = ").removesuffix(";\n"))
-    assert len(data["sections"]) == len(report.sections)
+    (section,) = report.sections
+    (drawn,) = data["sections"]
+    assert [subject["title"] for subject in drawn["subjects"]] == [t.title for t in section.subjects if t.columns]
+    for subject in drawn["subjects"]:
+        table = next(table for table in section.subjects if table.title == subject["title"])
+        for row in subject["rows"]:
+            cells = next(r.cells for r in table.rows if r.method == row["method"])
+            assert row["values"].keys() == {key for key, cell in cells.items() if cell.shown}
+            for key, (mean, low, high, printed) in row["values"].items():
+                column, scale = cells[key].column, float(cells[key].column.scale)
+                assert printed == cells[key].text
+                assert column.unsigned(mean / scale) == printed.split(" ± ")[0]
+                if cells[key].interval is not None:
+                    assert (low, high) == pytest.approx([end * scale for end in cells[key].interval], rel=1e-6)
 
 
 def browse(report: Report, folder: Path, width: int) -> dict[str, Any]:

@@ -40,11 +40,12 @@ window.Report.axes = (function () {
 
   /* A range with room for names around the values; its ends in logarithms where the axis is one. */
   function frame(axis, values, log) {
-    const scaled = log ? values.map(Math.log10) : values;
+    const scaled = log ? values.filter((value) => value > 0).map(Math.log10) : values;
     const low = Math.min(...scaled);
     const high = Math.max(...scaled);
     const room = Math.max(0.16 * (high - low), log ? 0.04 : 0.005 * Math.abs(high), 1e-9);
     axis.type = log ? "log" : "linear";
+    if (!scaled.length) return;
     axis.range = [low - room, high + room];
     if (!log) return;
     axis.tickvals = ticks(10 ** axis.range[0], 10 ** axis.range[1]);
