@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -36,6 +37,12 @@ class CaptureSettings(SourceSettings):
     @property
     def scene_name(self) -> str:
         return self.name or self.root.resolve().name
+
+
+class PhotographSettings(CaptureSettings):
+    """Settings of the sources whose views share one list, with masks and normals in folders beside them."""
+
+    exact_normals: bool = False  # whether normals/ hold the truth, to which test views are held, or a guess
 
 
 def cached_capture(
@@ -93,10 +100,15 @@ def refuse_missing(how: Missing, named: int, missing: Sequence[str], source: Pat
 
 
 def make_scene(
-    settings: CaptureSettings, photographs: Sequence[Photograph], cloud: PointCloud, source: Path, draft: Draft
+    settings: PhotographSettings, photographs: Sequence[Photograph], cloud: PointCloud, source: Path, draft: Draft
 ) -> Scene:
-    """The scene of these photographs, every eighth of which tests; `source` names them in errors."""
+    """The scene of these photographs, every eighth of which tests; `source` names them in errors.
+
+    Test views keep their normals only where these are exact: scores refer to them.
+    """
     views = make_views(photographs, settings.downsample, settings.background, draft)
     train, test = split_views(views, str(source))
     train = with_estimated_normals(train, settings.normal_estimator, draft)
+    if not settings.exact_normals:
+        test = [replace(view, normal=None) for view in test]
     return Scene(settings.scene_name, train, test, *cloud, torch.tensor(settings.background))

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from envgs_bench.core import Scene
 
 from .cache import Draft
-from .capture import CaptureSettings, Missing, cached_capture, make_scene, refuse_missing, require_folder
+from .capture import Missing, PhotographSettings, cached_capture, make_scene, refuse_missing, require_folder
 from .contents import files_in
 from .model import Model
 from .normals import Frame
@@ -19,10 +19,10 @@ from .pictures import EXTENSIONS
 from .settings import DatasetError, parse_settings
 from .siblings import Siblings, region_folders
 
-VERSION = 2  # raise it with every change that alters a scene
+VERSION = 3  # raise it with every change that alters a scene
 
 
-class ColmapSettings(CaptureSettings):
+class ColmapSettings(PhotographSettings):
     """Settings of `kind: colmap`."""
 
     kind: Literal["colmap"]

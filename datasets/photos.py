@@ -13,7 +13,7 @@ from pydantic import Field
 from envgs_bench.core import Scene
 
 from .cache import Draft
-from .capture import CaptureSettings, cached_capture, make_scene, require_folder
+from .capture import PhotographSettings, cached_capture, make_scene, require_folder
 from .contents import digest_of, files_in
 from .model import Model
 from .normals import Frame
@@ -25,11 +25,11 @@ from .reconstruction import LEAST_IMAGES, Matching, Reconstructor
 from .settings import DatasetError, parse_settings
 from .siblings import region_folders
 
-VERSION = 1  # raise it with every change that alters a scene
+VERSION = 2  # raise it with every change that alters a scene
 MODEL_VERSION = 1  # and this with every change that alters a reconstruction
 
 
-class PhotosSettings(CaptureSettings):
+class PhotosSettings(PhotographSettings):
     """Settings of `kind: photos`."""
 
     kind: Literal["photos"]

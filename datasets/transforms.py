@@ -12,7 +12,7 @@ from pydantic import Field
 from envgs_bench.core import Scene
 
 from .cache import Draft
-from .capture import CaptureSettings, Missing, cached_capture, files_of, make_scene, refuse_missing, require_folder
+from .capture import Missing, PhotographSettings, cached_capture, files_of, make_scene, refuse_missing, require_folder
 from .frames import FrameFile, read_frames, without_common_folder
 from .normals import Frame
 from .paths import path_below
@@ -20,11 +20,11 @@ from .photographs import Photograph, with_siblings
 from .pointcloud import PointCloud, random_points, read_ply
 from .settings import DatasetError, parse_settings
 
-VERSION = 1  # raise it with every change that alters a scene
+VERSION = 2  # raise it with every change that alters a scene
 NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # of instant-ngp, whose box [0, 1]³ is grown by aabb_scale around its middle
 
 
-class TransformsSettings(CaptureSettings):
+class TransformsSettings(PhotographSettings):
     """Settings of `kind: transforms`."""
 
     kind: Literal["transforms"]

@@ -85,7 +85,7 @@ def test_normal_loss_is_one_minus_cosine_and_spares_unknown_pixels():
 
 
 def test_normal_distance_grows_with_the_angle_from_the_start():
-    """|n − N|₁ of a normal turned by θ in the xz-plane is sin θ + 1 − cos θ: its slope at 0 is 1, and 1 − cos's is 0."""
+    """|n − N|₁ of a normal turned by θ in the xz-plane is sin θ + 1 − cos θ: its slope at 0 is 1, that of 1 − cos 0."""
     angle = torch.tensor(0.02, dtype=torch.float64, requires_grad=True)
     reference = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).expand(2, 2, 3).clone()
     reference[0, 0] = 0  # unknown

@@ -44,7 +44,7 @@ def write_colmap(scene: Scene, root: Path, text: bool) -> dict[str, Any]:
     normals = [f"normals/{view.name}" if known else None for view in views]
     files = [ViewFiles(view, f"images/{view.name}", view.name, path) for view, path in zip(views, normals, strict=True)]
     write_views(root, files)
-    return {"kind": "colmap"}
+    return {"kind": "colmap", "exact_normals": known}
 
 
 def _in_order(scene: Scene) -> list[View]:

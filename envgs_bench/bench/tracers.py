@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import torch
 from rich.console import Console
@@ -65,7 +66,7 @@ def compare(primitives: int, frame: tuple[int, int], backend: str, rays: int) ->
     rows = []
     for way in WAYS:
         drawn = (origins, directions) if way == "tracer" else sample
-        times = time_work(lambda draw=draws[way], drawn=drawn: draw(*drawn), device, 20, SECONDS_PER_WAY)
+        times = time_work(partial(draws[way], *drawn), device, 20, SECONDS_PER_WAY)
         seconds = times.median_ms / 1000 * len(origins) / len(drawn[0])
         difference = float((draws[way](*sample) - expected).abs().mean())
         rows.append({"way": way, "seconds": seconds, "rays": len(drawn[0]), "difference": difference})
