@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import groupby
 
-from .layout import Entry, Heading, entries, headings
+from .entries import Entry, Heading, entries, headings
 from .sections import Section
 from .tables import Table
 

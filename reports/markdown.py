@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .layout import LEGEND, Entry, entries, headings
+from .entries import LEGEND, Entry, entries, headings
 from .runs import BrokenRecord
 from .sections import Section
 from .table_notes import caption, notes

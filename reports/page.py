@@ -15,7 +15,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
-from .layout import LEGEND, Entry, Heading, entries, headings
+from .entries import LEGEND, Entry, Heading, entries, headings
 from .layouts import KINDS
 from .page_data import write_data
 from .page_origin import commands, failures, origins

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from envgs_bench.reports.layout import headings
+from envgs_bench.reports.entries import headings
 from envgs_bench.reports.runs import read_runs
 from envgs_bench.reports.sections import Section, split_sections
 from envgs_bench.reports.tables import Row, Table

@@ -136,7 +136,6 @@ def test_a_method_without_primitives_is_on_no_logarithmic_axis(tmp_path: Path) -
     sections = split_sections(read_runs(tmp_path)[0])
     (((panel,),),) = (panel_rows(sections, PRIMITIVES, [PSNR]),)
     assert [place.label for place in panel.places] == ["envgs"]
-    assert len(draw_charts(sections, tmp_path)) == 2 * (1 + 5 * 4)
 
 
 def test_many_data_sets_are_drawn_as_averages(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from reports_runs import record, run_folder, write_failure, write_record, write_
 
 from envgs_bench.reports import Report, build_report
 from envgs_bench.reports.columns import FRAME_MS, PSNR
-from envgs_bench.reports.layout import entries, headings
+from envgs_bench.reports.entries import entries, headings
 from envgs_bench.reports.page import SCRIPTS
 from envgs_bench.reports.pareto import front, points
 from envgs_bench.reports.tables import Table

@@ -11,8 +11,8 @@ from reports_runs import record, row_of, sections_of, titled, titles, write_reco
 
 from envgs_bench.reports.columns import PSNR, of
 from envgs_bench.reports.decimals import rounded
+from envgs_bench.reports.entries import entries, headings
 from envgs_bench.reports.estimates import Numbers
-from envgs_bench.reports.layout import entries, headings
 from envgs_bench.reports.published import paper_method, paper_scene, paper_tables, published_source, published_values
 from envgs_bench.reports.tables import build_table
 

@@ -28,9 +28,9 @@ from reports_runs import (
 from envgs_bench.records import RecordError
 from envgs_bench.reports.columns import MAIN_COLUMNS, of
 from envgs_bench.reports.decimals import mean, rounded
+from envgs_bench.reports.entries import entries
 from envgs_bench.reports.estimates import Numbers
 from envgs_bench.reports.latex import latex
-from envgs_bench.reports.layout import entries
 from envgs_bench.reports.markdown import markdown
 from envgs_bench.reports.report import build_report
 from envgs_bench.reports.sections import Section
