@@ -9,7 +9,11 @@ from typing import Any
 
 from .runs import Run
 
-ORDER = ("3dgs", "2dgs", "envmap", "envmap128", "envmap256", "envgs")  # by what they model of reflections
+ORDER = (  # by what they model of reflections, then what is left out, as in the paper's Table 4
+    *("3dgs", "2dgs", "envmap", "envmap128", "envmap256", "envgs"),
+    *("envgs_no_joint", "envgs_no_mono_normal", "envgs_no_color_sabotage", "envgs_no_normal_propagation"),
+    *("envgs_no_perceptual", "envgs_single_set"),
+)
 
 
 @dataclass(frozen=True)
