@@ -153,6 +153,7 @@ extern "C" __global__ void __launch_bounds__(256)
         Axes<float> axes = axes_of(normalized(quaternion_at(g, i), inverse_norm));
         s = {surfel_frame(axes, scale.x, scale.y), mean_at(g, i), support_of(opacities[i]), opacities[i], i};
         box = box_of(s, scale.x * axes.u, scale.y * axes.v);
+        if (!(box.low[0] <= box.high[0])) s.support = -1.0f;  // nothing meets it, whatever its leaf's box
     }
     int own_slot = slot;
     if (arrange) {
