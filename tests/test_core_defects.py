@@ -215,6 +215,21 @@ def test_a_hit_is_never_lost_or_blended_twice_where_many_overlap(tracer, side):
     )
 
 
+@pytest.mark.parametrize("hide", ["opacity", "scale"])
+def test_an_invisible_surfel_stays_so_beside_visible_ones(native, hide):
+    """A ray starts at its very centre, so that even a support of radius 0, or a frame scaled to nothing, is met."""
+    gaussians = facing_surfels(torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 1.9], [0.1, 0.0, 2.1]]), opacity=0.6)
+    if hide == "opacity":
+        gaussians.opacities[0] = 1 / 255
+    else:
+        gaussians.scales[0] = torch.inf
+    leaves = native.take(gaussians)
+    origins, directions = torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]), torch.tensor([[0.0, 0.0, 1.0]]).expand(2, 3)
+    drawn = native.trace(leaves, native.take(origins), native.take(directions))
+    assert drawn.hits.tolist() == [1, 2]
+    assert drawn.statistics.weights[0] == 0
+
+
 @pytest.mark.parametrize("columns", [2, 3])
 def test_the_forward_pass_does_not_change_its_input(rasterizer, columns):
     gaussians = random_set(30, columns=columns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import replace
 
 import pytest
@@ -113,6 +114,18 @@ def test_available_backends_says_why_not():
     assert set(reasons) == {"cpu", "cuda", "torch", "embree"}
     assert reasons["torch"] is None
     assert all(reason is None or len(reason) > 10 for reason in reasons.values())
+
+
+def test_a_backend_that_breaks_on_import_does_not_hide_the_others(monkeypatch):
+    def broken(name: str):
+        if name.endswith(".cuda"):
+            raise OSError("libcuda.so.1: wrong ELF class")
+        return importlib.__import__(name, fromlist=["why_unavailable"])
+
+    monkeypatch.setattr("envgs_bench.core.backends.importlib.import_module", broken)
+    reasons = available_backends()
+    assert reasons["cuda"] == "cannot be imported: OSError: libcuda.so.1: wrong ELF class"
+    assert reasons["torch"] is None
 
 
 def test_a_set_may_be_empty_of_extras_columns():

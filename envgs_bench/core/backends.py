@@ -71,6 +71,6 @@ def available_backends() -> dict[str, str | None]:
     for name in BACKENDS:
         try:
             reasons[name] = importlib.import_module(f"{__package__}.{name}").why_unavailable()
-        except ImportError as error:
-            reasons[name] = f"cannot be imported: {error}"
+        except Exception as error:  # whatever a broken installation may raise: the others still work
+            reasons[name] = f"cannot be imported: {type(error).__name__}: {error}"
     return reasons
