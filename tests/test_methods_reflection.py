@@ -149,10 +149,27 @@ def test_the_filter_traces_the_pixels_of_the_greatest_beta(monkeypatch, share, t
     assert seen[-traced:].all()
 
 
-def test_an_image_is_filtered_where_no_eye_can_tell():
-    """The default threshold moves no pixel by more than 1/255 where colours lie in [0, 1]."""
-    assert EnvMapSettings().beta_threshold == 1 / 255
-    assert EnvMapSettings().beta_filter == 0
+def test_the_default_threshold_moves_no_pixel_visibly(monkeypatch):
+    """Colours in [0, 1] and β up to 2/255: what is left out is at most 1/255, and half of the rays are left out."""
+    generator = torch.Generator().manual_seed(2)
+    shown = mirror(make_camera(), torch.tensor([0.0, 0.0, -1.0]), -4.0)
+    beta = 2 / 255 * torch.rand(HEIGHT, WIDTH, generator=generator)
+    rendering = make_rendering(shown.depth, shown.normal, shown.alpha, beta)
+    rendering.color = torch.rand(HEIGHT, WIDTH, 3, generator=generator).round()
+    images = {}
+    for name, settings in {
+        "default": EnvMapSettings(envmap_size=4),
+        "all": EnvMapSettings(envmap_size=4, beta_threshold=0.0),
+    }.items():
+        method = EnvMap(settings)
+        method._set_texels(20 * torch.randn(6, 4, 4, 3, generator=torch.Generator().manual_seed(3)))
+        method.reflects = True
+        monkeypatch.setattr(method, "_rasterize_base", lambda camera, step: rendering)
+        images[name] = method._draw(make_camera(), None)[0]
+    traced = [(image.layers["reflection"].sum(-1) > 0).float().mean() for image in images.values()]
+    assert traced[0] < 0.6 < 0.9 < traced[1]
+    difference = (images["default"].color - images["all"].color).abs()
+    assert 0.5 / 255 < difference.max() <= 1 / 255 + 1e-6
 
 
 def test_envgs_and_envmap_differ_in_the_reflected_colour_only():
