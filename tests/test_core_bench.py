@@ -9,7 +9,7 @@ import sys
 import pytest
 import torch
 
-from envgs_bench.bench.cases import chosen_cases, sweep_cases
+from envgs_bench.bench.cases import Case, chosen_cases, sweep_cases, time_case
 from envgs_bench.bench.core import main
 from envgs_bench.bench.room import BALLS, LOWER, UPPER, first_hits, reflected_rays, room_camera, room_gaussians
 from envgs_bench.bench.tracers import compare, pixel_along
@@ -170,3 +170,19 @@ def test_a_camera_of_one_pixel_sees_along_its_ray():
     origins, directions = pixel_along(origin, direction).rays()
     torch.testing.assert_close(origins[0, 0], origin)
     torch.testing.assert_close(directions[0, 0], direction)
+
+
+@pytest.mark.parametrize("direction", ["forward", "forward_backward"])
+def test_an_envgs_image_and_a_training_step_are_timed(direction):
+    row = time_case(Case("envgs", direction, "cpu", 100, 20, 14), repeats=3)
+    assert row["repeats"] == 3
+    assert row["median_ms"] > 0
+    assert 0.9 < row["alpha"] <= 1  # the room is closed
+
+
+def test_the_rows_of_envgs_belong_to_the_gpu():
+    assert [c.direction for c in chosen_cases(["cuda"], None, None) if c.op == "envgs"] == [
+        "forward",
+        "forward_backward",
+    ]
+    assert not [c for c in chosen_cases(["cpu"], None, None) + chosen_cases(["cuda"], [10], None) if c.op == "envgs"]

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from ..core import GaussianSet, Rendering, build_bvh, rasterize, trace
+from .frame import envgs_work
 from .peers import PEERS, PeerImage, peer_drawing
 from .room import reflected_rays, room_camera, room_gaussians
 from .stopwatch import time_work
@@ -34,6 +35,7 @@ ORACLE_SIZES: list[Size] = [(40, 30)]  # where the torch oracle and a native bac
 ORACLE_PRIMITIVES = [20_000]
 GPU_SIZES: list[Size] = [(1292, 839)]  # what the tracer's targets are stated for
 GPU_PRIMITIVES = [300_000, 2_000_000]
+GPU_ENVGS_PRIMITIVES = 300_000  # of the environment
 OWN_SIZES = {"torch": ORACLE_SIZES, "embree": ORACLE_SIZES, "cuda": GPU_SIZES}
 OWN_PRIMITIVES = {"torch": ORACLE_PRIMITIVES, "embree": ORACLE_PRIMITIVES, "cuda": GPU_PRIMITIVES}
 SWEEP_PRIMITIVES = [2_000, 6_000, 20_000, 60_000, 300_000]
@@ -43,8 +45,8 @@ SECONDS_PER_CASE = 10.0
 
 @dataclass(frozen=True)
 class Case:
-    op: str  # trace, rasterize_2d, rasterize_3d, build
-    direction: str  # forward, forward_backward
+    op: str  # trace, rasterize_2d, rasterize_3d, build, envgs
+    direction: str  # forward, forward_backward; of envgs: an image, a training step
     backend: str
     primitives: int
     width: int | None  # None where no image is drawn
@@ -59,6 +61,8 @@ def chosen_cases(backends: Sequence[str], primitives: Sequence[int] | None, size
     cases = []
     for backend in backends:
         cases += _cases(backend, primitives or OWN_PRIMITIVES.get(backend), sizes or OWN_SIZES.get(backend))
+        if backend == "cuda" and not primitives and not sizes:
+            cases += [Case("envgs", each, backend, GPU_ENVGS_PRIMITIVES, *GPU_SIZES[0]) for each in DIRECTIONS]
         if "torch" in backends and backend in ("cpu", "cuda") and not sizes:
             cases += [c for c in _cases(backend, primitives or ORACLE_PRIMITIVES, ORACLE_SIZES) if c.op != "build"]
     return cases
@@ -97,20 +101,8 @@ def time_case(case: Case, repeats: int) -> dict[str, object]:
     their mean alpha, and on a GPU the peak of allocated memory, which includes the inputs.
     """
     device = torch.device("cuda" if case.backend in ("cuda", *PEERS) else "cpu")
-    columns = 3 if case.op == "rasterize_3d" else 2
-    gaussians = room_gaussians(case.primitives, columns=columns).to(device)
-    work: Callable[[], object]
-    hits = alpha = peak_bytes = None
-    if case.op == "build":
-        work = partial(build_bvh, gaussians, backend=case.backend)
-    else:
-        draw, inputs = _drawing(case, gaussians, device)
-        with torch.no_grad():
-            drawn = draw()
-        alpha = float(drawn.alpha.double().mean())
-        if drawn.hits is not None:
-            hits = float(drawn.hits.double().mean())
-        work = without_gradients(draw) if case.direction == "forward" else with_gradients(draw, inputs, drawn)
+    work, hits, alpha = _work(case, device)
+    peak_bytes = None
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats()
     times = time_work(work, device, repeats, SECONDS_PER_CASE)
@@ -118,6 +110,26 @@ def time_case(case: Case, repeats: int) -> dict[str, object]:
         peak_bytes = torch.cuda.max_memory_allocated()
     timed = {"median_ms": times.median_ms, "spread_ms": times.spread_ms, "repeats": len(times.all_ms)}
     return asdict(case) | timed | {"hits_per_ray": hits, "alpha": alpha, "peak_bytes": peak_bytes}
+
+
+def _work(case: Case, device: torch.device) -> tuple[Callable[[], object], float | None, float | None]:
+    """What is timed, hits a ray and mean alpha; None where there are none."""
+    if case.op == "envgs":
+        assert case.width is not None
+        assert case.height is not None
+        image, step = envgs_work(case.primitives, case.width, case.height, backend=case.backend, device=device)
+        rendering = image()
+        return image if case.direction == "forward" else step, None, float(rendering.alpha.double().mean())
+    columns = 3 if case.op == "rasterize_3d" else 2
+    gaussians = room_gaussians(case.primitives, columns=columns).to(device)
+    if case.op == "build":
+        return partial(build_bvh, gaussians, backend=case.backend), None, None
+    draw, inputs = _drawing(case, gaussians, device)
+    with torch.no_grad():
+        drawn = draw()
+    work = without_gradients(draw) if case.direction == "forward" else with_gradients(draw, inputs, drawn)
+    hits = None if drawn.hits is None else float(drawn.hits.double().mean())
+    return work, hits, float(drawn.alpha.double().mean())
 
 
 def _drawing(case: Case, gaussians: GaussianSet, device: torch.device) -> tuple[Callable[[], Drawn], list[Tensor]]:

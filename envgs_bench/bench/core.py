@@ -16,7 +16,8 @@ Time rasterize, trace and build on a room of Gaussians: medians, and the distanc
 Without options: the traced and rasterized cases that targets are stated for, and the native backends beside the torch
 oracle on a picture small enough for it. With --primitives or --size: every operation at each of them.
 forward draws without gradients; forward_backward differentiates every output in every field and, for trace, in the
-rays. The BVH is built outside of trace's time: that is the row `build`.
+rays. The BVH is built outside of trace's time: that is the row `build`. On a GPU also an EnvGS image (envgs, forward)
+and a training step (forward_backward), with five base surfels for each of the environment's.
 """
 
 
