@@ -103,7 +103,13 @@ def test_ctrl_c_leaves_a_record_and_a_checkpoint_and_the_run_starts_again(
 ) -> None:
     command = [sys.executable, "-m", "envgs_bench.cli", "run", "--config-dir", str(CONF), "-m", *QUICK]
     overrides = ["runs_dir=runs", "seed=0,1", "steps=1000", "method.kind=fakes.methods:Announces"]
-    process = subprocess.Popen([*command, *overrides], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [*command, *overrides],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # a background shell ignores it
+    )
     for _ in range(600):
         if (tmp_path / "started").exists() or process.poll() is not None:
             break
