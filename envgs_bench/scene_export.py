@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import sys
 from pathlib import Path
 from typing import Any
 
 from hydra import compose, initialize_config_dir
-from hydra.errors import CompactHydraException
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import CompactHydraException, HydraException
 from omegaconf.errors import OmegaConfBaseException
 
 from .app import explain, register_methods, settings_of
@@ -69,6 +71,16 @@ def _largest_difference(ours: Camera, theirs: Camera) -> float:
 
 def _as_overrides(settings: dict[str, Any]) -> list[str]:
     """`load_scene`'s settings as overrides of a run."""
-    values = {key: str(value).lower() if isinstance(value, bool) else value for key, value in settings.items()}
-    kind = values.pop("kind")
-    return [f"dataset={kind}", *(f"dataset.{key}={value}".replace(" ", "") for key, value in values.items())]
+    others = {key: _as_value(value) for key, value in settings.items() if key != "kind"}
+    return [f"dataset={settings['kind']}", *(f"dataset.{key}={value}" for key, value in others.items())]
+
+
+def _as_value(value: Any) -> str:
+    """As an override's right side; text is quoted where its signs would mean something there."""
+    if not isinstance(value, str):
+        return json.dumps(value, separators=(",", ":"))
+    try:
+        plain = OverridesParser.create().parse_override(f"key={value}").value() == value
+    except HydraException:
+        plain = False
+    return value if plain else "'" + value.replace("'", r"\'") + "'"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pycolmap
 import pytest
 import torch
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from PIL import Image
 from plyfile import PlyData
 from scipy.spatial.transform import Rotation
@@ -212,6 +214,18 @@ def test_views_that_lack_a_region_or_normals(load: Load, tmp_path: Path) -> None
     )
 
 
+@pytest.mark.parametrize("form", FORMATS)
+def test_guessed_normals_stay_with_the_training_views(load: Load, tmp_path: Path, form: str) -> None:
+    """As captures have them whose normals are not exact; and some that only a few views have."""
+    scene = load("sky_ball")
+    guessed = replace(scene, test=[replace(view, normal=None) for view in scene.test])
+    assert_same(guessed, round_trip(guessed, form, tmp_path / "one"))
+    some = replace(guessed, train=[replace(guessed.train[0], normal=None), *guessed.train[1:]])
+    again = round_trip(some, form, tmp_path / "two")
+    assert again.train[0].normal is None or not again.train[0].normal.any()
+    assert torch.equal(again.train[1].normal, scene.train[1].normal)
+
+
 def test_nothing_is_left_of_an_export_that_fails(load: Load, tmp_path: Path) -> None:
     scene = load("sky_ball")
     skewed = scene.train[-1].camera.intrinsics.clone()
@@ -245,6 +259,21 @@ def test_the_command_says_how_to_read_it(tmp_path: Path, capsys: pytest.CaptureF
     assert "cameras read back bit by bit" in printed.out
     source = "blender" if form == "blender" else "colmap"
     assert f"envgs-bench run dataset={source} dataset.root={tmp_path}/data dataset.name=toy/sky_ball" in printed.out
+
+
+@pytest.mark.parametrize("folder", ["it's here (1), α=½", "123", "plain"])
+def test_the_command_it_prints_names_the_folder_whatever_its_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], folder: str
+) -> None:
+    data = ["dataset=toy/sky_ball", "dataset.width=16", "dataset.height=12", "dataset.views=3"]
+    with coarse_toys():
+        assert main(["export", *data, "--out", str(tmp_path / folder), f"cache_dir={tmp_path}/cache"]) == 0
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("read it with: "))
+    words = shlex.split(line.removeprefix("read it with: envgs-bench run "))
+    given = {item.key_or_group: item.value() for item in OverridesParser.create().parse_overrides(words)}
+    assert given["dataset.root"] == str(tmp_path / folder)
+    assert given["dataset.background"] == [0, 0, 0]
+    assert given["dataset.exact_normals"] is True
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pycolmap
+import torch
 from scipy.spatial.transform import Rotation
 
 from envgs_bench.core import Camera, Scene, View
@@ -40,11 +42,20 @@ def write_colmap(scene: Scene, root: Path, text: bool) -> dict[str, Any]:
     folder = root / "sparse/0"
     folder.mkdir(parents=True)
     (model.write_text if text else model.write_binary)(str(folder))
-    known = all(view.normal is not None for view in views)  # a folder of siblings is complete or not there
-    normals = [f"normals/{view.name}" if known else None for view in views]
-    files = [ViewFiles(view, f"images/{view.name}", view.name, path) for view, path in zip(views, normals, strict=True)]
+    views = _with_normals_or_none(views)
+    files = [ViewFiles(view, f"images/{view.name}", view.name, f"normals/{view.name}") for view in views]
     write_views(root, files)
-    return {"kind": "colmap", "exact_normals": known}
+    return {"kind": "colmap", "exact_normals": any(view.normal is not None for view in scene.test)}
+
+
+def _with_normals_or_none(views: list[View]) -> list[View]:
+    """The views, all with normals or none, since a folder of siblings is complete: 0, unknown, where a view lacks them.
+
+    Test views lack them where the normals are a guess; a reader drops theirs again.
+    """
+    if all(view.normal is None for view in views):
+        return views
+    return [view if view.normal is not None else replace(view, normal=torch.zeros(view.image.shape)) for view in views]
 
 
 def _in_order(scene: Scene) -> list[View]:

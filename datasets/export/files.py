@@ -25,7 +25,7 @@ class ViewFiles:
     view: View
     image: str
     mask: str  # below each region's folder
-    normal: str | None  # not written where None
+    normal: str  # written where the view has normals
 
 
 def write_views(root: Path, views: Sequence[ViewFiles]) -> None:
@@ -44,7 +44,7 @@ def write_views(root: Path, views: Sequence[ViewFiles]) -> None:
             folder = root / ("masks" if region == "foreground" else f"masks_{region}")
             mask = view.masks.get(region, torch.zeros(view.image.shape[:2], dtype=torch.bool))
             _write_png(folder / f"{files.mask}.png", 255 * mask.to(torch.uint8))
-        if files.normal is not None and view.normal is not None:
+        if view.normal is not None:
             path = root / f"{files.normal}.npy"
             path.parent.mkdir(parents=True, exist_ok=True)
             np.save(path, view.normal.float().numpy())
