@@ -25,12 +25,12 @@ from .capture import (
 from .estimator import with_estimated_normals
 from .frames import read_frames
 from .normals import NormalMap
-from .photographs import Photograph, with_siblings
+from .photographs import Photograph, with_masks
 from .pointcloud import PointCloud, random_points, read_ply
 from .settings import parse_settings
 from .views import make_views
 
-VERSION = 1  # raise it with every change that alters a scene
+VERSION = 2  # raise it with every change that alters a scene
 TRANSFORMS = ("transforms_train.json", "transforms_test.json")
 POINTS = "points3d.ply"  # what 3DGS writes beside such a scene
 
@@ -67,7 +67,7 @@ def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     train, test = (photographs for photographs, _ in found)
     if choice.train_normals:
         train = _with_normals(train)
-    photographs = with_siblings([*train, *_with_normals(test)], root)
+    photographs = with_masks([*train, *_with_normals(test)], root)
 
     def make(draft: Draft) -> Scene:
         for file, (_, missing) in zip(files, found, strict=True):

@@ -19,7 +19,7 @@ from .pictures import EXTENSIONS
 from .settings import DatasetError, parse_settings
 from .siblings import Siblings, region_folders
 
-VERSION = 3  # raise it with every change that alters a scene
+VERSION = 4  # raise it with every change that alters a scene
 
 
 class ColmapSettings(PhotographSettings):

@@ -140,7 +140,7 @@ class FrameFile:
         """pycolmap's camera model and its parameters after focal lengths and principal point."""
         named = frame.get("camera_model", self.shared.get("camera_model", "OPENCV"))
         k1, k2, k3, k4, p1, p2 = (self.number(key, frame) or 0.0 for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
-        if named in FISHEYE_MODELS or self.shared.get("is_fisheye"):
+        if named in FISHEYE_MODELS or frame.get("is_fisheye", self.shared.get("is_fisheye")):
             return "OPENCV_FISHEYE", [k1, k2, k3, k4]
         if named not in FLAT_MODELS or k4:
             what = f"camera_model={named!r}" if named not in FLAT_MODELS else f"k4={k4:g} without a fisheye model"

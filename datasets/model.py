@@ -71,7 +71,7 @@ class Model:
 
     def _pose(self, image: pycolmap.Image) -> np.ndarray:
         pose = np.eye(4)
-        pose[:3] = (image.cam_from_world() if callable(image.cam_from_world) else image.cam_from_world).matrix()
+        pose[:3] = image.cam_from_world().matrix()
         self._check_finite("pose", pose, image.name)
         return pose
 

@@ -40,22 +40,28 @@ class Photograph:
         return PurePosixPath(self.name).with_suffix("").as_posix().replace("/", "_")
 
 
-def with_siblings(photographs: Sequence[Photograph], root: Path, frame: Frame = "world") -> list[Photograph]:
+def with_siblings(photographs: Sequence[Photograph], root: Path, frame: Frame) -> list[Photograph]:
     """The photographs with the masks and normals that lie in folders below `root`, where there are such folders.
 
-    Masks that a photograph has already stay.
+    Raises as `with_masks`.
+    """
+    result = with_masks(photographs, root)
+    if (root / "normals").is_dir():
+        paths = Siblings(root / "normals").find_all(photograph.name for photograph in photographs)
+        result = [replace(p, normal=NormalMap(path, frame)) for p, path in zip(result, paths, strict=True)]
+    return result
+
+
+def with_masks(photographs: Sequence[Photograph], root: Path) -> list[Photograph]:
+    """The photographs with the masks below `root`; those that a photograph has already stay.
 
     Raises:
-        DatasetError: a folder lacks a file for some of them.
+        DatasetError: a folder lacks a file for some of them, or holds several for one.
     """
-    names = [photograph.name for photograph in photographs]
     result = list(photographs)
     for region, folder in region_folders(root).items():
-        paths = Siblings(folder).find_all(names)
+        paths = Siblings(folder).find_all(photograph.name for photograph in photographs)
         result = [replace(p, masks={region: path, **p.masks}) for p, path in zip(result, paths, strict=True)]
-    if (root / "normals").is_dir():
-        paths = Siblings(root / "normals").find_all(names)
-        result = [replace(p, normal=NormalMap(path, frame)) for p, path in zip(result, paths, strict=True)]
     return result
 
 

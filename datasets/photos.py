@@ -25,7 +25,7 @@ from .reconstruction import LEAST_IMAGES, Matching, Reconstructor
 from .settings import DatasetError, parse_settings
 from .siblings import region_folders
 
-VERSION = 2  # raise it with every change that alters a scene
+VERSION = 3  # raise it with every change that alters a scene
 MODEL_VERSION = 1  # and this with every change that alters a reconstruction
 
 

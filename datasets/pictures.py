@@ -65,12 +65,12 @@ def read_picture(path: Path, background: Color, turn: bool = False) -> tuple[Byt
 
 
 def read_mask(path: Path) -> NDArray[np.bool_]:
-    """The mask [H, W]. Inside is the brighter half of the grey scale, or 1 among 0 and 1.
+    """The mask [H, W]. Inside is the brighter half of the grey scale, or 1 among 0 and 1; transparent is outside.
 
     Raises:
         DatasetError: as `read_picture`.
     """
-    values = np.asarray(_decoded(path, turn=False).convert("L"))
+    values = np.asarray(Image.fromarray(read_picture(path, (0.0, 0.0, 0.0))[0]).convert("L"))
     return values >= (128 if values.max() > 1 else 1)
 
 

@@ -14,15 +14,8 @@ class Siblings:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._paths = {
-            path.relative_to(folder).with_suffix("").as_posix(): path
-            for path in sorted(folder.rglob("*"))
-            if path.is_file() and not path.name.startswith(".")
-        }
-
-    @property
-    def files(self) -> list[Path]:
-        return list(self._paths.values())
+        self.files = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.name.startswith(".")]
+        self._paths = {path.relative_to(folder).with_suffix("").as_posix(): path for path in self.files}
 
     def find(self, image_name: str) -> Path | None:
         """The file for image `a/b.jpg`: `a/b.<any>` or, as COLMAP names masks, `a/b.jpg.<any>`; None without one."""
@@ -33,9 +26,15 @@ class Siblings:
         """The files for these images, in their order.
 
         Raises:
-            DatasetError: there is none for some image. A mean over the few views that happen to have one would be
-                another number.
+            DatasetError: there is none for some image, and a mean over the few views that happen to have one would be
+                another number; or there are several for one, as a preview beside an array.
         """
+        if len(self._paths) < len(self.files):
+            others = sorted(path.name for path in set(self.files) - set(self._paths.values()))
+            raise DatasetError(
+                f"{self.folder}: holds several files of one name, of which one image needs one: {listed(others)}; "
+                "move away those that are not meant"
+            )
         names = list(image_names)
         found = [self.find(name) for name in names]
         missing = [name for name, path in zip(names, found, strict=True) if path is None]

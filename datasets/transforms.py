@@ -20,7 +20,7 @@ from .photographs import Photograph, with_siblings
 from .pointcloud import PointCloud, random_points, read_ply
 from .settings import DatasetError, parse_settings
 
-VERSION = 2  # raise it with every change that alters a scene
+VERSION = 3  # raise it with every change that alters a scene
 NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # of instant-ngp, whose box [0, 1]³ is grown by aabb_scale around its middle
 
 

@@ -146,6 +146,17 @@ def test_exact_normals_are_for_the_test_views(root: Path, encoding: str) -> None
     assert all(view.normal is not None for view in load(root, train_normals=True).train)
 
 
+def test_a_folder_of_normals_is_no_truth_here(root: Path) -> None:
+    """As an estimator leaves one; test views are held to what was rendered with them."""
+    for split, count in (("train", 3), ("test", 2)):
+        (root / "normals" / split).mkdir(parents=True)
+        for index in range(count):
+            guess = np.full((SIZE, SIZE, 3), [0, 0, -1], np.float32)
+            np.save(root / "normals" / split / f"r_{index}.npy", guess)
+    scene = load(root)
+    assert all(view.normal is None for view in [*scene.train, *scene.test])
+
+
 def test_masks_are_found_by_split(root: Path) -> None:
     for split, count in (("train", 3), ("test", 2)):
         (root / "masks_metal" / split).mkdir(parents=True)

@@ -186,6 +186,13 @@ def test_estimators_that_cannot_be_used(root: Path, path: str, message: str) -> 
     refused(root, rf"dataset\.normal_estimator='?{path}'?:? {message}", normal_estimator=path)
 
 
+def test_a_preview_beside_an_array_is_ambiguous(root: Path) -> None:
+    write_arrays(root)
+    Image.fromarray(gradient()).save(root / "normals" / "003.png")
+    with pytest.raises(DatasetError, match=r"normals: holds several files of one name.*: 003\.npy; move away"):
+        load(root)
+
+
 def test_an_estimator_beside_a_folder_of_normals_is_ambiguous(root: Path) -> None:
     write_arrays(root)
     refused(root, "have normals already; drop the estimator, or move", normal_estimator=f"{__name__}:leaning")

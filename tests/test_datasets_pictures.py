@@ -81,6 +81,9 @@ def test_masks_of_any_depth(tmp_path: Path) -> None:
         "colours.png": np.where(inside[..., None], 255, 0).astype(np.uint8).repeat(3, axis=-1),
     }.items():
         np.testing.assert_array_equal(read_mask(save(tmp_path / name, values)), inside, err_msg=name)
+    cut_out = np.full((*inside.shape, 4), 255, np.uint8)  # white, and transparent outside
+    cut_out[..., 3] = np.where(inside, 255, 0)
+    np.testing.assert_array_equal(read_mask(save(tmp_path / "cut_out.png", cut_out)), inside)
 
 
 def cmyk(path: Path) -> None:

@@ -106,6 +106,14 @@ def test_cameras_are_those_of_the_same_colmap_model(tmp_path: Path, camera: str,
     assert_same_views(load(root, downsample=2), load(root, "colmap", downsample=2))
 
 
+def test_a_frame_says_itself_that_its_lens_is_a_fisheye(tmp_path: Path) -> None:
+    camera = "OPENCV_FISHEYE 64 48 60.0 62.0 30.5 25.0 0.02 0.0 0.0 0.0"
+    root = write(write_capture(tmp_path / "bench", NAMES, camera), {**FLAT, "k1": 0.02})
+    for index in range(len(NAMES)):
+        change_frame(root, index, is_fisheye=True)
+    assert_same_views(load(root), load(root, "colmap"))
+
+
 def test_a_frame_s_own_intrinsics_win(root: Path) -> None:
     change_frame(root, 3, fl_x=45.0, cx=31.0)
     views = {view.name: view for view in load(root).train}
