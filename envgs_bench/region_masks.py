@@ -50,8 +50,12 @@ def make_masks(run: Path, choice: MaskChoice, out: Path, device: str = "auto") -
     Yields (masks made, of how many) after each; the files are written at the end, all or none.
 
     Raises:
-        ValueError, FileNotFoundError: as `reopen` and `load_scene`; a method without β; no primitive is taken.
+        ValueError, FileNotFoundError: as `reopen` and `load_scene`; a method without β; no primitive is taken; there
+            are masks that this command did not make.
     """
+    folder, origin = out / f"masks_{choice.region}", out / f"masks_{choice.region}.json"
+    if folder.exists() and not origin.is_file():
+        raise ValueError(f"{folder}: is there already, and was not made by this command; move it away to replace it")
     settings, method = reopen(run, device)
     if not isinstance(method, ReflectiveMethod):
         raise ValueError(f"{run}: method {settings.method.name} knows no β; take a run of method=envgs")
@@ -70,14 +74,14 @@ def make_masks(run: Path, choice: MaskChoice, out: Path, device: str = "auto") -
     for number, view in enumerate(views, start=1):
         masks[view.name] = drawing.mask(view.camera.to(method.device)).cpu().numpy()
         yield number, len(views)
-    _write(settings, masks, out / f"masks_{choice.region}")
+    _write(settings, masks, folder)
     about = {
         **{"region": choice.region, "run": str(run.resolve()), "dataset": scene.name, "made": now()},
         **{"beta_min": choice.beta_min, "base_primitives": len(base)},
         "foreground": {"center": ball.center.tolist(), "radius": ball.radius, "primitives": int(kept.sum())},
         "mean_fraction": float(sum(mask.mean() for mask in masks.values()) / len(masks)),
     }
-    write_atomically(out / f"masks_{choice.region}.json", json.dumps(about, indent=1) + "\n")
+    write_atomically(origin, json.dumps(about, indent=1) + "\n")
 
 
 def _write(settings: RunSettings, masks: dict[str, NDArray[np.bool_]], folder: Path) -> None:

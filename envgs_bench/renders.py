@@ -26,6 +26,7 @@ PICTURES = (".png", ".jpg", ".jpeg")
 SUFFIXES = (*PICTURES, ".npy")
 MODES = ("L", "LA", "P", "RGB", "RGBA")  # of 8 bits a channel
 NAMED_AT_MOST = 20  # of each kind of problem
+BRIGHTEST = 1.5  # mean of a picture whose range is [0, 1], with room for what overshoots
 
 
 class RendersError(ValueError):
@@ -110,7 +111,7 @@ def read_render(path: Path, background: Tensor) -> Tensor:
     """The picture as floats [H, W, 3], sRGB: bytes / 255, laid on `background` where transparent; an array as it is.
 
     Raises:
-        RendersError: it cannot be decoded, or a value is not finite.
+        RendersError: it cannot be decoded, a value is not finite, or the values cannot be meant to lie in [0, 1].
     """
     try:
         if path.suffix.lower() == ".npy":
@@ -123,6 +124,10 @@ def read_render(path: Path, background: Tensor) -> Tensor:
     image = torch.from_numpy(np.array(values, np.float32)) / scale
     if not torch.isfinite(image).all():
         raise RendersError(f"{path}: {float((~torch.isfinite(image)).float().mean()):.1%} of its values are not finite")
+    if image.abs().mean() > BRIGHTEST:
+        raise RendersError(
+            f"{path}: its values average {float(image.mean()):.3g}, expected sRGB in [0, 1]; divide by 255?"
+        )
     return image
 
 

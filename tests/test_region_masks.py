@@ -166,6 +166,20 @@ def test_what_cannot_give_masks_is_explained(trained: Path, tmp_path: Path, caps
     assert not list(tmp_path.glob("masks_*"))
 
 
+def test_masks_that_somebody_else_made_are_kept(
+    trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    by_hand = tmp_path / "masks_reflective" / "view0.png"
+    by_hand.parent.mkdir()
+    by_hand.write_text("by hand")
+    command = ["masks", str(trained), "--region", "reflective", "--beta", "0.09", "--device", "cpu", "--out"]
+    assert main([*command, str(tmp_path)]) == 1
+    assert "masks_reflective: is there already, and was not made by this command" in capsys.readouterr().err
+    assert by_hand.read_text() == "by hand"
+    for _ in range(2):  # its own it replaces
+        assert main([*command, str(tmp_path / "other")]) == 0
+
+
 def test_a_run_without_beta_is_refused(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = MethodChoice(name="fake", kind="fakes.methods:MeanColor", settings={})
     settings = read_settings(trained).model_copy(update={"method": other})

@@ -148,6 +148,12 @@ def test_arrays_are_taken_as_floats_as_they_are(tmp_path: Path) -> None:
         read_render(tmp_path / "view1.npy", BLACK)
 
 
+def test_arrays_of_bytes_as_floats_are_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "view1.npy", np.full((4, 4, 3), 90, np.float32))
+    with pytest.raises(RendersError, match=r"view1\.npy: its values average 90, expected sRGB in \[0, 1\]"):
+        read_render(tmp_path / "view1.npy", BLACK)
+
+
 def test_arrays_that_are_no_pictures_are_named(tmp_path: Path) -> None:
     np.save(tmp_path / "view1.npy", np.zeros((3, HEIGHT, WIDTH), np.float32))
     np.save(tmp_path / "view2.npy", np.zeros((HEIGHT, WIDTH, 3), np.int64))
