@@ -36,7 +36,7 @@ class GaussianSettings:
     opacity_reset_every: int = 3_000  # 0: never
 
     normal_weight: float = 0.04  # of L_norm, rendered normals against those of the depth map
-    normal_from: int = 0
+    normal_from: int = 0  # step after which it counts
     mono_weight: float = 0.01  # of L_mono, against the view's own normals where it has any
     mono_loss: str = "cos"  # 1 − cos (paper), or l1_cos: the L1 distance beside it (released code)
     normal_weighting: str = "none"  # of both normal losses' pixels: none, depth (near ones count more), alpha
