@@ -28,7 +28,7 @@ class TracedReflection(ReflectiveMethod):
         self._bvh = None if gaussians is None else build_bvh(gaussians, backend=self.settings.backend)
 
     def _reflection(self, base: Rendering, camera: Camera, step: int | None) -> tuple[Tensor, Tensor, dict]:
-        if step is not None or not base.alpha.is_cuda:
+        if step is not None or not base.alpha.is_cuda or self.settings.backend == "torch":
             return super()._reflection(base, camera, step)
         # An image on the GPU: every pixel's ray is traced, those that do not reflect at no cost, since to count those
         # that do the host would have to wait.
