@@ -8,6 +8,7 @@ from functools import cache
 
 import pytest
 import torch
+from conftest import EMULATED, usable
 from core_scenes import (
     FIELDS,
     ORACLE,
@@ -53,14 +54,10 @@ def volumes(surfels: GaussianSet) -> GaussianSet:
     return replace(surfels, scales=torch.cat([surfels.scales, third], dim=1))
 
 
-@pytest.fixture(params=["cpu", "cuda", "torch"])
+@pytest.fixture(params=["cpu", "cuda", "torch", EMULATED])
 def single(request: pytest.FixtureRequest) -> Backend:
     """The backends in float32, the oracle's own float32 among them."""
-    backend = SINGLE if request.param == "torch" else Backend.named(request.param)
-    reason = backend.why_unavailable()
-    if reason:
-        pytest.skip(f"backend {backend.name}: {reason}")
-    return backend
+    return SINGLE if request.param == "torch" else usable(request)
 
 
 Draw = Callable[[Backend, GaussianSet, list[Tensor]], Rendering]

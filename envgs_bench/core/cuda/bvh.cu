@@ -35,7 +35,7 @@ extern "C" __global__ void __launch_bounds__(256)
         atomicMin(&statistics->low[threadIdx.x], block.low[threadIdx.x]);
         atomicMax(&statistics->high[threadIdx.x], block.high[threadIdx.x]);
     }
-    if (threadIdx.x < 7) atomicAdd(statistics->sum + threadIdx.x, block.sum[threadIdx.x]);
+    if (threadIdx.x < 7) atomicAdd(statistics->sum + threadIdx.x, (&block.sum[0])[threadIdx.x]);
 }
 
 extern "C" __global__ void hilbert_keys(const float* means, const float* opacities, int count,
