@@ -344,6 +344,17 @@ def test_region_tables_hold_the_masked_scores(mixed: Section) -> None:
     assert "reflective 18.0% (7.4 dB)" in " ".join(notes(mixed, table))
 
 
+def test_glass_has_a_column_and_a_region_of_ones_own_a_table(tmp_path: Path) -> None:
+    content = record("toy/glass", "envgs", 0)
+    scores = content["masked"]["reflective"]
+    content["masked"] = {"transmissive": {**scores, "psnr": 21.5}, "varnish": {**scores, "psnr": 17.25}}
+    write_record(tmp_path / "run", content)
+    (section,) = sections_of(tmp_path)
+    assert row_of(titled(section, "toy/glass"), "envgs").cells["psnr_transmissive"].estimate.strata == ((21.5,),)
+    regions = titled(section, "toy/glass: inside the regions")
+    assert row_of(regions, "envgs").cells["varnish: psnr_varnish"].estimate.strata == ((17.25,),)
+
+
 def test_times_beside_others_are_said_to_be(tmp_path: Path) -> None:
     content = record(ROOM, "envgs", 0)
     content["provenance"]["machine"]["others_cores"] = 1.5
