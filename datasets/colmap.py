@@ -78,6 +78,6 @@ def model_of(choice: ColmapSettings) -> Model:
 def _note_without_pose(images: Path, photographs: list[Photograph], draft: Draft) -> None:
     """Structure from motion leaves out images that it cannot place; that there are some is worth knowing."""
     used = {photograph.path for photograph in photographs}
-    others = [path.name for path in Siblings(images).files if path not in used and path.suffix in EXTENSIONS]
+    others = [path.name for path in Siblings(images).files if path not in used and path.suffix.lower() in EXTENSIONS]
     if others:
         draft.note(f"{images}: {len(others)} images have no pose in the model and are left out: {listed(others)}")

@@ -185,4 +185,4 @@ def _in_folder(name: str, images: str) -> str:
 
 
 def _has_extension(name: str) -> bool:
-    return PurePosixPath(name).suffix in EXTENSIONS
+    return PurePosixPath(name).suffix.lower() in EXTENSIONS

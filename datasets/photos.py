@@ -74,10 +74,11 @@ def images_of(choice: PhotosSettings) -> tuple[Path, list[Path]]:
     if not folder.is_dir():
         raise DatasetError(f"{root}: has no folder {choice.images}/; name the images' folder with dataset.images=…")
     below = folder.glob("*") if folder.resolve() == root.resolve() else folder.rglob("*")
-    files = sorted(path for path in below if path.suffix in EXTENSIONS and path.is_file())
+    files = sorted(path for path in below if path.suffix.lower() in EXTENSIONS and path.is_file())
     if len(files) < LEAST_IMAGES:
         raise DatasetError(
-            f"{folder}: holds {len(files)} images, expected {LEAST_IMAGES} at least, and better 20 or more"
+            f"{folder}: holds {len(files)} images, expected {LEAST_IMAGES} at least, and better 20 or more; known are "
+            f"{', '.join(name for name in EXTENSIONS if name.islower())}"
         )
     return folder, files
 

@@ -140,11 +140,12 @@ def test_photographs_of_nothing(tmp_path: Path) -> None:
 def test_folders_that_hold_too_little(tmp_path: Path) -> None:
     (tmp_path / "few").mkdir()
     Image.fromarray(photograph(0)).save(tmp_path / "few/a.png")
-    with pytest.raises(DatasetError, match="few: holds 1 images, expected 3 at least"):
+    (tmp_path / "few/b.heic").touch()
+    with pytest.raises(DatasetError, match=r"few: holds 1 images, expected 3 at least.*known are \.png, \.jpg"):
         load(tmp_path / "few")
     with pytest.raises(DatasetError, match=r"few: has no folder jpgs/; .*dataset\.images"):
         load(tmp_path / "few", images="jpgs")
-    for name in ("b.jpg", "c.jpg"):
+    for name in ("b.jpg", "c.TIF"):
         (tmp_path / "few" / name).write_bytes(b"\xff\xd8")
     with pytest.raises(DatasetError, match=r"few/b\.jpg: cannot be decoded"):
         load(tmp_path / "few")
