@@ -7,13 +7,13 @@ from contextlib import ExitStack
 
 import pytest
 from core_scenes import Backend
-from cuda_emulator.emulator import EmulatedBackend, emulated, find_compiler
+from cuda_emulator.emulator import emulated, find_compiler
 
 EMULATED = pytest.param("emulated", marks=pytest.mark.slow)  # the CUDA backend's kernels, without a GPU
 
 
 @pytest.fixture
-def emulate(request: pytest.FixtureRequest) -> Iterator[Callable[[str], EmulatedBackend]]:
+def emulate(request: pytest.FixtureRequest) -> Iterator[Callable[[str], Backend]]:
     """emulate(order): from here to the test's end, the CUDA backend runs on the CPU, its threads in that order."""
     if find_compiler() is None:
         pytest.skip("the CUDA kernels' emulation needs a C++20 compiler: install g++, or set CXX")

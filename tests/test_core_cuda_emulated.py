@@ -36,7 +36,7 @@ from test_core_agreement import (
 )
 from torch import Tensor
 
-from envgs_bench.core import GaussianSet, Rendering, cuda
+from envgs_bench.core import GaussianSet, Rendering, build_bvh, cuda
 from envgs_bench.core.cuda import raster_pass, trace_pass
 from envgs_bench.core.differentiable import SetTensors
 from envgs_bench.methods.reflection import MIN_ALPHA, reflected_rays
@@ -105,7 +105,7 @@ def test_a_tree_of_any_size_finds_every_hit(backend, count):
 
 def test_a_refitted_tree_finds_what_a_new_one_does(backend):
     surfels, rays = random_set(300), random_rays(100)
-    bvh = cuda.build_bvh(surfels)
+    bvh = build_bvh(surfels, backend="cuda")
     noise = torch.randn(surfels.means.shape, generator=torch.Generator().manual_seed(0))
     moved = replace(surfels, means=surfels.means + 0.05 * noise)
     bvh.handle.refit(SetTensors.of(moved))

@@ -17,10 +17,9 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -28,8 +27,7 @@ import torch
 from core_scenes import Backend
 from torch import Tensor
 
-from envgs_bench.core import Bvh, Camera, GaussianSet, Rendering, cuda
-from envgs_bench.core.backends import RasterizeOptions, TraceOptions
+from envgs_bench.core import backends, cuda
 from envgs_bench.core.cuda import compiler, launch
 
 ORDERS = ("ascending", "descending", "shuffled")  # as in emulator.cpp
@@ -185,29 +183,19 @@ def spoiled(memory: Tensor) -> Tensor:
     return memory.fill_(torch.nan if memory.is_floating_point() else -1)
 
 
-@dataclass(frozen=True)
-class EmulatedBackend(Backend):
-    """The CUDA backend on CPU tensors. Usable within `emulated()`."""
-
-    def rasterize(self, gaussians: GaussianSet, camera: Camera, **options: Any) -> Rendering:
-        defaults = {"background": torch.zeros(3), "near": 0.2, "low_pass": True, "transmittance_min": 1e-4}
-        return cuda.rasterize(gaussians, camera, RasterizeOptions(**(defaults | options)))
-
-    def trace(
-        self, gaussians: GaussianSet, origins: Tensor, directions: Tensor, bvh: Bvh | None = None, **options: Any
-    ) -> Rendering:
-        defaults = {"background": torch.zeros(3), "t_min": 0.0, "transmittance_min": 1e-4}
-        rays = origins.reshape(-1, 3), directions.reshape(-1, 3)
-        flat = cuda.trace(gaussians, *rays, bvh, TraceOptions(**(defaults | options)))
-        return flat.map(lambda x: x.reshape(*origins.shape[:-1], *x.shape[1:]))
+def load_backend(name: str, device: torch.device, dtype: torch.dtype) -> ModuleType:
+    """The core's own, but that "cuda" takes tensors on the CPU."""
+    return cuda if name == "cuda" else backends.load_backend(name, device, dtype)
 
 
 @contextmanager
-def emulated(builds: Path, order: str) -> Iterator[EmulatedBackend]:
-    """Within, the CUDA backend takes CPU tensors and launches emulated kernels, their threads in the given order."""
+def emulated(builds: Path, order: str) -> Iterator[Backend]:
+    """Within, backend "cuda" takes CPU tensors and launches emulated kernels, their threads in the given order."""
     modules = [importlib.import_module(f"{cuda.__name__}{name}") for name in MODULES]
     raster_pass, trace_pass = modules[2], modules[5]
     with pytest.MonkeyPatch.context() as patch:
+        for name in ("rasterize", "trace"):
+            patch.setattr(importlib.import_module(f"envgs_bench.core.{name}"), "load_backend", load_backend)
         patch.setattr(launch, "Kernels", partial(EmulatedKernels, builds=builds, order=order))
         for module in modules:
             patch.setattr(module, "torch", HostTorch())
@@ -216,6 +204,6 @@ def emulated(builds: Path, order: str) -> Iterator[EmulatedBackend]:
         patch.setattr(trace_pass, "_latest_pages", {})
         launch.kernels.cache_clear()
         try:
-            yield EmulatedBackend("cuda", torch.float32, "cpu")
+            yield Backend("cuda", torch.float32, "cpu")
         finally:
             launch.kernels.cache_clear()
