@@ -10,6 +10,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+from .datasets.contents import digest_of, files_in
 from .methods.registry import ENTRY_POINT_GROUP
 from .metrics import WeightsUnavailable, find_weights
 from .records import RENDERS
@@ -21,19 +22,22 @@ RESULT_CODE = (
     *("training.py", "evaluation.py", "renders.py", "scoring.py", "timing.py", "worker.py"),
 )
 SOURCES = {".py", ".h", ".cpp", ".cu"}
+COMPRESSED = (".png", ".jpg", ".jpeg", ".webp")  # files that other pixels make another size
 
 
 def run_id(settings: RunSettings, device: str) -> str:
     """`seed<seed>-<hash8>`: equal where method, data, steps, seed, protocol, timing, device and code are equal.
 
-    Where data lie does not count, what lies there does (names and sizes of the files; of renders the content): a
-    corrected data set is a new run, a moved one is not. VGG-16's weights count, which both a loss and a metric need: a
-    run without them is run again once they are there. What changes no result does not count: folders, force,
-    retry_failed, timeout_minutes.
+    Where data lie does not count, what lies there does (names and contents of the files, of photographs and masks names
+    and sizes, which tell as much where pixels are compressed; of renders the content): a corrected data set is a new
+    run, a moved one is not. VGG-16's weights count, which both a loss and a metric need: a run without them is run
+    again once they are there. What changes no result does not count: folders, force, retry_failed, timeout_minutes.
     """
+    cache_dir = settings.cache_dir
+    dataset = {key: value for key, value in settings.dataset.items() if key != "obtain"}
     determining = {
-        "method": [settings.method.name, settings.method.kind, _with_fingerprints(settings.method.settings)],
-        "dataset": _with_fingerprints({key: value for key, value in settings.dataset.items() if key != "obtain"}),
+        "method": [settings.method.name, settings.method.kind, _with_fingerprints(settings.method.settings, cache_dir)],
+        "dataset": _with_fingerprints(dataset, cache_dir),
         "steps": settings.steps,
         "seed": settings.seed,
         "protocol": settings.protocol,
@@ -107,17 +111,27 @@ def _extension_hash(kind: str) -> str | None:
     return digest.hexdigest()
 
 
-def _with_fingerprints(node: dict[str, Any]) -> dict[str, Any]:
-    return {key: _fingerprint(Path(value)) if key in PATH_KEYS and value else value for key, value in node.items()}
+def _with_fingerprints(node: dict[str, Any], cache_dir: Path) -> dict[str, Any]:
+    return {
+        key: _fingerprint(Path(value), cache_dir) if key in PATH_KEYS and value else value
+        for key, value in node.items()
+    }
 
 
-def _fingerprint(root: Path) -> list[tuple[str, int]] | str:
-    """Names and sizes of what lies at `root`, or the path itself where there is nothing."""
+def _fingerprint(root: Path, cache_dir: Path) -> list[Any] | str:
+    """What lies at `root`, or the path itself where there is nothing.
+
+    Names and sizes of compressed pictures, and a hash of all else, as of cameras and arrays of normals, whose size says
+    nothing. Hashes are remembered in the cache.
+    """
     if root.is_file():
         return [(root.name, root.stat().st_size)]
     if not root.is_dir():
         return str(root)
-    return [(str(path.relative_to(root)), path.stat().st_size) for path in sorted(root.rglob("*")) if path.is_file()]
+    files = sorted(files_in([root]))
+    pictures = [path for path in files if path.suffix.lower() in COMPRESSED]
+    sizes = [(str(path.relative_to(root)), path.stat().st_size) for path in pictures]
+    return [*sizes, digest_of(set(files) - set(pictures), root, cache_dir)]
 
 
 def _content(root: str | None) -> str | None:

@@ -76,15 +76,20 @@ def test_what_does_not_determine_the_result_does_not(changes: dict[str, Any]) ->
 
 def test_data_count_by_what_lies_there_and_not_by_where(tmp_path: Path) -> None:
     def identity_of(root: Path) -> str:
-        return run_id(settings(dataset={"kind": "colmap", "root": str(root)}), "cpu")
+        data = {"kind": "colmap", "root": str(root)}
+        return run_id(settings(dataset=data, cache_dir=str(tmp_path / "cache")), "cpu")
 
     for name in ("here", "there"):
-        (tmp_path / name / "images").mkdir(parents=True)
+        for folder in ("images", "normals"):
+            (tmp_path / name / folder).mkdir(parents=True)
         (tmp_path / name / "images" / "a.png").write_bytes(b"1234")
+        (tmp_path / name / "normals" / "a.npy").write_bytes(b"1234")
     before = identity_of(tmp_path / "here")
     assert identity_of(tmp_path / "there") == before
     (tmp_path / "here" / "images" / "b.png").touch()
     assert identity_of(tmp_path / "here") != before
+    (tmp_path / "there" / "normals" / "a.npy").write_bytes(b"4321")  # other normals have the same size
+    assert identity_of(tmp_path / "there") != before
 
 
 def test_the_code_version_covers_methods_and_kernels() -> None:
