@@ -266,6 +266,18 @@ extern "C" __global__ void stuck(float* out) {
     if (threadIdx.x == 3) __syncthreads();
     __syncwarp();
 }
+extern "C" __global__ void endless(float* out) {
+    while (__any_sync(~0u, out[0] >= 0.0f)) continue;
+}
+extern "C" __global__ void astray(float* out, int at) { out[long(at) << 40] = 1.0f; }
+extern "C" __global__ void reused(float* out) {
+    __shared__ float shared[2];
+    for (int round = 0; round < 3; ++round) {
+        if (threadIdx.x % 32 == 0) shared[threadIdx.x / 32] = round;
+        __syncthreads();
+        out[threadIdx.x] += shared[1 - threadIdx.x / 32] - round;
+    }
+}
 extern "C" __global__ void stale(float* out) {
     __shared__ float shared[64];
     if (blockIdx.x == 0) shared[threadIdx.x] = 1.0f;
@@ -289,6 +301,8 @@ def test_mistakes_in_a_kernel_are_noticed(faulty):
         ("unaligned", (1,), r"is not aligned"),
         ("divergent", (), r"different operations"),
         ("stuck", (), r"deadlock"),
+        ("astray", (1,), r"outside all memory"),
+        ("endless", (), r"does not end"),
         ("outside", (1.0,), r"takes parameters pi, launched with pf"),
     ]:
         with pytest.raises(AssertionError, match=message):
@@ -307,3 +321,11 @@ def test_a_race_shows_in_the_order_of_the_threads(faulty):
     assert results[1][:63].tolist() == list(range(1, 64))
     assert results[0].isnan().sum() == 63
     assert not torch.equal(results[2].nan_to_num(), results[1].nan_to_num())
+
+
+def test_a_warp_that_runs_ahead_shows_that_a_barrier_is_missing(faulty):
+    """It writes for the next round before the other warp has read."""
+    for order in ("ascending", "descending"):
+        out = torch.zeros(64)
+        faulty(order)("reused", 1, 64, out)
+        assert out.any()

@@ -3,6 +3,7 @@
 #include "emulator.h"
 
 #include <csetjmp>
+#include <csignal>
 #include <cstdarg>
 #include <cstdio>
 #include <memory>
@@ -19,6 +20,7 @@ namespace {
 
 constexpr unsigned kMaxThreads = 1024;
 constexpr size_t kStackBytes = 256 << 10;
+constexpr unsigned kMaxRounds = 300'000;  // that a block may take
 enum Order { ascending, descending, shuffled };
 
 // Threads that wait for each other: a warp or a block.
@@ -58,6 +60,10 @@ void close_if_complete(Group& group) {
     if (group.arrived == 0 || group.arrived < group.living) return;
     group.arrived = 0;
     ++group.meetings;
+}
+
+void fail_block(const char* message) {
+    if (!error[0]) std::snprintf(error, sizeof error, "%s, block %u", message, blockIdx.x);
 }
 
 __attribute__((noinline)) void to_scheduler(Thread& self) {
@@ -121,23 +127,40 @@ void shuffle(unsigned* values, unsigned count) {
     }
 }
 
+// Lets each of the threads go on that can; whether any could.
+bool give_turns(const unsigned* turns, unsigned count) {
+    bool any = false;
+    for (unsigned k = 0; k < count && !error[0]; ++k) {
+        if (!threads[turns[k]].can_run()) continue;
+        any = true;
+        to_thread(turns[k]);
+    }
+    return any;
+}
+
+// In order, a warp goes on as far as it can before the next does. Shuffled, all threads keep about abreast.
 void run_block(unsigned count, int order) {
     unsigned turns[kMaxThreads];
     std::iota(turns, turns + count, 0u);
     if (order == descending) std::reverse(turns, turns + count);
     std::memset(__start_emulated_shared, 0xff, __stop_emulated_shared - __start_emulated_shared);
     start_block(count);
-    while (block.living && !error[0]) {
-        bool any_ran = false;
-        if (order == shuffled) shuffle(turns, count);
-        for (unsigned k = 0; k < count && !error[0]; ++k) {
-            if (!threads[turns[k]].can_run()) continue;
-            any_ran = true;
-            to_thread(turns[k]);
+    for (unsigned rounds = 0; block.living && !error[0];) {
+        bool any = false;
+        if (order == shuffled) {
+            shuffle(turns, count);
+            any = give_turns(turns, count);
+        } else {
+            for (unsigned first = 0; first < count; first += 32)
+                for (; give_turns(turns + first, std::min(32u, count - first)) && rounds < kMaxRounds; ++rounds) any = true;
         }
-        if (!any_ran) std::snprintf(error, sizeof error, "deadlock: every thread waits for others");
+        if (!any) fail_block("deadlock: every thread waits for others");
+        if (++rounds > kMaxRounds) fail_block("does not end");
     }
 }
+
+// Where a kernel leaves its memory, the launch has failed, not the process.
+void on_bad_address(int) { fail("reads or writes outside all memory"); }
 
 }  // namespace
 
@@ -173,10 +196,15 @@ const char* run(unsigned blocks, unsigned count, int order, Body the_body, void*
     body = the_body, kernel_and_arguments = data;
     blockDim.x = count, gridDim.x = blocks;
     error[0] = '\0';
+    struct sigaction catching = {}, before;
+    catching.sa_handler = on_bad_address;
+    catching.sa_flags = SA_NODEFER;  // it does not return
+    sigaction(SIGSEGV, &catching, &before);
     for (unsigned k = 0; k < blocks && !error[0]; ++k) {
         blockIdx.x = order == descending ? blocks - 1 - k : k;
         run_block(count, order);
     }
+    sigaction(SIGSEGV, &before, nullptr);
     if (!error[0]) return nullptr;
     for (Thread& thread : threads) thread.has_run = false;  // what was under way is abandoned
     return error;
