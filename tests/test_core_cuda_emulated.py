@@ -61,6 +61,22 @@ def test_images(backend, as_volumes, low_pass):
     compare(drawn_with(backend, gaussians, image(low_pass), keep, ()), expected, keep)
 
 
+def test_a_tile_with_more_surfels_than_a_block_fetches_at_once(emulate):
+    """Three batches in each of four tiles; no pixel is near a support's edge. The order where warps run ahead."""
+    count, camera = 600, plain_camera(20, 18)
+    means = torch.stack([torch.zeros(count), torch.zeros(count), 2 + 0.01 * torch.arange(count)], 1)
+    surfels = dressed(facing_surfels(means, scale=30.0, opacity=0.01))
+    keep = torch.ones(camera.height, camera.width) > 0
+
+    def draw(backend: Backend, leaves: GaussianSet, _: list[Tensor]) -> Rendering:
+        return backend.rasterize(leaves, backend.take(camera))
+
+    expected = drawn_with(ORACLE, surfels, draw, keep, ())
+    assert (expected[0].hits == count).all()
+    for order in ("ascending", "descending"):
+        compare(drawn_with(emulate(order), surfels, draw, keep, ()), expected, keep)
+
+
 @pytest.mark.parametrize("scene", ["few", "many", "opaque"])
 def test_bundles_of_rays(backend, scene):
     gaussians, rays, expected = oracles_bundle(scene)
