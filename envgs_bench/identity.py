@@ -21,7 +21,7 @@ RESULT_CODE = (
     *("core", "methods", "datasets", "metrics"),
     *("training.py", "evaluation.py", "renders.py", "scoring.py", "timing.py", "worker.py"),
 )
-SOURCES = {".py", ".h", ".cpp", ".cu"}
+SOURCES = {".py", ".h", ".cpp", ".cu", ".cuh"}
 COMPRESSED = (".png", ".jpg", ".jpeg", ".webp")  # files that other pixels make another size
 
 
