@@ -126,9 +126,10 @@ class FrameFile:
         )
 
     def _focal(self, axis: str, frame: dict[str, Any], length: float) -> float | None:
-        """In pixels: fl_<axis>, or of the whole field of view camera_angle_<axis>."""
+        """In pixels: fl_<axis>, or of the whole field of view camera_angle_<axis>; the frame's own first."""
         focal, angle = self.number(f"fl_{axis}", frame), self.number(f"camera_angle_{axis}", frame)
-        if focal is None and angle is not None:
+        own_angle = f"camera_angle_{axis}" in frame and f"fl_{axis}" not in frame
+        if angle is not None and (focal is None or own_angle):
             focal = length / 2 / math.tan(angle / 2)
         if focal is not None and focal <= 0:
             raise DatasetError(

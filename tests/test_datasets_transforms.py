@@ -106,6 +106,15 @@ def test_cameras_are_those_of_the_same_colmap_model(tmp_path: Path, camera: str,
     assert_same_views(load(root, downsample=2), load(root, "colmap", downsample=2))
 
 
+def test_a_frame_s_own_field_of_view_goes_before_a_shared_focal_length(root: Path) -> None:
+    write(root, FLAT)
+    change_frame(root, 1, camera_angle_x=2 * math.atan(32 / 70))
+    views = {view.name: view for view in [*load(root).train, *load(root).test]}
+    focal = {name: float(view.camera.intrinsics[0, 0]) for name, view in views.items()}
+    assert focal["001"] == pytest.approx(70)
+    assert focal["002"] == pytest.approx(60)
+
+
 def test_a_frame_says_itself_that_its_lens_is_a_fisheye(tmp_path: Path) -> None:
     camera = "OPENCV_FISHEYE 64 48 60.0 62.0 30.5 25.0 0.02 0.0 0.0 0.0"
     root = write(write_capture(tmp_path / "bench", NAMES, camera), {**FLAT, "k1": 0.02})
