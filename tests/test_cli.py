@@ -8,7 +8,7 @@ from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
 import pytest
-from fakes.runs import CONF, environment, records, run
+from fakes.runs import CONF, records, run, set_environment
 
 from envgs_bench import app, doctor, listing
 from envgs_bench.cli import main
@@ -16,8 +16,7 @@ from envgs_bench.cli import main
 
 @pytest.fixture(autouse=True)
 def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    set_environment(monkeypatch)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 import torch
 from core_scenes import (
     FIELDS,
+    assert_reflected_as_by_formula,
     facing_surfels,
     gradients_of,
     loss_of,
@@ -148,21 +149,10 @@ def test_every_size_of_tree_finds_the_same_hits(count):
 
 
 def test_the_rays_that_an_image_reflects_are_those_of_the_formula():
-    """In one kernel and for every pixel, against what training differentiates through for those that reflect."""
-    from envgs_bench.methods.reflection import MIN_ALPHA, reflected_rays
-
     camera = plain_camera(97, 65).to("cuda")
     base = rasterize(random_set(300, extras=1).map(lambda x: x.cuda()), camera)
     for beta_min in (0.05, torch.tensor([0.4], device="cuda")):
-        pixels, origins, directions = reflected_rays(base, camera, offset=0.02, beta_min=beta_min, joint=False)
-        every = backend.reflect(base, camera, offset=0.02, alpha_min=MIN_ALPHA, beta_min=beta_min)
-        all_origins, all_directions, beta = (x.reshape(-1, *x.shape[2:]) for x in every)
-        reflects = torch.zeros_like(beta, dtype=torch.bool).index_fill(0, pixels, True)
-        assert 0 < len(pixels) < len(beta)
-        assert torch.equal(beta, base.extras.reshape(-1) * reflects)
-        assert not all_directions[~reflects].any()
-        torch.testing.assert_close(all_origins[pixels], origins, atol=1e-5, rtol=1e-5)
-        torch.testing.assert_close(all_directions[pixels], directions, atol=1e-5, rtol=0)
+        assert_reflected_as_by_formula(backend.reflect, base, camera, beta_min)
 
 
 def test_rays_without_a_direction_meet_nothing(surfels, rays):

@@ -15,6 +15,7 @@ from core_scenes import (
     FIELDS,
     ORACLE,
     Backend,
+    assert_reflected_as_by_formula,
     facing_surfels,
     gradients_of,
     loss_of,
@@ -39,7 +40,6 @@ from torch import Tensor
 from envgs_bench.core import GaussianSet, Rendering, build_bvh, cuda
 from envgs_bench.core.cuda import raster_pass, trace_pass
 from envgs_bench.core.differentiable import SetTensors
-from envgs_bench.methods.reflection import MIN_ALPHA, reflected_rays
 
 
 @pytest.fixture(params=["descending", "shuffled"])
@@ -203,15 +203,7 @@ def test_the_rays_that_an_image_reflects_are_those_of_the_formula(backend):
     camera = plain_camera(49, 33)
     base = backend.rasterize(random_set(300), camera)
     for beta_min in (0.05, torch.tensor([0.4])):
-        pixels, origins, directions = reflected_rays(base, camera, offset=0.02, beta_min=beta_min, joint=False)
-        every = cuda.reflect(base, camera, offset=0.02, alpha_min=MIN_ALPHA, beta_min=beta_min)
-        all_origins, all_directions, beta = (x.reshape(-1, *x.shape[2:]) for x in every)
-        reflects = torch.zeros_like(beta, dtype=torch.bool).index_fill(0, pixels, True)
-        assert 0 < len(pixels) < len(beta)
-        assert torch.equal(beta, base.extras.reshape(-1) * reflects)
-        assert not all_directions[~reflects].any()
-        torch.testing.assert_close(all_origins[pixels], origins, atol=1e-5, rtol=1e-5)
-        torch.testing.assert_close(all_directions[pixels], directions, atol=1e-5, rtol=0)
+        assert_reflected_as_by_formula(cuda.reflect, base, camera, beta_min)
 
 
 def test_rays_without_a_direction_meet_nothing(backend):

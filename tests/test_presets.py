@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fakes.runs import environment
+from fakes.runs import set_environment
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
@@ -97,8 +97,7 @@ def test_data_root_is_an_override_or_an_environment_variable(monkeypatch: pytest
 def test_a_run_records_the_hints_and_where_to_get_what_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    set_environment(monkeypatch)
     overrides = ["dataset=ref_real/spheres", "method=envgs", "device=cpu", f"data_root={tmp_path}"]
     assert main(["run", *overrides, f"runs_dir={tmp_path / 'runs'}"]) == 1
     (path,) = find_records(tmp_path / "runs")

@@ -11,7 +11,7 @@ import torch
 import yaml
 from captures import PINHOLE, write_capture
 from fakes.methods import MeanColor, Settings
-from fakes.runs import environment, only_folder, run
+from fakes.runs import only_folder, run, set_environment
 from PIL import Image
 
 from envgs_bench.cli import main
@@ -29,8 +29,7 @@ TRAINED = ("method=envgs", "steps=12")
 
 @pytest.fixture(autouse=True)
 def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    set_environment(monkeypatch)
 
 
 def blob(height: int, width: int, index: int = 0) -> np.ndarray:
@@ -129,8 +128,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run of EnvGS, far too short to know what reflects."""
     runs = tmp_path_factory.mktemp("trained")
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in environment().items():
-            patch.setenv(name, value)
+        set_environment(patch)
         assert run(runs, *TRAINED) == 0
     return only_folder(runs)
 

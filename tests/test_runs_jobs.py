@@ -12,15 +12,14 @@ import time
 from pathlib import Path
 
 import pytest
-from fakes.runs import CONF, QUICK, environment, only_folder, records, run
+from fakes.runs import CONF, QUICK, only_folder, records, run, set_environment
 
 RAISES = "method.kind=fakes.methods:Raises"
 
 
 @pytest.fixture(autouse=True)
 def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    set_environment(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +27,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A runs_dir with one finished run."""
     runs_dir = tmp_path_factory.mktemp("finished")
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in environment().items():
-            patch.setenv(name, value)
+        set_environment(patch)
         assert run(runs_dir) == 0
     return runs_dir
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from fakes.runs import environment, only_folder, records, run
+from fakes.runs import only_folder, records, run, set_environment
 from PIL import Image
 
 from envgs_bench.core import View
@@ -21,8 +21,7 @@ BLACK = torch.zeros(3)
 
 @pytest.fixture(autouse=True)
 def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    set_environment(monkeypatch)
 
 
 def views() -> list[View]:

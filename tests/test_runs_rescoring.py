@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from fakes.runs import environment, only_folder, records, run
+from fakes.runs import only_folder, records, run, set_environment
 
 from envgs_bench.cli import main
 from envgs_bench.metrics import get_protocol
@@ -19,8 +19,7 @@ from envgs_bench.view_pictures import save_png
 
 @pytest.fixture(autouse=True)
 def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    set_environment(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +27,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with one run under the protocol of floats; not to be changed."""
     folder = tmp_path_factory.mktemp("finished") / "runs"
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in environment().items():
-            patch.setenv(name, value)
+        set_environment(patch)
         assert run(folder) == 0
     return folder
 

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
-from fakes.runs import environment, run
+from fakes.runs import run, set_environment
 
 from envgs_bench import job
 from envgs_bench.draft import LOG_NAME
@@ -45,8 +45,7 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
     parallel = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(job, "GRACE_SECONDS", 6.0)
-        for name, value in environment().items():
-            patch.setenv(name, value)
+        set_environment(patch)
         first = run(root / "parallel", *common, *parallel, _swept(KINDS), flags=("-m",))
         second = run(root / "sequence", *common, "timeout_minutes=0.04", _swept(SLOW_KINDS), flags=("-m",))
     return Sweep(root, (first, second))

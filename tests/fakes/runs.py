@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import pytest
+
 from envgs_bench.cli import main
 from envgs_bench.records import Record, find_records, read_record
 
@@ -18,6 +20,12 @@ def environment() -> dict[str, str]:
     """What a process needs to find the fakes; without VGG-16's weights, so that every machine does the same."""
     path = os.pathsep.join(filter(None, [str(TESTS), os.environ.get("PYTHONPATH")]))
     return {"PYTHONPATH": path, "ENVGS_BENCH_VGG16": "off"}
+
+
+def set_environment(patch: pytest.MonkeyPatch) -> None:
+    """Give this process `environment()`, and with it the processes that it starts, until `patch` is undone."""
+    for name, value in environment().items():
+        patch.setenv(name, value)
 
 
 def run(runs_dir: Path, *overrides: str, flags: tuple[str, ...] = ()) -> int:
