@@ -57,6 +57,12 @@ def sample_cubemap(texels: Tensor, directions: Tensor, border: Tensor) -> Tensor
     return torch.lerp(top, bottom, fy)
 
 
+def resized_cubemap(texels: Tensor, size: int, border: Tensor) -> Tensor:
+    """The map [6, S, S, C] looked up at the texel centres of one with `size` texels an edge: [6, size, size, C]."""
+    directions = texel_directions(size).to(texels)
+    return sample_cubemap(texels, directions.reshape(-1, 3), border).reshape(6, size, size, -1)
+
+
 def border_index(size: int) -> Tensor:
     """[6, size + 2, size + 2] flat texel numbers of each face and of the ring of neighbours around it.
 

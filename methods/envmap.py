@@ -8,9 +8,11 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from .cubemap import border_index, sample_cubemap
+from .cubemap import border_index, resized_cubemap, sample_cubemap
 from .parameters import ADAM_EPSILON
 from .reflection import ReflectionSettings, ReflectiveMethod
+
+DOUBLES_AT = (7_500, 13_500, 21_000)  # steps of a run of 30,000
 
 
 @dataclass(frozen=True)
@@ -20,7 +22,11 @@ class EnvMapSettings(ReflectionSettings):
 
 
 class EnvMap(ReflectiveMethod):
-    """EnvGS "w/ environment map" (paper, Sec. 5.4 and App. B.1): texels hold logits of colours in [0, 1]."""
+    """EnvGS "w/ environment map" (paper, Sec. 5.4 and App. B.1): texels hold logits of colours in [0, 1].
+
+    The map starts with an eighth of its texels an edge and doubles three times: a texel that few pixels see begins as
+    what its surroundings have learned, and the early map is smooth enough to turn normals by.
+    """
 
     Settings: ClassVar[type] = EnvMapSettings
     settings: EnvMapSettings
@@ -29,11 +35,21 @@ class EnvMap(ReflectiveMethod):
         super().__init__(settings, device, seed)
         if settings.envmap_size < 2:
             raise ValueError(f"envmap_size is {settings.envmap_size}, expected at least 2")
-        self._border = border_index(settings.envmap_size).to(self.device)
         self._set_texels(torch.zeros(6, settings.envmap_size, settings.envmap_size, 3))
 
     def _start_reflection(self) -> None:
-        self._set_texels(torch.zeros_like(self.texels))
+        self._set_texels(torch.zeros(6, 2, 2, 3))
+
+    def _set_rates(self, step: int) -> None:
+        super()._set_rates(step)
+        size = self._size_at(step)
+        if self.reflects and size != self.texels.shape[1]:
+            self._set_texels(resized_cubemap(self.texels.detach(), size, self._border))
+
+    def _size_at(self, step: int) -> int:
+        """Texels along a face's edge at a step of the training."""
+        doublings_left = sum(step < self.schedule.at(doubling) for doubling in DOUBLES_AT)
+        return max(2, self.settings.envmap_size >> doublings_left)
 
     def _reflected_color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict]:
         return sample_cubemap(self.texels, directions, self._border).sigmoid(), {}
@@ -43,6 +59,7 @@ class EnvMap(ReflectiveMethod):
 
     def _set_texels(self, texels: Tensor) -> None:
         self.texels = texels.detach().to(self.device).requires_grad_()
+        self._border = border_index(texels.shape[1]).to(self.device)
         self._texel_optimizer = torch.optim.Adam(
             [self.texels], lr=self.settings.envmap_lr, eps=ADAM_EPSILON, fused=True
         )

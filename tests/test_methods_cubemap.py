@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from envgs_bench.methods.cubemap import border_index, sample_cubemap, texel_directions
+from envgs_bench.methods.cubemap import border_index, resized_cubemap, sample_cubemap, texel_directions
 
 
 def smooth(directions: Tensor) -> Tensor:
@@ -102,3 +102,14 @@ def test_every_texel_borders_on_its_neighbours_in_space():
         cosine = (directions[inside] * directions[neighbours]).sum(-1)
         assert cosine.min() > torch.cos(torch.tensor(2.0 / size)).item()
         assert cosine.max() < 1 - 1e-4
+
+
+def test_a_resized_map_shows_the_same():
+    def smooth(d: torch.Tensor) -> torch.Tensor:
+        d = torch.nn.functional.normalize(d, dim=-1)
+        return torch.stack([(2 * d[..., 0]).sin(), d[..., 1] * d[..., 2], (3 * d[..., 2]).cos()], dim=-1)
+
+    for size, larger in ((16, 32), (5, 13)):
+        resized = resized_cubemap(smooth(texel_directions(size).double()), larger, border_index(size))
+        assert resized.shape == (6, larger, larger, 3)
+        assert (resized - smooth(texel_directions(larger).double())).abs().max() < 9 / size**2  # h²/8·f″ along either axis

@@ -238,3 +238,34 @@ def test_the_opacity_reset_leaves_what_is_below():
     torch.testing.assert_close(
         parameters.tensors["opacity_logits"].detach().sigmoid(), torch.tensor([0.005, 0.01, 0.01])
     )
+
+
+def test_the_environment_map_doubles_three_times_and_keeps_what_it_showed():
+    method = trained_base(envmap_size=32)
+    directions = torch.nn.functional.normalize(torch.randn(500, 3), dim=-1)
+    sizes = {}
+    for step in range(1, 3001):
+        before = method.texels.shape[1], method._reflected_color(None, directions, step)[0]
+        method._set_rates(step)
+        size = method.texels.shape[1]
+        if size != before[0]:
+            sizes[step] = size
+            if step > 301:
+                after = method._reflected_color(None, directions, step)[0]
+                assert (after - before[1]).abs().mean() < 0.6 * (before[1] - before[1].mean(0)).abs().mean()
+            method._set_texels(torch.randn(6, size, size, 3))
+    assert sizes == {301: 4, 750: 8, 1350: 16, 2100: 32}
+
+
+@pytest.mark.parametrize("steps", [1, 2, 7])
+def test_the_shortest_run_ends_with_a_whole_map(steps, tmp_path):
+    from envgs_bench.core import Scene
+
+    method = create_method("envmap", {"envmap_size": 16})
+    view = View("a", make_camera(), torch.zeros(HEIGHT, WIDTH, 3, dtype=torch.uint8))
+    method.initialize(Scene("three", [view], [view], torch.eye(3), torch.full((3, 3), 0.5)), steps)
+    for step in range(1, steps + 1):
+        method.training_step(view, step)
+    method.save(tmp_path)
+    create_method("envmap", {"envmap_size": 16}).load(tmp_path)
+    assert method.texels.shape[1] == 16

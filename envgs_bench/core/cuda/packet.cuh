@@ -293,6 +293,7 @@ private:
     __device__ __forceinline__ void end_at_farthest(int r) {
         int n = m_.rays[r].listed & 255, k0 = lane_id(), k1 = lane_id() + 32;
         float farthest = warp_max(fmaxf(k0 < n ? m_.t[r][k0] : -kInfinity, k1 < n ? m_.t[r][k1] : -kInfinity));
+        __syncwarp();
         if (lane_id() == 0) m_.rays[r].far_t = farthest;
         __syncwarp();
     }
