@@ -31,7 +31,7 @@ def sample_cubemap(texels: Tensor, directions: Tensor, border: Tensor) -> Tensor
 
     Args:
         texels: [6, S, S, C].
-        directions: [R, 3], any non-zero length.
+        directions: [R, 3], of any length; at length 0 the lookup has a value, but no meaning.
         border: [6, S + 2, S + 2] of `border_index(S)`.
 
     Returns:
@@ -106,7 +106,7 @@ def _face_coordinates(directions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     face = 2 * axis + (major.detach() < 0)
     table = torch.tensor(FACES, device=directions.device)[face]  # [R, 3, 2]
     signs = table[..., 1].to(directions.dtype)
-    scaled = directions.gather(1, table[:, 1:, 0]) * signs[:, 1:] / major.abs()[:, None]
+    scaled = directions.gather(1, table[:, 1:, 0]) * signs[:, 1:] / major.abs().clamp_min(1e-30)[:, None]
     return face, scaled[:, 0], scaled[:, 1]
 
 

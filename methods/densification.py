@@ -10,9 +10,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from envgs_bench.core import Camera, Statistics
+from envgs_bench.core.vectors import unit
 
 from .parameters import GaussianParameters
-from .vectors import unit
 
 SPLIT_IN = 2
 OVERSIZED_SPLIT_IN = 5

@@ -52,7 +52,8 @@ class EnvMap(ReflectiveMethod):
         return max(2, self.settings.envmap_size >> doublings_left)
 
     def _reflected_color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict]:
-        return sample_cubemap(self.texels, directions, self._border).sigmoid(), {}
+        color = sample_cubemap(self.texels, directions.reshape(-1, 3), self._border).sigmoid()
+        return color.reshape(directions.shape), {}
 
     def model_bytes(self) -> dict[str, int]:
         return super().model_bytes() | {"env": 4 * self.texels.numel()}

@@ -7,8 +7,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from envgs_bench.core.ssim import ssim
-
-from .vectors import unit
+from envgs_bench.core.vectors import unit
 
 SSIM_SHARE = 0.2  # of the photometric loss, as 3DGS
 

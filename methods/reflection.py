@@ -14,14 +14,12 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, Rendering, Scene, Statistics
+from envgs_bench.core import Camera, Rendering, Scene, Statistics, reflect
 
 from .gaussian_method import GaussianMethod
 from .parameters import LearningRates, inverse_sigmoid
 from .settings import GaussianSettings
-from .vectors import unit
 
-MIN_ALPHA = 1e-2  # a pixel with less alpha, or a shorter blended normal, has no surface to reflect at
 SABOTAGE_BELOW = 0.05  # β up to which a base colour is disturbed
 SABOTAGE_RANGE = 0.4
 PROPAGATE_ABOVE = 0.02  # β from which a primitive is enlarged
@@ -77,7 +75,7 @@ class ReflectiveMethod(GaussianMethod):
 
     @abstractmethod
     def _reflected_color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict]:
-        """Colour [R, 3] that the rays [R, 3], [R, 3] (unit directions) meet, and statistics by set."""
+        """Colour [H, W, 3] that the rays [H, W, 3], [H, W, 3] of `reflect` meet, and statistics by set."""
 
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
@@ -96,28 +94,25 @@ class ReflectiveMethod(GaussianMethod):
         statistics = {"base": base.statistics}
         if not self.reflects:
             return base, statistics
-        reflection, beta, of_rays = self._reflection(base, camera, step)
+        origins, directions, beta = self._reflected_rays(base, camera, step)
+        reflection, of_rays = self._reflected_color(origins, directions, step)
         statistics |= of_rays
+        beta = beta[..., None]
         blended = torch.lerp(base.color, reflection, beta)  # Eq. 5
-        layers = {"base": base.color, "reflection": reflection, "beta": base.extras}
+        layers = {"base": base.color, "reflection": reflection * (beta > 0), "beta": base.extras}
         return replace(base, color=blended, layers=layers), statistics
 
-    def _reflection(self, base: Rendering, camera: Camera, step: int | None) -> tuple[Tensor, Tensor, dict]:
-        """Reflected colour [H, W, 3], its β [H, W, 1] (0 where nothing reflects), and statistics by set."""
-        beta = base.extras
-        seen, origins, directions = reflected_rays(
+    def _reflected_rays(self, base: Rendering, camera: Camera, step: int | None) -> tuple[Tensor, Tensor, Tensor]:
+        """Origins, directions and β of `reflect`: in training of every surface, in an image where it is visible."""
+        if not self.settings.joint:
+            base = replace(base, normal=base.normal.detach(), depth=base.depth.detach())
+        return reflect(
             base,
             camera,
             offset=self.settings.ray_offset * self.radius,
-            beta_min=None if step is not None else self._least_beta(beta),
-            joint=self.settings.joint,
+            beta_min=0.0 if step is not None else self._least_beta(base.extras),
+            backend=self.settings.backend,
         )
-        color, statistics = self._reflected_color(origins, directions, step)
-        height, width = base.alpha.shape
-        if len(seen) < height * width:
-            color = color.new_zeros(height * width, 3).index_copy(0, seen, color)
-            beta = beta * torch.zeros_like(base.alpha).reshape(-1).index_fill(0, seen, 1.0).reshape(height, width, 1)
-        return color.reshape(height, width, 3), beta, statistics
 
     def _least_beta(self, beta: Tensor) -> Tensor | float:
         """The β [H, W, 1] of an image above which its rays are traced (paper, App. B.2)."""
@@ -193,38 +188,3 @@ class ReflectiveMethod(GaussianMethod):
     def _restore(self, state: dict) -> None:
         super()._restore(state)
         self.reflects = state["reflects"]
-
-
-def reflected_rays(
-    base: Rendering, camera: Camera, *, offset: float, beta_min: Tensor | float | None, joint: bool
-) -> tuple[Tensor, Tensor, Tensor]:
-    """The rays that a rendered surface reflects (Eqs. 3 and 4).
-
-    d_ref = d − 2(d·n)n of the unit camera ray d at the normalised blended normal n, from the camera ray's point at the
-    expected depth, moved by `offset` (world units) along n.
-
-    Args:
-        base: a rendering with [H, W, …] fields; `extras[..., 0]` is β.
-        beta_min: leave out pixels whose blended β is not above it; None: none.
-        joint: whether gradients flow back through points and normals.
-
-    Returns:
-        Flat pixel numbers [R] of the pixels that reflect, origins [R, 3], unit directions [R, 3]. Pixels without a
-        surface (alpha or |n| near 0) do not reflect.
-    """
-    with torch.no_grad():
-        reflects = (base.alpha > MIN_ALPHA) & (base.normal.square().sum(-1) > MIN_ALPHA**2)
-        if beta_min is not None:
-            reflects &= base.extras[..., 0] > beta_min
-        pixels = torch.nonzero(reflects.reshape(-1))[:, 0]
-    directions = camera.rays()[1].reshape(-1, 3)
-    normal, depth = base.normal.reshape(-1, 3), base.depth.reshape(-1, 1)
-    if not joint:
-        normal, depth = normal.detach(), depth.detach()
-    if len(pixels) < len(directions):
-        directions, normal, depth = (values.index_select(0, pixels) for values in (directions, normal, depth))
-    normal = unit(normal)
-    origins = torch.addcmul(camera.centre + offset * normal, depth, directions)
-    incoming = unit(directions)
-    reflected = incoming - 2 * (incoming * normal).sum(-1, keepdim=True) * normal
-    return pixels, origins, reflected

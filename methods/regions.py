@@ -14,9 +14,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Bvh, Camera, GaussianSet, rasterize, trace
-
-from .reflection import reflected_rays
+from envgs_bench.core import Bvh, Camera, GaussianSet, rasterize, reflect, trace
 
 INSIDE = 0.5  # alpha above which a pixel or a ray has met something
 OWN_SURFACE = 0.01  # hits nearer than this are of the reflecting surface itself, × scene radius
@@ -87,8 +85,6 @@ def near_field_mask(
     """
     shown = rasterize(base, camera, near=near)
     offset = OWN_SURFACE * radius
-    pixels, origins, directions = reflected_rays(shown, camera, offset=0.0, beta_min=None, joint=False)
+    origins, directions, _ = reflect(shown, camera)
     alpha = trace(surroundings, origins, directions, t_min=offset, bvh=bvh).alpha
-    mask = torch.zeros(camera.height * camera.width, dtype=torch.bool, device=pixels.device)
-    mask[pixels[alpha > INSIDE]] = True
-    return mask.reshape(camera.height, camera.width)
+    return alpha > INSIDE

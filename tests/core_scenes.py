@@ -10,12 +10,11 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, GaussianSet, Rendering, rasterize, trace
+from envgs_bench.core import Camera, GaussianSet, Rendering, rasterize, reflect, trace
 from envgs_bench.core.torch.drawing import MAX_ALPHA, Drawing, alphas
 from envgs_bench.core.torch.search import all_blended_hits
 from envgs_bench.core.torch.surfels import RasterizedSurfels, TracedSurfels
 from envgs_bench.core.torch.volumes import RasterizedVolumes
-from envgs_bench.methods.reflection import MIN_ALPHA, reflected_rays
 
 FIELDS = ("color", "alpha", "depth", "normal", "extras")
 C0 = 0.28209479177387814
@@ -217,15 +216,16 @@ def padded(table: Tensor, width: int) -> Tensor:
 
 
 def assert_reflected_as_by_formula(
-    reflect: Callable, base: Rendering, camera: Camera, beta_min: Tensor | float
+    kernel: Callable, image: Rendering, camera: Camera, beta_min: Tensor | float
 ) -> None:
-    """One kernel's rays for every pixel are, where a pixel reflects, those that training differentiates through."""
-    pixels, origins, directions = reflected_rays(base, camera, offset=0.02, beta_min=beta_min, joint=False)
-    every = reflect(base, camera, offset=0.02, alpha_min=MIN_ALPHA, beta_min=beta_min)
-    all_origins, all_directions, beta = (x.reshape(-1, *x.shape[2:]) for x in every)
-    reflects = torch.zeros_like(beta, dtype=torch.bool).index_fill(0, pixels, True)
-    assert 0 < len(pixels) < len(beta)
-    assert torch.equal(beta, base.extras.reshape(-1) * reflects)
-    assert not all_directions[~reflects].any()
-    torch.testing.assert_close(all_origins[pixels], origins, atol=1e-5, rtol=1e-5)
-    torch.testing.assert_close(all_directions[pixels], directions, atol=1e-5, rtol=0)
+    """The kernel's rays are, at every pixel, those of the formula that training differentiates through."""
+    origins, directions, beta = (x.cpu() for x in kernel(image, camera, 0.02, 1e-2, beta_min))
+    if isinstance(beta_min, Tensor):
+        beta_min = beta_min.cpu()
+    expected = reflect(image.map(Tensor.cpu), camera.to("cpu"), offset=0.02, beta_min=beta_min, backend="torch")
+    reflects = expected[2] > 0
+    assert 0 < reflects.sum() < reflects.numel()
+    assert torch.equal(beta, expected[2])
+    assert not directions[~reflects].any()
+    torch.testing.assert_close(origins[reflects], expected[0][reflects], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(directions[reflects], expected[1][reflects], atol=1e-5, rtol=0)

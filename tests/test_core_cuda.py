@@ -153,17 +153,3 @@ def test_the_rays_that_an_image_reflects_are_those_of_the_formula():
     base = rasterize(random_set(300, extras=1).map(lambda x: x.cuda()), camera)
     for beta_min in (0.05, torch.tensor([0.4], device="cuda")):
         assert_reflected_as_by_formula(backend.reflect, base, camera, beta_min)
-
-
-def test_rays_without_a_direction_meet_nothing(surfels, rays):
-    origins, directions = (x.detach().clone() for x in rays)
-    directions[::3] = 0
-    background = torch.tensor([0.2, 0.3, 0.4], device="cuda")
-    some, every = (
-        trace(surfels, origins, directions, background=background),
-        trace(surfels, *rays, background=background),
-    )
-    assert not some.hits[::3].any()
-    assert torch.equal(some.color[::3], background.expand_as(some.color[::3]))
-    for start in (1, 2):
-        assert torch.equal(some.color[start::3], every.color[start::3])

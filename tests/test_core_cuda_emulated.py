@@ -206,22 +206,6 @@ def test_the_rays_that_an_image_reflects_are_those_of_the_formula(backend):
         assert_reflected_as_by_formula(cuda.reflect, base, camera, beta_min)
 
 
-def test_rays_without_a_direction_meet_nothing(backend):
-    surfels, (origins, directions) = random_set(300), random_rays(100)
-    standing, background = directions.clone(), torch.tensor([0.2, 0.3, 0.4])
-    standing[::3] = 0
-    leaves, own = backend.take(surfels), [backend.take(x) for x in (origins, standing)]
-    some = backend.trace(leaves, *own, background=background)
-    every = backend.trace(surfels, origins, directions, background=background)
-    assert not some.hits[::3].any()
-    assert torch.equal(some.color[::3], background.expand_as(some.color[::3]))
-    for start in (1, 2):
-        assert torch.equal(some.color[start::3], every.color[start::3])
-    loss_of(some).backward()
-    for name, gradient in gradients_of(leaves, origins=own[0], directions=own[1]).items():
-        assert gradient.isfinite().all(), name
-
-
 def test_rows_that_begin_anywhere_are_read_right(backend):
     surfels, rays, camera = random_set(100), random_rays(50), plain_camera(33, 17)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from core_scenes import colored, facing_surfels, random_rays, random_set
+from core_scenes import colored, facing_surfels, gradients_of, loss_of, random_rays, random_set
 from scipy.spatial.transform import Rotation
 
 from envgs_bench.core import build_bvh
@@ -191,3 +191,21 @@ def test_more_primitives_than_sixteen_bits_count(tracer):
     drawn = trace_with(tracer, gaussians, *forward_ray())
     assert drawn.hits.item() == 2
     assert drawn.statistics.weights[-1].item() == pytest.approx(0.5, abs=1e-6)
+
+
+def test_rays_without_a_direction_meet_nothing(tracer):
+    """They have the background's colour, cost the others nothing, and leave all gradients finite."""
+    surfels, (origins, directions) = random_set(300), random_rays(100)
+    standing, background = directions.clone(), tracer.take(torch.tensor([0.2, 0.3, 0.4])).detach()
+    standing[::3] = 0
+    leaves, own = tracer.take(surfels), [tracer.take(x) for x in (origins, standing)]
+    some = tracer.trace(leaves, *own, background=background)
+    every = trace_with(tracer, surfels, origins, directions, background=background)
+    assert not some.hits[::3].any()
+    assert torch.equal(some.color[::3], background.expand_as(some.color[::3]))
+    for start in (1, 2):
+        assert every.hits[start::3].any()
+        torch.testing.assert_close(some.color[start::3], every.color[start::3])
+    loss_of(some).backward()
+    for name, gradient in gradients_of(leaves, origins=own[0], directions=own[1]).items():
+        assert gradient.isfinite().all(), name

@@ -112,4 +112,6 @@ def test_a_resized_map_shows_the_same():
     for size, larger in ((16, 32), (5, 13)):
         resized = resized_cubemap(smooth(texel_directions(size).double()), larger, border_index(size))
         assert resized.shape == (6, larger, larger, 3)
-        assert (resized - smooth(texel_directions(larger).double())).abs().max() < 9 / size**2  # h²/8·f″ along either axis
+        assert (
+            resized - smooth(texel_directions(larger).double())
+        ).abs().max() < 9 / size**2  # h²/8·f″ along either axis

@@ -1,84 +1,12 @@
-"""Reflected rays at a planar mirror and a sphere, and how a reflection is blended, in closed form."""
-
-import math
+"""How a reflection is blended, which rays are traced, and what the events of a reflective method's training do."""
 
 import pytest
 import torch
-from torch import Tensor
+from reflection_scenes import HEIGHT, WIDTH, make_camera, make_rendering, mirror
 
-from envgs_bench.core import Camera, Rendering, Statistics, View
+from envgs_bench.core import View
 from envgs_bench.methods.envmap import EnvMap, EnvMapSettings
-from envgs_bench.methods.reflection import reflected_rays
 from envgs_bench.methods.registry import create_method
-
-WIDTH, HEIGHT = 20, 16
-
-
-def make_camera() -> Camera:
-    angle = 0.3
-    pose = torch.eye(4)
-    pose[:3, :3] = torch.tensor(
-        [[math.cos(angle), 0, -math.sin(angle)], [0, 1, 0], [math.sin(angle), 0, math.cos(angle)]]
-    )
-    pose[:3, 3] = torch.tensor([0.2, 0.1, 0.5])
-    return Camera(pose, torch.tensor([[18.0, 0, 9], [0, 17, 8.5], [0, 0, 1]]), WIDTH, HEIGHT)
-
-
-def make_rendering(depth: Tensor, normal: Tensor, alpha: Tensor, beta: Tensor) -> Rendering:
-    return Rendering(
-        color=torch.full((HEIGHT, WIDTH, 3), 0.25),
-        alpha=alpha,
-        depth=depth,
-        normal=normal,
-        extras=beta[..., None],
-        hits=torch.ones(HEIGHT, WIDTH, dtype=torch.int32),
-        statistics=Statistics(torch.zeros(0)),
-    )
-
-
-def mirror(camera: Camera, normal: Tensor, distance: float) -> Rendering:
-    """The plane x·normal = distance as seen by the camera; blended normals are half as long as unit ones."""
-    origins, directions = camera.rays()
-    depth = (distance - origins @ normal) / (directions @ normal)
-    full = torch.ones(HEIGHT, WIDTH)
-    return make_rendering(depth, 0.5 * normal.expand(HEIGHT, WIDTH, 3), full, 0.5 * full)
-
-
-def test_a_planar_mirror_shows_the_virtual_camera():
-    """Every reflected ray, prolonged backwards, passes through the camera's mirror image."""
-    camera = make_camera()
-    normal = torch.nn.functional.normalize(torch.tensor([0.3, -0.2, -1.0]), dim=0)
-    distance = float(normal @ (camera.centre + 3 * camera.rays()[1][8, 10]))
-    pixels, origins, directions = reflected_rays(
-        mirror(camera, normal, distance), camera, offset=0.0, beta_min=None, joint=True
-    )
-    image_centre = camera.centre - 2 * (camera.centre @ normal - distance) * normal
-    expected = torch.nn.functional.normalize(origins - image_centre, dim=1)
-    assert pixels.tolist() == list(range(WIDTH * HEIGHT))
-    torch.testing.assert_close(origins @ normal, torch.full((WIDTH * HEIGHT,), distance))
-    torch.testing.assert_close(directions, expected, atol=1e-5, rtol=0)
-
-
-def test_rays_start_above_the_surface():
-    camera = make_camera()
-    normal = torch.tensor([0.0, 0.0, -1.0])
-    rendering = mirror(camera, normal, -4.0)
-    _, on, _ = reflected_rays(rendering, camera, offset=0.0, beta_min=None, joint=True)
-    _, above, _ = reflected_rays(rendering, camera, offset=0.25, beta_min=None, joint=True)
-    torch.testing.assert_close(above - on, 0.25 * normal.expand(WIDTH * HEIGHT, 3))
-
-
-def test_only_surfaces_reflect():
-    camera = make_camera()
-    rendering = mirror(camera, torch.tensor([0.0, 0.0, -1.0]), -4.0)
-    rendering.alpha[0, 1] = 0.0
-    rendering.normal = rendering.normal.clone()
-    rendering.normal[0, 2] = 1e-4
-    rendering.extras[0, 3] = 0.003
-    everywhere = reflected_rays(rendering, camera, offset=0.0, beta_min=None, joint=True)[0].tolist()
-    visible = reflected_rays(rendering, camera, offset=0.0, beta_min=1 / 255, joint=True)[0].tolist()
-    assert everywhere == [0, *range(3, WIDTH * HEIGHT)]
-    assert visible == [0, *range(4, WIDTH * HEIGHT)]
 
 
 @pytest.mark.parametrize("joint", [True, False])
@@ -87,7 +15,8 @@ def test_joint_optimisation_lets_gradients_through(joint):
     rendering = mirror(camera, torch.tensor([0.0, 0.0, -1.0]), -4.0)
     rendering.depth.requires_grad_()
     rendering.normal = rendering.normal.clone().requires_grad_()
-    _, origins, directions = reflected_rays(rendering, camera, offset=0.0, beta_min=None, joint=joint)
+    method = EnvMap(EnvMapSettings(envmap_size=4, joint=joint))
+    origins, directions, _ = method._reflected_rays(rendering, camera, 1)
     assert origins.requires_grad == directions.requires_grad == joint
     if joint:
         depth, normal = rendering.depth, rendering.normal
@@ -96,20 +25,6 @@ def test_joint_optimisation_lets_gradients_through(joint):
         assert depth.grad.abs().sum() > 0
         assert normal.grad is not None
         assert normal.grad.abs().sum() > 0
-
-
-def test_gradients_of_the_reflected_rays_against_finite_differences():
-    camera = make_camera()
-    camera = Camera(camera.world_to_camera.double(), camera.intrinsics.double(), WIDTH, HEIGHT)
-    shown = mirror(camera, torch.tensor([0.1, 0.0, -1.0], dtype=torch.float64), -4.0)
-
-    def rays(depth: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
-        full = torch.ones(HEIGHT, WIDTH, dtype=torch.float64)
-        rendering = make_rendering(depth, normal, full, full)
-        return reflected_rays(rendering, camera, offset=0.1, beta_min=None, joint=True)[1:]
-
-    inputs = (shown.depth.detach().requires_grad_(), shown.normal.clone().requires_grad_())
-    assert torch.autograd.gradcheck(rays, inputs, fast_mode=True)
 
 
 def test_base_and_reflection_are_blended_by_beta(monkeypatch):

@@ -1,9 +1,10 @@
-"""The shared core: two calls, `rasterize` and `trace`, and the plain types they take and return."""
+"""The shared core: three calls, `rasterize`, `reflect` and `trace`, and the plain types they take and return."""
 
 from .backends import available_backends
 from .camera import Camera
 from .gaussians import GaussianSet
 from .rasterize import rasterize
+from .reflect import reflect
 from .rendering import Rendering, Statistics
 from .scene import Scene, View
 from .trace import Bvh, build_bvh, trace
@@ -19,5 +20,6 @@ __all__ = [
     "available_backends",
     "build_bvh",
     "rasterize",
+    "reflect",
     "trace",
 ]

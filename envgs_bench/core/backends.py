@@ -4,13 +4,14 @@ A backend module offers some of
 
     rasterize(gaussians, camera, options: RasterizeOptions) -> Rendering
     trace(gaussians, origins [R, 3], directions [R, 3], bvh, options: TraceOptions) -> Rendering, one value a ray
+    reflect(image, camera, offset, alpha_min, beta_min) -> origins, directions, β; a formula serves where there is none
     build_bvh(gaussians) -> Bvh
     why_unavailable() -> str | None: one sentence for the user, or None where it works
 
 | backend | draws | on |
 |---|---|---|
 | cpu | rasterize, trace | native C++, SIMD, all cores |
-| cuda | rasterize, trace | CUDA C++ compiled at first use |
+| cuda | rasterize, trace, reflect | CUDA C++ compiled at first use |
 | torch | rasterize, trace | plain autograd, any dtype: the oracle |
 | embree | trace | closest hits re-cast by Embree: the independent oracle |
 """

@@ -133,7 +133,8 @@ inline const std::vector<Hit>& Walk::hits(Vec3<float> origin, Vec3<float> direct
     found_.clear();
     blended_.clear();
     settled_ = 0;
-    if (bvh_.nodes.empty()) return blended_;
+    bool flies = direction.x != 0.0f || direction.y != 0.0f || direction.z != 0.0f;
+    if (bvh_.nodes.empty() || !flies) return blended_;
     push(t_min, 0);
     while (!stack_.empty()) {
         Pending next = stack_.back();

@@ -12,26 +12,14 @@ from .raster_pass import make_view
 
 
 def reflect(
-    base: Rendering, camera: Camera, *, offset: float, alpha_min: float, beta_min: Tensor | float
+    image: Rendering, camera: Camera, offset: float, alpha_min: float, beta_min: Tensor | float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """A ray a pixel: the camera's ray mirrored at the pixel's surface (EnvGS, Eqs. 3 and 4). Without gradients.
-
-    Args:
-        base: an image on the GPU; `extras[..., 0]` is β.
-        camera: that it was drawn for.
-        offset: how far above the surface a ray starts, world units.
-        alpha_min: pixels whose alpha or blended normal is not longer than this reflect nothing,
-        beta_min: nor do those whose β is not above this.
-
-    Returns:
-        Origins [H, W, 3], unit directions [H, W, 3] and β [H, W]; direction and β are zero where nothing reflects.
-    """
-    height, width = base.alpha.shape
+    height, width = image.alpha.shape
     pixels = height * width
-    with torch.cuda.device(base.alpha.device):
-        launch = kernels(("view.cu", "reflect.cu"), base.alpha.device)
+    with torch.cuda.device(image.alpha.device):
+        launch = kernels(("view.cu", "reflect.cu"), image.alpha.device)
         view = make_view(launch, camera, near=0.0, low_pass=False)
-        planes = (base.alpha, base.depth, base.normal.movedim(2, 0), base.extras[..., 0])
+        planes = (image.alpha, image.depth, image.normal.movedim(2, 0), image.extras[..., 0])
         alpha, depth, normal, beta = (plane.detach().contiguous() for plane in planes)
         origins, directions, weights = (alpha.new_empty(height, width, *shape) for shape in ((3,), (3,), ()))
         on_device = isinstance(beta_min, Tensor)
