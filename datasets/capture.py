@@ -17,7 +17,7 @@ from .contents import digest_of
 from .estimator import estimator_version, with_estimated_normals
 from .paths import listed
 from .photographs import Photograph
-from .pointcloud import PointCloud
+from .pointcloud import PointCloud, far_points
 from .settings import DatasetError, SourceSettings
 from .split import split_views
 from .views import make_views
@@ -43,6 +43,7 @@ class PhotographSettings(CaptureSettings):
     """Settings of the sources whose views share one list, with masks and normals in folders beside them."""
 
     exact_normals: bool = False  # whether normals/ hold the truth, to which test views are held, or a guess
+    far_points: Annotated[int, Field(ge=0)] = 0  # added on a sphere around the cameras, to start a background from
 
 
 def cached_capture(
@@ -111,4 +112,6 @@ def make_scene(
     train = with_estimated_normals(train, settings.normal_estimator, draft)
     if not settings.exact_normals:
         test = [replace(view, normal=None) for view in test]
-    return Scene(settings.scene_name, train, test, *cloud, torch.tensor(settings.background))
+    far = far_points(torch.stack([view.camera.centre for view in train]), settings.far_points)
+    points, colors = (torch.cat(parts) for parts in zip(cloud, far, strict=True))
+    return Scene(settings.scene_name, train, test, points, colors, torch.tensor(settings.background))

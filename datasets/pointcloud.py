@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -77,3 +78,18 @@ def random_points(count: int, centre: tuple[float, float, float], half: float, s
     points = np.asarray(centre) + half * rng.uniform(-1, 1, (count, 3))
     colors = GREY + SH_BAND_0 * rng.uniform(0, 1, (count, 3)) / 255
     return point_cloud(points, colors, Path("random points"))
+
+
+def far_points(centres: torch.Tensor, count: int) -> PointCloud:
+    """`count` grey points, evenly on a sphere around the cameras' centres [V, 3], twice as far out as the farthest.
+
+    A background that structure from motion found nothing in has to begin somewhere.
+    """
+    middle = centres.mean(0)
+    radius = 2 * (centres - middle).norm(dim=1).max()
+    turn = torch.arange(count, dtype=torch.float64) + 0.5
+    height = 1 - 2 * turn / count
+    angle = math.pi * (3 - math.sqrt(5)) * turn  # the golden angle: neighbours in number are never close
+    across = (1 - height.square()).sqrt()
+    directions = torch.stack([across * angle.cos(), across * angle.sin(), height], dim=1).float()
+    return PointCloud(middle + radius * directions, torch.full((count, 3), GREY))

@@ -69,8 +69,9 @@ class GaussianMethod(Method):
         loss.backward()
 
         values = torch.stack([loss.detach(), psnr(rendering.color, target), *(t.detach() for t in terms.values())])
-        losses = dict(zip(["loss", "psnr", *terms], values.tolist(), strict=True))
-        if self._is_finite(values):
+        *numbers, finite = torch.cat([values, self._finite(values)]).tolist()  # waits for the device, once a step
+        losses = dict(zip(["loss", "psnr", *terms], numbers, strict=True))
+        if finite:
             for optimizer in self._optimizers():
                 optimizer.step()
             for name, seen in statistics.items():
@@ -206,11 +207,11 @@ class GaussianMethod(Method):
             return nearness(rendering.depth)
         return rendering.alpha.detach() if self.settings.normal_weighting == "alpha" else None
 
-    def _is_finite(self, values: Tensor) -> bool:
-        """Whether losses and all gradients are finite: a sum is, unless one of its terms is not."""
+    def _finite(self, values: Tensor) -> Tensor:
+        """Whether losses and all gradients are finite, [1], 1 or 0: a sum is, unless one of its terms is not."""
         gradients = [p.grad for o in self._optimizers() for g in o.param_groups for p in g["params"]]
         sums = [gradient.sum() for gradient in gradients if gradient is not None]
-        return bool(torch.isfinite(torch.stack([values.sum(), *sums])).all())
+        return torch.isfinite(torch.stack([values.sum(), *sums])).all()[None].to(values.dtype)
 
     def _new_set(
         self,

@@ -275,3 +275,20 @@ def test_a_distorted_model_agrees_with_the_published_undistorted_one(tmp_path: P
         torch.testing.assert_close(view.camera.world_to_camera, theirs[name].camera.world_to_camera)
         torch.testing.assert_close(view.camera.intrinsics, theirs[name].camera.intrinsics, rtol=1e-4, atol=0.01)
         assert (view.image.float() - theirs[name].image.float()).abs().mean() < 3
+
+
+def test_far_points_surround_the_cameras(root: Path) -> None:
+    """Behind the model's own points, unchanged, they lie evenly on a sphere twice as wide as the training cameras'."""
+    scene = load(root, far_points=500)
+    np.testing.assert_allclose(scene.points[:30], POINTS, atol=1e-6)
+    far = scene.points[30:].double()
+    centres = torch.stack([view.camera.centre for view in scene.train]).double()
+    middle = centres.mean(0)
+    assert far.shape == (500, 3)
+    expected = 2 * (centres - middle).norm(dim=1).max().item()
+    np.testing.assert_allclose((far - middle).norm(dim=1), expected, rtol=1e-5)
+    np.testing.assert_allclose(far.mean(0), middle, atol=0.01 * expected)
+    nearest = torch.cdist(far, far).fill_diagonal_(torch.inf).amin(1)
+    assert nearest.min() > 0.7 * nearest.mean()
+    assert (scene.point_colors[30:] == 0.5).all()
+    assert scene.radius == load(root).radius
