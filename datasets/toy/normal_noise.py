@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.signal import oaconvolve
 
 Array = NDArray[np.floating[Any]]
 
@@ -43,8 +44,9 @@ def _smooth_field(shape: tuple[int, int], rng: np.random.Generator) -> Array:
         sigma = blur * shape[1]
         margin = int(np.ceil(4 * sigma))
         white = rng.normal(size=(shape[0] + 2 * margin, shape[1] + 2 * margin))
-        smooth = ndimage.gaussian_filter(white, sigma)[margin : margin + shape[0], margin : margin + shape[1]]
         kernel = ndimage.gaussian_filter1d(np.eye(1, 2 * margin + 1, margin)[0], sigma)
+        # By Fourier transforms: at 800 pixels the widest kernel has 1,601 taps.
+        smooth = oaconvolve(oaconvolve(white, kernel[:, None], "valid", axes=0), kernel[None], "valid", axes=1)
         total += np.sqrt(share) * smooth / np.sum(kernel**2)  # the blur leaves (Σ k²)² of the variance, in two passes
     return total
 
