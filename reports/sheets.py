@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
@@ -14,7 +15,7 @@ from scipy.ndimage import uniform_filter
 from .pictures import Gallery, Shot, ordered_layers, read_picture, slug
 
 CELL = 340  # width of a picture in a sheet, px
-MARGIN, GAP, HEAD, SIDE = 26, 14, 44, 96
+MARGIN, GAP, HEAD, MOST_SIDE = 26, 14, 44, 300
 MOST_COLUMNS = 7  # methods in one sheet
 ZOOM = 3.2  # the zoomed window is this fraction of the picture's edges
 INK, SOFT, FRAME, PAPER = "#1f2733", "#667085", "#ffd400", "#ffffff"
@@ -113,7 +114,8 @@ def _framed(picture: np.ndarray, rows: slice, columns: slice) -> np.ndarray:
 def _grid(titles: list[str], notes: list[str], lines: list[tuple[str, list[Panel]]], aspect: float) -> Image.Image:
     """A sheet: a title and a note above each column, a name beside each row."""
     height = round(CELL * aspect)
-    side = SIDE if any(name for name, _ in lines) else 0
+    longest = max((_font(17, True).getlength(name) for name, _ in lines), default=0.0)
+    side = min(MOST_SIDE, math.ceil(longest) + GAP) if longest else 0
     size = (2 * MARGIN + side + len(titles) * (CELL + GAP) - GAP, 2 * MARGIN + HEAD + len(lines) * (height + GAP) - GAP)
     sheet = Image.new("RGB", size, PAPER)
     draw = ImageDraw.Draw(sheet)
@@ -123,7 +125,7 @@ def _grid(titles: list[str], notes: list[str], lines: list[tuple[str, list[Panel
         draw.text((x + CELL, MARGIN + 2), note, SOFT, _font(18), anchor="ra")
     for row, (name, panels) in enumerate(lines):
         y = MARGIN + HEAD + row * (height + GAP)
-        draw.text((MARGIN, y + height / 2), _fitted(name, SIDE - 8, 17, True), INK, _font(17, True), anchor="lm")
+        draw.text((MARGIN, y + height / 2), _fitted(name, side - GAP, 17, True), INK, _font(17, True), anchor="lm")
         for column, (picture, words) in enumerate(panels):
             x = MARGIN + side + column * (CELL + GAP)
             if picture is None:
