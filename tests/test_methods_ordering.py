@@ -1,7 +1,12 @@
-"""EnvGS above the others where near things reflect: trained here, on a chrome_room of 20 views of 64×48 pixels.
+"""EnvGS above the others where near things reflect: trained here, near-field PSNR composited on white, in dB.
 
-Three seeds gave, near-field and composited on white, in dB: EnvGS 21.35, 21.26, 21.48; 2DGS 20.09, 19.82, 20.02; the
-environment map 18.17, 18.27, 18.26. The margins are 1.3 to 1.5 and 3.0 to 3.2.
+| chrome_room | seeds | EnvGS | environment map | 2DGS |
+|---|---|---|---|---|
+| 20 views of 64×48, 500 steps | 0, 1, 2 | 21.35, 21.26, 21.48 | 19.09, 18.65, 19.07 | 20.09, 19.82, 20.02 |
+| 48 views of 160×120, 800 steps | 0, 1, 2 | 23.09 (seed 0) | 21.41, 21.49, 21.44 | 20.23, 20.24, 20.29 |
+
+Small pictures hold little that only a sharp reflection shows, so 2DGS is above the environment map there; the paper's
+order, EnvGS, environment map, 2DGS, needs the larger ones.
 """
 
 from __future__ import annotations
@@ -9,31 +14,35 @@ from __future__ import annotations
 import pytest
 import torch
 
+from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
 from envgs_bench.evaluation import normal_error
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
 from envgs_bench.metrics import get_protocol
 
-STEPS = 500
-SCENE = {"kind": "toy", "scene": "chrome_room", "width": 64, "height": 48, "views": 20}
+ROOM = {"kind": "toy", "scene": "chrome_room"}
 PRIOR = {"mono_weight": 0.1, "mono_loss": "l1_cos"}
-SETTINGS = {"2dgs": {}, "envmap": PRIOR, "envgs": PRIOR}
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory):
-    return load_scene(SCENE, tmp_path_factory.mktemp("cache"))
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return load_scene({**ROOM, "width": 64, "height": 48, "views": 20}, tmp_path_factory.mktemp("cache"))
 
 
 @pytest.fixture(scope="module")
-def trained(scene) -> dict[str, Method]:
+def trained(scene: Scene) -> dict[str, Method]:
+    return train(scene, 500, PRIOR)
+
+
+def train(scene: Scene, steps: int, prior: dict) -> dict[str, Method]:
+    """2DGS as it is, the environment map and EnvGS with these settings."""
     methods = {}
-    for kind, settings in SETTINGS.items():
+    for kind, settings in {"2dgs": {}, "envmap": prior, "envgs": prior}.items():
         method = methods[kind] = create_method(kind, settings)
-        method.initialize(scene, STEPS)
+        method.initialize(scene, steps)
         order = torch.Generator().manual_seed(0)
-        for step in range(1, STEPS + 1):
+        for step in range(1, steps + 1):
             turn = (step - 1) % len(scene.train)
             if turn == 0:
                 views = torch.randperm(len(scene.train), generator=order)
@@ -41,7 +50,7 @@ def trained(scene) -> dict[str, Method]:
     return methods
 
 
-def near_field(method: Method, scene) -> float:
+def near_field(method: Method, scene: Scene) -> float:
     """Mean PSNR of the test views inside `near_field`, in dB."""
     score = get_protocol("envgs").score
     images = [(method.render(view.camera).color, view) for view in scene.test]
@@ -52,7 +61,16 @@ def near_field(method: Method, scene) -> float:
 def test_near_things_reflect_best_in_envgs(trained, scene):
     psnr = {kind: near_field(method, scene) for kind, method in trained.items()}
     assert psnr["envgs"] > psnr["2dgs"] + 0.7, psnr
-    assert psnr["envgs"] > psnr["envmap"] + 2.0, psnr
+    assert psnr["envgs"] > psnr["envmap"] + 1.5, psnr
+
+
+@pytest.mark.slow
+def test_the_papers_order_at_the_size_of_the_demo(tmp_path):
+    scene = load_scene({**ROOM, "normal_noise": 5.0}, tmp_path)
+    trained = train(scene, 800, {**PRIOR, "min_coverage": 3.0})
+    psnr = {kind: near_field(method, scene) for kind, method in trained.items()}
+    assert psnr["envgs"] > psnr["envmap"] + 1.0, psnr
+    assert psnr["envmap"] > psnr["2dgs"] + 0.7, psnr
 
 
 def test_envgs_finds_what_reflects_and_where_it_faces(trained, scene):
