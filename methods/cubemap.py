@@ -6,6 +6,8 @@ the table below, and texel centres lie at half-integers of the face's size.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -20,29 +22,48 @@ FACES = (
 )
 
 
+@dataclass(frozen=True)
+class CubemapLayout:
+    """Where the texels of a map of one size lie; `layout_of(size)` makes it, on one device."""
+
+    size: int  # S, texels along a face's edge
+    # Flat numbers of a face's texels and of the ring of their neighbours on other faces. Beyond a face's four corners
+    # there is none; the number there is 6·S² plus that of the cube's corner.
+    around: Tensor  # [6, S + 2, S + 2]
+    corners: Tensor  # [8, 3] flat numbers of the three texels that meet at each corner of the cube
+    axes: Tensor  # [6, 2] of columns and rows of each face
+    signs: Tensor  # [6, 2]
+
+
+def layout_of(size: int, device: torch.device | str = "cpu") -> CubemapLayout:
+    faces = torch.tensor(FACES)[:, 1:]
+    tensors = (_texels_around(size), _corner_texels(size), faces[..., 0], faces[..., 1])
+    return CubemapLayout(size, *(tensor.to(device) for tensor in tensors))
+
+
 def texel_directions(size: int) -> Tensor:
     """Directions [6, size, size, 3] through the texel centres; the largest component is ±1."""
     centre = (2 * torch.arange(size) + 1) / size - 1
     return _face_points(centre, centre)
 
 
-def sample_cubemap(texels: Tensor, directions: Tensor, border: Tensor) -> Tensor:
+def sample_cubemap(texels: Tensor, directions: Tensor, layout: CubemapLayout) -> Tensor:
     """Bilinear lookup, differentiable in texels and directions.
 
     Args:
         texels: [6, S, S, C].
         directions: [R, 3], of any length; at length 0 the lookup has a value, but no meaning.
-        border: [6, S + 2, S + 2] of `border_index(S)`.
+        layout: of size S.
 
     Returns:
         [R, C], continuous over the whole sphere: across an edge the four texels around a point come from both faces,
         and at the cube's corners, where three texels meet, the missing fourth is their mean.
     """
-    size, channels = texels.shape[1], texels.shape[-1]
+    size, channels = layout.size, texels.shape[-1]
     flat = texels.reshape(-1, channels)
-    flat = torch.cat([flat, flat[_corner_texels(size).to(flat.device)].mean(1)])
+    flat = torch.cat([flat, flat[layout.corners].mean(1)])
 
-    face, column, row = _face_coordinates(directions)
+    face, column, row = _face_coordinates(directions, layout.axes, layout.signs)
     x = (column + 1) * (size / 2) + 0.5  # in the padded face, whose texel i has its centre at i
     y = (row + 1) * (size / 2) + 0.5
     x0 = x.detach().floor().clamp(0, size)
@@ -51,35 +72,32 @@ def sample_cubemap(texels: Tensor, directions: Tensor, border: Tensor) -> Tensor
 
     corner = (face * (size + 2) + y0.long()) * (size + 2) + x0.long()
     index = torch.stack([corner, corner + 1, corner + size + 2, corner + size + 3])
-    around = flat.index_select(0, border.reshape(-1)[index].reshape(-1)).reshape(4, -1, channels)
+    around = flat.index_select(0, layout.around.reshape(-1)[index].reshape(-1)).reshape(4, -1, channels)
     top = torch.lerp(around[0], around[1], fx)
     bottom = torch.lerp(around[2], around[3], fx)
     return torch.lerp(top, bottom, fy)
 
 
-def resized_cubemap(texels: Tensor, size: int, border: Tensor) -> Tensor:
+def resized_cubemap(texels: Tensor, layout: CubemapLayout, size: int) -> Tensor:
     """The map [6, S, S, C] looked up at the texel centres of one with `size` texels an edge: [6, size, size, C]."""
     directions = texel_directions(size).to(texels)
-    return sample_cubemap(texels, directions.reshape(-1, 3), border).reshape(6, size, size, -1)
+    return sample_cubemap(texels, directions.reshape(-1, 3), layout).reshape(6, size, size, -1)
 
 
-def border_index(size: int) -> Tensor:
-    """[6, size + 2, size + 2] flat texel numbers of each face and of the ring of neighbours around it.
-
-    A ring texel is the neighbouring face's texel beyond the edge; at the face's four corners there is none, and the
-    number is 6·size² plus that of the cube's corner (see `sample_cubemap`).
-    """
+def _texels_around(size: int) -> Tensor:
     position = (2 * torch.arange(size + 2, dtype=torch.float64) - 1) / size - 1
     inside = position.clamp(-1 + 1 / size, 1 - 1 / size)
     own = torch.arange(6 * size * size).reshape(6, size, size)
     index = torch.zeros(6, size + 2, size + 2, dtype=torch.long)
     index[:, 1:-1, 1:-1] = own
+    faces = torch.tensor(FACES)[:, 1:]
     # Just beyond an edge, a point of the face's plane belongs to the neighbouring face, in its outermost texel.
     beyond = position.clamp(-1 - 1e-3 / size, 1 + 1e-3 / size)
     for part in ((slice(None), [0, -1]), ([0, -1], slice(None))):
         columns = beyond if part[0] == slice(None) else inside
         rows = inside if part[0] == slice(None) else beyond
-        face, column, row = _face_coordinates(_face_points(columns, rows).reshape(-1, 3))
+        points = _face_points(columns, rows).reshape(-1, 3)
+        face, column, row = _face_coordinates(points, faces[..., 0], faces[..., 1])
         texel = (face * size + _texel(row, size)) * size + _texel(column, size)
         texel = texel.reshape(6, size + 2, size + 2)
         index[:, part[0], part[1]] = texel[:, part[0], part[1]]
@@ -99,14 +117,12 @@ def _face_points(columns: Tensor, rows: Tensor) -> Tensor:
     return points
 
 
-def _face_coordinates(directions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _face_coordinates(directions: Tensor, axes: Tensor, signs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Face [R], and column and row on it, [R] in [−1, 1], differentiable."""
     axis = directions.detach().abs().argmax(dim=1)
     major = directions.gather(1, axis[:, None])[:, 0]
     face = 2 * axis + (major.detach() < 0)
-    table = torch.tensor(FACES, device=directions.device)[face]  # [R, 3, 2]
-    signs = table[..., 1].to(directions.dtype)
-    scaled = directions.gather(1, table[:, 1:, 0]) * signs[:, 1:] / major.abs().clamp_min(1e-30)[:, None]
+    scaled = directions.gather(1, axes[face]) * signs[face] / major.abs().clamp_min(1e-30)[:, None]
     return face, scaled[:, 0], scaled[:, 1]
 
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from .cubemap import border_index, resized_cubemap, sample_cubemap
+from .cubemap import layout_of, resized_cubemap, sample_cubemap
 from .parameters import ADAM_EPSILON
 from .reflection import ReflectionSettings, ReflectiveMethod
 
@@ -44,7 +44,7 @@ class EnvMap(ReflectiveMethod):
         super()._set_rates(step)
         size = self._size_at(step)
         if self.reflects and size != self.texels.shape[1]:
-            self._set_texels(resized_cubemap(self.texels.detach(), size, self._border))
+            self._set_texels(resized_cubemap(self.texels.detach(), self._layout, size))
 
     def _size_at(self, step: int) -> int:
         """Texels along a face's edge at a step of the training."""
@@ -52,7 +52,7 @@ class EnvMap(ReflectiveMethod):
         return max(2, self.settings.envmap_size >> doublings_left)
 
     def _reflected_color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict]:
-        color = sample_cubemap(self.texels, directions.reshape(-1, 3), self._border).sigmoid()
+        color = sample_cubemap(self.texels, directions.reshape(-1, 3), self._layout).sigmoid()
         return color.reshape(directions.shape), {}
 
     def model_bytes(self) -> dict[str, int]:
@@ -60,7 +60,7 @@ class EnvMap(ReflectiveMethod):
 
     def _set_texels(self, texels: Tensor) -> None:
         self.texels = texels.detach().to(self.device).requires_grad_()
-        self._border = border_index(texels.shape[1]).to(self.device)
+        self._layout = layout_of(texels.shape[1], self.device)
         self._texel_optimizer = torch.optim.Adam(
             [self.texels], lr=self.settings.envmap_lr, eps=ADAM_EPSILON, fused=True
         )
