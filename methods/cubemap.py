@@ -20,25 +20,24 @@ FACES = (
     ((2, 1), (0, 1), (1, -1)),
     ((2, -1), (0, -1), (1, -1)),
 )
+AXES, SIGNS = torch.tensor(FACES)[:, 1:].unbind(-1)  # [6, 2] each, of columns and rows
 
 
 @dataclass(frozen=True)
 class CubemapLayout:
-    """Where the texels of a map of one size lie; `layout_of(size)` makes it, on one device."""
+    """Where the texels of a map of S texels an edge lie; `layout_of(S)` makes it, on one device."""
 
-    size: int  # S, texels along a face's edge
     # Flat numbers of a face's texels and of the ring of their neighbours on other faces. Beyond a face's four corners
     # there is none; the number there is 6·S² plus that of the cube's corner.
     around: Tensor  # [6, S + 2, S + 2]
     corners: Tensor  # [8, 3] flat numbers of the three texels that meet at each corner of the cube
-    axes: Tensor  # [6, 2] of columns and rows of each face
-    signs: Tensor  # [6, 2]
+    axes: Tensor  # AXES and SIGNS
+    signs: Tensor
 
 
 def layout_of(size: int, device: torch.device | str = "cpu") -> CubemapLayout:
-    faces = torch.tensor(FACES)[:, 1:]
-    tensors = (_texels_around(size), _corner_texels(size), faces[..., 0], faces[..., 1])
-    return CubemapLayout(size, *(tensor.to(device) for tensor in tensors))
+    tensors = (_texels_around(size), _corner_texels(size), AXES, SIGNS)
+    return CubemapLayout(*(tensor.to(device) for tensor in tensors))
 
 
 def texel_directions(size: int) -> Tensor:
@@ -53,13 +52,13 @@ def sample_cubemap(texels: Tensor, directions: Tensor, layout: CubemapLayout) ->
     Args:
         texels: [6, S, S, C].
         directions: [R, 3], of any length; at length 0 the lookup has a value, but no meaning.
-        layout: of size S.
+        layout: of maps of S.
 
     Returns:
         [R, C], continuous over the whole sphere: across an edge the four texels around a point come from both faces,
         and at the cube's corners, where three texels meet, the missing fourth is their mean.
     """
-    size, channels = layout.size, texels.shape[-1]
+    size, channels = texels.shape[1], texels.shape[-1]
     flat = texels.reshape(-1, channels)
     flat = torch.cat([flat, flat[layout.corners].mean(1)])
 
@@ -90,14 +89,13 @@ def _texels_around(size: int) -> Tensor:
     own = torch.arange(6 * size * size).reshape(6, size, size)
     index = torch.zeros(6, size + 2, size + 2, dtype=torch.long)
     index[:, 1:-1, 1:-1] = own
-    faces = torch.tensor(FACES)[:, 1:]
     # Just beyond an edge, a point of the face's plane belongs to the neighbouring face, in its outermost texel.
     beyond = position.clamp(-1 - 1e-3 / size, 1 + 1e-3 / size)
     for part in ((slice(None), [0, -1]), ([0, -1], slice(None))):
         columns = beyond if part[0] == slice(None) else inside
         rows = inside if part[0] == slice(None) else beyond
         points = _face_points(columns, rows).reshape(-1, 3)
-        face, column, row = _face_coordinates(points, faces[..., 0], faces[..., 1])
+        face, column, row = _face_coordinates(points, AXES, SIGNS)
         texel = (face * size + _texel(row, size)) * size + _texel(column, size)
         texel = texel.reshape(6, size + 2, size + 2)
         index[:, part[0], part[1]] = texel[:, part[0], part[1]]

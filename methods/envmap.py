@@ -38,7 +38,7 @@ class EnvMap(ReflectiveMethod):
         self._set_texels(torch.zeros(6, settings.envmap_size, settings.envmap_size, 3))
 
     def _start_reflection(self) -> None:
-        self._set_texels(torch.zeros(6, 2, 2, 3))
+        self._set_texels(torch.zeros(6, 2, 2, 3))  # grey; _set_rates gives it its size
 
     def _set_rates(self, step: int) -> None:
         super()._set_rates(step)

@@ -4,7 +4,7 @@ import pytest
 import torch
 from reflection_scenes import HEIGHT, WIDTH, make_camera, make_rendering, mirror
 
-from envgs_bench.core import View
+from envgs_bench.core import Scene, View
 from envgs_bench.methods.envmap import EnvMap, EnvMapSettings
 from envgs_bench.methods.registry import create_method
 
@@ -98,13 +98,17 @@ def test_envgs_and_envmap_differ_in_the_reflected_colour_only():
         assert getattr(type(envgs), name) is getattr(type(envmap), name), name
 
 
-def trained_base(**settings) -> EnvMap:
-    """An environment-map method after `initialize` over three points with β 0.01, 0.03 and 0.2."""
-    from envgs_bench.core import Scene
-
-    method = create_method("envmap", {"envmap_size": 4, **settings})
+def initialized(steps: int, **settings) -> tuple[EnvMap, View]:
+    """An environment-map method after `initialize` over three points, and the view that it trains on."""
+    method = create_method("envmap", settings)
     view = View("a", make_camera(), torch.zeros(HEIGHT, WIDTH, 3, dtype=torch.uint8))
-    method.initialize(Scene("three", [view], [view], torch.eye(3), torch.full((3, 3), 0.5)), 3000)
+    method.initialize(Scene("three", [view], [view], torch.eye(3), torch.full((3, 3), 0.5)), steps)
+    return method, view
+
+
+def trained_base(**settings) -> EnvMap:
+    """A method in a run of 3,000 steps, its three primitives with β 0.01, 0.03 and 0.2."""
+    method, _ = initialized(3000, **{"envmap_size": 4, **settings})
     method.sets["base"].parameters.replace("beta_logits", torch.logit(torch.tensor([[0.01], [0.03], [0.2]])))
     return method
 
@@ -174,11 +178,7 @@ def test_the_environment_map_doubles_three_times_and_keeps_what_it_showed():
 
 @pytest.mark.parametrize("steps", [1, 2, 7])
 def test_the_shortest_run_ends_with_a_whole_map(steps, tmp_path):
-    from envgs_bench.core import Scene
-
-    method = create_method("envmap", {"envmap_size": 16})
-    view = View("a", make_camera(), torch.zeros(HEIGHT, WIDTH, 3, dtype=torch.uint8))
-    method.initialize(Scene("three", [view], [view], torch.eye(3), torch.full((3, 3), 0.5)), steps)
+    method, view = initialized(steps, envmap_size=16)
     for step in range(1, steps + 1):
         method.training_step(view, step)
     method.save(tmp_path)
