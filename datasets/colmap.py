@@ -11,6 +11,7 @@ from envgs_bench.core import Scene
 from .cache import Draft
 from .capture import Missing, PhotographSettings, cached_capture, make_scene, refuse_missing, require_folder
 from .contents import files_in
+from .exposure import with_equal_exposure
 from .model import Model
 from .normals import Frame
 from .paths import listed
@@ -26,6 +27,7 @@ class ColmapSettings(PhotographSettings):
     """Settings of `kind: colmap`."""
 
     kind: Literal["colmap"]
+    equalize_exposure: bool = False
     images: str = "images"  # folder below root
     missing: Missing = "refuse"  # images of the model that are not there
     model: str | None = None  # folder below root; sparse/0, or else sparse, where None
@@ -59,6 +61,8 @@ def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         found, missing = model.photographs(images)
         refuse_missing(choice.missing, len(found) + len(missing), missing, model.folder, draft)
         _note_without_pose(images, found, draft)
+        if choice.equalize_exposure:
+            found = with_equal_exposure(found, model.observations(), choice.background, draft)
         return make_scene(choice, with_siblings(found, root, choice.normals_frame), model.points(), images, draft)
 
     return cached_capture(choice, VERSION, files, cache_dir, make)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from .exposure import Observations
 from .paths import path_below
 from .photographs import Photograph
 from .pointcloud import PointCloud, point_cloud
@@ -69,6 +70,10 @@ class Model:
             found.append(Photograph(image.name, path, camera, str(image.camera_id), self._pose(image)))
         return found, missing
 
+    def observations(self) -> dict[str, Observations]:
+        """Where each image shows which points, by the images' names."""
+        return {image.name: _observations(image) for image in self.content.images.values()}
+
     def _pose(self, image: pycolmap.Image) -> np.ndarray:
         pose = np.eye(4)
         pose[:3] = image.cam_from_world().matrix()
@@ -78,6 +83,12 @@ class Model:
     def _check_finite(self, what: str, values: np.ndarray, name: str) -> None:
         if not np.isfinite(values).all():
             raise DatasetError(f"{self.folder}: the {what} of image {name} is not finite; repair or remove it")
+
+
+def _observations(image: pycolmap.Image) -> Observations:
+    seen = [point for point in image.points2D if point.has_point3D()]
+    positions = np.array([point.xy for point in seen]).reshape(-1, 2)
+    return Observations(positions, np.array([point.point3D_id for point in seen], dtype=np.int64))
 
 
 def _read(folder: Path) -> pycolmap.Reconstruction:

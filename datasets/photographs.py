@@ -33,6 +33,7 @@ class Photograph:
     masks: dict[str, Path] = field(default_factory=dict)  # by region
     normal: NormalMap | None = None
     turned: bool = False  # EXIF's orientation is to be applied
+    gains: tuple[float, float, float] | None = None  # a channel, that its bytes are multiplied by
 
     @property
     def view_name(self) -> str:
@@ -76,7 +77,7 @@ def fit_to_files(photographs: Sequence[Photograph], draft: Draft) -> list[Photog
             masks or normals have another shape than their picture; names are not unique.
     """
     _refuse_equal_names(photographs)
-    fitted = [_fit(photograph) for photograph in photographs]
+    fitted = [fit_to_file(photograph) for photograph in photographs]
     _refuse_mixed_sizes(fitted)
     _check_siblings(fitted, draft)
     return fitted
@@ -106,7 +107,8 @@ def _refuse_mixed_sizes(photographs: Sequence[Photograph]) -> None:
             )
 
 
-def _fit(photograph: Photograph) -> Photograph:
+def fit_to_file(photograph: Photograph) -> Photograph:
+    """The photograph with its camera at the size of its file, alone; raises as `fit_to_files`."""
     header, camera = read_header(photograph.path), photograph.camera
     stored, turned = (header.width, header.height), (header.height, header.width)
     use_turned = header.turned and not _same_shape(stored, camera) and _same_shape(turned, camera)

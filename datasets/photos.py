@@ -15,6 +15,7 @@ from envgs_bench.core import Scene
 from .cache import Draft
 from .capture import PhotographSettings, cached_capture, make_scene, require_folder
 from .contents import digest_of, files_in
+from .exposure import with_equal_exposure
 from .model import Model
 from .normals import Frame
 from .paths import listed
@@ -33,6 +34,7 @@ class PhotosSettings(PhotographSettings):
     """Settings of `kind: photos`."""
 
     kind: Literal["photos"]
+    equalize_exposure: bool = False
     images: str | None = None  # folder below root; images/ where there is one, else root itself, where None
     matching: Matching = "exhaustive"  # sequential: with neighbours in the order of names, as of a video's frames
     camera_model: Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"] = "OPENCV"
@@ -60,6 +62,8 @@ def load_photos(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         model = model_of(choice, images, names, cache_dir)
         _judge(choice, images, names, model.image_names, draft)
         found, _ = model.photographs(images)
+        if choice.equalize_exposure:
+            found = with_equal_exposure(found, model.observations(), choice.background, draft)
         photographs = with_siblings(found, choice.root, choice.normals_frame)
         return make_scene(choice, photographs, model.points(), images, draft)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from envgs_bench.core import Camera, View
 
 from .cache import Draft
+from .exposure import brightened
 from .normals import world_normals
 from .photographs import Photograph, fit_to_files
 from .pictures import Color, read_mask, read_picture
@@ -56,6 +57,8 @@ def _make_view(photograph: Photograph, downsample: float, background: Color, dra
         return torch.from_numpy(_fitted(pixels, photograph.camera, camera))
 
     picture, opaque = read_picture(photograph.path, background, photograph.turned)
+    if photograph.gains is not None:
+        picture = brightened(picture, photograph.gains)
     normal = None
     if photograph.normal is not None:
         vectors = photograph.normal.read(_opaque_at(opaque, *photograph.normal.size()))

@@ -17,6 +17,7 @@ from .initialization import initial_tensors
 from .losses import depth_normals, nearness, normal_distance, normal_loss, photometric_loss, psnr
 from .method import Method
 from .parameters import GaussianParameters, LearningRates
+from .resident_views import ResidentViews
 from .schedule import Schedule
 from .settings import GaussianSettings
 from .trained_set import TrainedSet
@@ -46,6 +47,7 @@ class GaussianMethod(Method):
         self.radius = 1.0
         self.background = torch.zeros(3, device=self.device)
         self._prepared: dict[str, GaussianSet] = {}
+        self._views = ResidentViews(self.device, room=0)
 
     def initialize(self, scene: Scene, steps: int) -> None:
         if not len(scene.points):
@@ -57,10 +59,11 @@ class GaussianMethod(Method):
             scene.points, scene.point_colors, self._rule("base"), self._initial_beta(), generator=None
         )
         self._prepared.clear()
+        self._views = ResidentViews.of(self.device)
 
     def training_step(self, view: View, step: int) -> dict[str, float]:
-        camera = view.camera if view.camera.device == self.device else view.camera.to(self.device)
-        target = view.rgb(self.device)
+        view = self._views.on_device(view)
+        camera, target = view.camera, view.rgb(self.device)
         self._prepared.clear()
         self._set_rates(step)
         rendering, statistics = self._draw(camera, step)
@@ -133,14 +136,13 @@ class GaussianMethod(Method):
         terms = {"rgb": photometric_loss(rendering.color, target)}
         weight = self._normal_weights(rendering)
         if settings.normal_weight > 0 and step > self.schedule.at(settings.normal_from):
-            reference = depth_normals(rendering.depth, self._directions(view))
+            reference = depth_normals(rendering.depth, view.camera.rays()[1])
             terms["normal"] = settings.normal_weight * normal_loss(rendering.normal, reference, weight)
         if settings.mono_weight > 0 and view.normal is not None:
-            reference = view.normal.to(rendering.normal)
             mono_weight = settings.mono_weight * self.schedule.rate_scale
-            error = normal_loss(rendering.normal, reference, weight)
+            error = normal_loss(rendering.normal, view.normal, weight)
             if settings.mono_loss == "l1_cos":
-                error = error + normal_distance(rendering.normal, reference, weight)
+                error = error + normal_distance(rendering.normal, view.normal, weight)
             terms["mono"] = mono_weight * error
         if self.perceptual and settings.perceptual_weight > 0 and step > self.schedule.at(settings.perceptual_from):
             terms["perceptual"] = settings.perceptual_weight * self.perceptual(rendering.color, target)
@@ -198,9 +200,6 @@ class GaussianMethod(Method):
         every = self.schedule.at(self.settings.sh_every)
         degree = min(self.settings.sh_degree, step // every) if every else None
         return self.sets[name].parameters.gaussians(degree)
-
-    def _directions(self, view: View) -> Tensor:
-        return view.camera.rays()[1].to(self.device)
 
     def _normal_weights(self, rendering: Rendering) -> Tensor | None:
         if self.settings.normal_weighting == "depth":

@@ -36,9 +36,17 @@ def rotation_of(index: int) -> np.ndarray:
 
 
 def write_capture(
-    root: Path, names: list[str], camera: str = PINHOLE, points: np.ndarray = POINTS, model: str = "sparse/0"
+    root: Path,
+    names: list[str],
+    camera: str = PINHOLE,
+    points: np.ndarray = POINTS,
+    model: str = "sparse/0",
+    seen_at: np.ndarray | None = None,
 ) -> Path:
-    """A capture of the gradient picture under each name, with a text model below `root`; returns `root`."""
+    """A capture of the gradient picture under each name, with a text model below `root`; returns `root`.
+
+    Every image sees every point at the same place of the picture, `seen_at` [P, 2], or none of them.
+    """
     folder = root / model
     folder.mkdir(parents=True)
     (folder / "cameras.txt").write_text(f"# cameras\n1 {camera}\n")
@@ -46,9 +54,12 @@ def write_capture(
     for index, name in enumerate(names):
         translation = -rotation_of(index) @ centre_of(index)
         pose = [*quaternion_of(index), *translation]
-        lines += [f"{index + 1} {' '.join(map(repr, map(float, pose)))} 1 {name}", ""]
+        places = [] if seen_at is None else [f"{x!r} {y!r} {i + 1}" for i, (x, y) in enumerate(seen_at.tolist())]
+        lines += [f"{index + 1} {' '.join(map(repr, map(float, pose)))} 1 {name}", " ".join(places)]
     (folder / "images.txt").write_text("\n".join(lines) + "\n")
     rows = [f"{i + 1} {x!r} {y!r} {z!r} {10 * i % 256} 20 30 0.5" for i, (x, y, z) in enumerate(points.tolist())]
+    if seen_at is not None:
+        rows = [f"{row} {' '.join(f'{k + 1} {i}' for k in range(len(names)))}" for i, row in enumerate(rows)]
     (folder / "points3D.txt").write_text("\n".join(["# points", *rows]) + "\n")
     for name in names:
         path = root / "images" / name
