@@ -30,6 +30,7 @@ class DensificationRule:
     min_opacity: float  # pruned below
     max_primitives: int  # the least-weighted above this count are pruned
     min_coverage: float = 0.0  # pixels that a primitive must fill, on average over its views, to be cloned or split
+    min_views: float = 0.0  # steps that must have shown it for that, see `DensificationRecord.effective_views`
     clone_below: float = 0.01  # largest scale up to which a primitive is cloned; above it is split
     oversized_above: float = 0.1  # largest scale above which a primitive is split in five or pruned
 
@@ -41,18 +42,25 @@ class DensificationRecord:
         self.gradients = torch.zeros(primitives, device=device)  # Σ of the criterion
         self.views = torch.zeros(primitives, device=device)  # steps in which the primitive was seen
         self.weights = torch.zeros(primitives, device=device)  # Σ of the blending weight
+        self.squares = torch.zeros(primitives, device=device)  # Σ of its square
 
     def add(self, criterion: Tensor, weights: Tensor) -> None:
         """Add one step: the gradient criterion [N] and the blending weights [N] of its pass."""
         self.gradients += criterion
         self.views += weights > 0
         self.weights += weights
+        self.squares += weights.square()
 
     def mean_gradient(self) -> Tensor:
         return self.gradients / self.views.clamp_min(1)
 
     def mean_weight(self) -> Tensor:
         return self.weights / self.views.clamp_min(1)
+
+    def effective_views(self) -> Tensor:
+        """How many steps showed each primitive, [N]: (Σw)² / Σw², which is k for k alike and near 1 where one showed
+        far more of it than all others."""
+        return self.weights.square() / self.squares.clamp_min(1e-30)
 
 
 def screen_criterion(statistics: Statistics, camera: Camera) -> Tensor:
@@ -88,7 +96,7 @@ def densify(
     twentieth, which takes the place of the least-weighted.
     """
     weights = record.mean_weight()
-    grows = _growing(record.mean_gradient(), weights, rule)
+    grows = _growing(record, rule)
     small = _largest_scale(parameters) <= rule.clone_below * radius
 
     clones = torch.nonzero(grows & small)[:, 0]
@@ -115,15 +123,19 @@ def densify(
     return DensificationRecord(len(parameters), weights.device)
 
 
-def _growing(gradients: Tensor, weights: Tensor, rule: DensificationRule) -> Tensor:
+def _growing(record: DensificationRecord, rule: DensificationRule) -> Tensor:
     """Which primitives [N] are cloned or split: of those above the threshold the largest that there is room for.
 
     A blending weight summed over a view's pixels is the number of pixels that the primitive fills. One that fills less
-    than `min_coverage` shows nothing that two could show better.
+    than `min_coverage` shows nothing that two could show better. And one that fewer than `min_views` show may hang
+    anywhere along their rays: two of it would learn these pictures by heart, and stand in the way of others.
     """
+    gradients = record.mean_gradient()
+    needed = (gradients >= rule.gradient_threshold) & (record.mean_weight() >= rule.min_coverage)
+    known = record.effective_views() >= rule.min_views
     room = max(rule.max_primitives - len(gradients), math.ceil(EXCHANGED_AT_CAP * len(gradients)))
     room = min(room, math.ceil(LARGEST_GROWTH * len(gradients)))
-    return _largest((gradients >= rule.gradient_threshold) & (weights >= rule.min_coverage), gradients, room)
+    return _largest(needed & known, gradients, room)
 
 
 def _largest(rows: Tensor, values: Tensor, most: int) -> Tensor:

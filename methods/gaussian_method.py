@@ -234,7 +234,7 @@ class GaussianMethod(Method):
 
     def _rule(self, name: str) -> DensificationRule:
         s = self.settings
-        return DensificationRule(s.densify_threshold, s.min_opacity, s.max_primitives, s.min_coverage)
+        return DensificationRule(s.densify_threshold, s.min_opacity, s.max_primitives, s.min_coverage, s.min_views)
 
     def _rates(self) -> LearningRates:
         s, scale = self.settings, self.schedule.rate_scale

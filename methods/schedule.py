@@ -8,10 +8,10 @@ below a floor, because some things take a number of steps and not a share of the
 |---|---|---|
 | densification | 30 steps | its criterion is a mean over views |
 | colour sabotage, normal propagation | 500 steps | the picture has to come back in between, and takes that long |
-| opacity reset | 150 steps, 300 for the environment | an opacity climbs back from 0.01 at 0.05 a step |
+| opacity reset | 600 steps, 300 for the environment | opacities climb by 0.05 a step, then colours settle |
 
 A run too short for an interval never does the thing: it could not recover. One of 2,000 steps has every phase, one of
-800 is never disturbed, one of 100 resets no opacity.
+800 is never disturbed and resets no opacity of the base.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dataclasses import dataclass
 REFERENCE_STEPS = 30_000
 DENSIFY_FLOOR = 30
 DISTURB_FLOOR = 500
-RESET_FLOOR = 150
+RESET_FLOOR = 600
 ENV_RESET_FLOOR = 300
 RECOVERY = 100
 

@@ -31,6 +31,7 @@ class GaussianSettings:
     densify_every: int = 100
     densify_threshold: float = 2e-4  # gradient of the projected centre, in half images
     min_coverage: float = 1.0  # pixels that a primitive must fill, on average over its views, to be cloned or split
+    min_views: float = 3.0  # steps since the last densification that must have shown it for that, by its weights
     min_opacity: float = 0.05  # pruned below
     max_primitives: int = 1_800_000
     opacity_reset_every: int = 3_000  # 0: never

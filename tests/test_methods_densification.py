@@ -128,6 +128,19 @@ def test_what_fills_less_than_a_pixel_does_not_grow():
     assert colours(parameters) == [0, 1, 1, *range(2, 20)]
 
 
+def test_what_few_views_show_does_not_grow():
+    """Ten steps: two primitives are shown by three of them, the second almost only by one, the third by all alike."""
+    rule = dataclasses.replace(RULE, min_views=2.9)
+    record = DensificationRecord(30, torch.device("cpu"))
+    for step in range(10):
+        weights = [float(step < 3), [20.0, 1.0, 1.0][step] if step < 3 else 0.0, 5.0] + [1.0] * 27
+        record.add(torch.tensor([2.0, 2.0, 2.0] + [0.0] * 27), torch.tensor(weights))
+    torch.testing.assert_close(record.effective_views()[:3], torch.tensor([3.0, 22.0**2 / 402, 10.0]))
+    parameters = make_parameters([0.005] * 30, [0.5] * 30)
+    densify(parameters, record, rule, RADIUS, generator())
+    assert colours(parameters) == [0, 0, 1, 2, 2, *range(3, 30)]
+
+
 def test_towards_the_cap_there_is_less_room():
     gradients = [2.0 + 0.01 * i for i in range(100)]
     assert growing(gradients, max_primitives=107) == list(range(93, 100))

@@ -45,7 +45,10 @@ def test_twice_the_steps_stretch_the_schedule():
     assert twice == {name: [2 * step for step in steps] for name, steps in once.items()}
 
 
-@pytest.mark.parametrize(("steps", "missing"), [(2000, set()), (300, {"sabotage", "propagate", "reset_env_opacity"})])
+@pytest.mark.parametrize(
+    ("steps", "missing"),
+    [(2000, set()), (300, {"sabotage", "propagate", "reset_base_opacity", "reset_beta", "reset_env_opacity"})],
+)
 def test_a_short_run_has_every_phase_that_it_can_recover_from(steps, missing):
     full, short = (events("envgs", length, beta_reset="min") for length in (30_000, steps))
     assert set(short) == set(full) - missing
