@@ -34,6 +34,7 @@ class Draft:
         self.folder = folder
         self.settings = settings
         self.started = now()
+        self.checkout = provenance.checkout()
         self.dataset = settings.dataset_name
         self.steps = settings.steps
         self.metrics: Metrics | None = None
@@ -45,7 +46,7 @@ class Draft:
         """Write record.json; the record that was written."""
         settings = self.settings
         protocol = get_protocol(settings.protocol)
-        source = provenance.collect(settings.device)
+        source = self.checkout | provenance.collect(settings.device)
         source["command"] = shlex.join(["envgs-bench", "run", *settings.overrides])  # the user's, not this process's
         record = Record(
             status=status,

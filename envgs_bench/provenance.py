@@ -50,14 +50,10 @@ def collect(device: str) -> dict[str, Any]:
         device: where the method ran, "cpu", "cuda" or "cuda:<index>".
 
     Returns:
-        version, commit and dirty (None unless this code lies in a git checkout), python, platform, packages,
-        machine, device, threads, command.
+        version, python, platform, packages, machine, device, threads, command.
     """
-    commit, dirty = _checkout()
     return {
         "version": _version(PACKAGE) or "not installed",
-        "commit": commit,
-        "dirty": dirty,
         "python": platform.python_version(),
         "platform": platform.platform(),
         "packages": {name: found for name in PACKAGES if (found := _version(name))},
@@ -125,15 +121,19 @@ def _gpu(device: torch.device) -> dict[str, Any]:
     return found
 
 
-def _checkout() -> tuple[str | None, bool | None]:
-    """Commit of the checkout that this file is tracked in, and whether tracked files differ from it."""
+def checkout() -> dict[str, Any]:
+    """`commit` of the checkout that this file is tracked in, and whether tracked files differ from it: `dirty`.
+
+    Both None outside of a checkout. To be asked for when a run starts, which is when its code is read: somebody may
+    commit before it ends.
+    """
     here = Path(__file__).resolve()
     git = ["git", "-C", str(here.parent)]
     if not _output([*git, "ls-files", here.name]):
-        return None, None  # an installed copy, perhaps inside somebody else's checkout
+        return {"commit": None, "dirty": None}  # an installed copy, perhaps inside somebody else's checkout
     commit = _output([*git, "rev-parse", "HEAD"])
     changes = _output([*git, "status", "--porcelain", "--untracked-files=no"])
-    return commit, None if changes is None else bool(changes)
+    return {"commit": commit, "dirty": None if changes is None else bool(changes)}
 
 
 def _output(command: list[str]) -> str | None:

@@ -35,7 +35,7 @@ def test_it_is_plain_json_and_names_versions_machine_and_threads():
 
 @pytest.mark.skipif(not (REPOSITORY / ".git").exists(), reason="not a git checkout")
 def test_commit_and_dirty_are_gits():
-    found = collect("cpu")
+    found = provenance.checkout()
     assert found["commit"] == git("rev-parse", "HEAD").strip()
     assert found["dirty"] == bool(git("status", "--porcelain", "--untracked-files=no"))
 
@@ -43,9 +43,9 @@ def test_commit_and_dirty_are_gits():
 def test_an_installed_copy_has_no_commit(monkeypatch, tmp_path):
     """Neither outside any checkout nor, untracked, inside somebody else's."""
     monkeypatch.setattr(provenance, "__file__", str(tmp_path / "provenance.py"))
-    assert provenance._checkout() == (None, None)
+    assert provenance.checkout() == {"commit": None, "dirty": None}
     monkeypatch.setattr(provenance, "__file__", str(REPOSITORY / "no_such_file.py"))
-    assert provenance._checkout() == (None, None)
+    assert provenance.checkout() == {"commit": None, "dirty": None}
 
 
 def test_missing_slow_and_failing_commands_say_nothing(monkeypatch):

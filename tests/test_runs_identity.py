@@ -8,8 +8,10 @@ from typing import Any
 
 import pytest
 
-from envgs_bench import identity
+from envgs_bench import identity, provenance
+from envgs_bench.draft import Draft
 from envgs_bench.identity import code_version, run_id
+from envgs_bench.records import Failure
 from envgs_bench.settings import RunSettings, SettingsError, default_cache_dir, parse_settings
 
 
@@ -158,3 +160,14 @@ def test_a_wrong_setting_is_named(changes: dict[str, Any], complaint: str) -> No
     with pytest.raises(SettingsError) as caught:
         settings(**changes)
     assert complaint in str(caught.value)
+
+
+def test_a_record_names_the_commit_that_its_run_began_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The code is read at the start; somebody may commit before the end."""
+    begun = {"commit": "a" * 40, "dirty": False}
+    monkeypatch.setattr(provenance, "checkout", lambda: begun)
+    draft = Draft(tmp_path, settings())
+    monkeypatch.setattr(provenance, "checkout", lambda: {"commit": "b" * 40, "dirty": True})
+    failure = Failure(type="Error", message="", log_tail="")
+    record = draft.write("failed", failure)
+    assert (record.provenance.commit, record.provenance.dirty) == ("a" * 40, False)
