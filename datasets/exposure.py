@@ -27,6 +27,7 @@ from .paths import listed
 from .photographs import Photograph, fit_to_file
 from .pictures import Bytes, Color, read_picture
 from .progress import report
+from .settings import DatasetError
 
 PATCH_RADIUS = 3  # pixels around a point whose mean is its colour
 DARKEST, BRIGHTEST = 10, 245  # bytes; beyond, a camera's curve or the sensor's limit distorts factors
@@ -53,7 +54,7 @@ def with_equal_exposure(
         background: sRGB, behind transparent pictures.
 
     Raises:
-        DatasetError: a picture cannot be read or has another shape than its camera.
+        DatasetError: a picture cannot be read or has another shape than its camera, or no view shows enough points.
     """
     seen: list[tuple[NDArray[np.int64], NDArray[np.float64]]] = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -65,6 +66,11 @@ def with_equal_exposure(
     logs = np.log(np.concatenate([colors for _, colors in seen]))
     exposures = np.exp(np.stack([view_offsets(views, points, channel, len(seen)) for channel in logs.T], axis=1))
     known = np.bincount(views, minlength=len(seen)) >= LEAST_POINTS
+    if not known.any():
+        raise DatasetError(
+            "dataset.equalize_exposure=true needs a model that says which image shows which points; this one does not: "
+            "export it with its tracks (POINTS2D in images, TRACK in points3D), or set equalize_exposure=false"
+        )
     exposures[~known] = 1
     _note(photographs, exposures, known, draft)
     return [replace(p, gains=tuple(own)) for p, own in zip(photographs, (1 / exposures).tolist(), strict=True)]
@@ -75,7 +81,7 @@ def view_offsets(
 ) -> NDArray[np.float64]:
     """The offsets a [count] that minimise Σ |value − a(view) − b(point)| over a, of mean 0, and b.
 
-    Views that share no points, with any other or with some, are offset from what they do share points with only.
+    Views that share no points, directly or through others, say nothing of each other: each such group has mean 0.
 
     Args:
         views: [K] the view of each observation, below `count`.

@@ -23,7 +23,7 @@ class ResidentViews:
 
     def __init__(self, device: torch.device, room: int) -> None:
         self.device, self._room = device, room
-        self._copies: dict[int, tuple[View, View]] = {}  # by identity, with the view itself, which keeps that its own
+        self._copies: dict[int, tuple[View, View]] = {}  # by id(view); the view is kept, so that no other gets it
 
     @classmethod
     def of(cls, device: torch.device) -> ResidentViews:

@@ -15,7 +15,7 @@ from captures import HEIGHT, WIDTH, gradient, write_capture
 from PIL import Image
 
 from envgs_bench.core import Scene
-from envgs_bench.datasets import load_scene
+from envgs_bench.datasets import DatasetError, load_scene
 from envgs_bench.datasets.exposure import Observations, brightened, view_offsets, with_equal_exposure
 from envgs_bench.datasets.model import Model
 
@@ -108,6 +108,11 @@ def test_images_with_too_few_points_stay_as_they_are(root: Path, caplog: pytest.
     assert "stay as they are: 004.png" in caplog.text
     ratio = np.array(equal["001.png"]) / np.array(equal["002.png"])
     np.testing.assert_allclose(ratio, EXPOSURES[2] / EXPOSURES[1], rtol=0.03)
+
+
+def test_a_model_without_tracks_cannot_tell(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"needs a model that says which image shows which points.*TRACK"):
+        load(write_capture(tmp_path / "bench", NAMES), equalize_exposure=True)
 
 
 def test_the_log_says_how_far_exposures_went(root: Path, caplog: pytest.LogCaptureFixture) -> None:
