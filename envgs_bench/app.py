@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import os
+import signal
 import sys
 from importlib.metadata import entry_points
 from typing import Any
@@ -33,13 +34,14 @@ def run(arguments: list[str]) -> int:
 
     Returns:
         The exit code: 0 where every job has a run with status ok, 1 where one has not, 2 where nothing could be
-        started because of the arguments, 130 after Ctrl-C.
+        started because of the arguments, 130 after Ctrl-C or SIGTERM.
     """
     register_methods()
     program, sys.argv = sys.argv, ["envgs-bench run", *_flags_first(arguments)]
     full_error = os.environ.get("HYDRA_FULL_ERROR")
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here, to be explained
     code = 0
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # `timeout` ends a sweep as Ctrl-C does
     try:
         _application()
     except (CompactHydraException, OmegaConfBaseException, SettingsError) as error:
@@ -51,6 +53,7 @@ def run(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         code = INTERRUPTED
     finally:
+        signal.signal(signal.SIGTERM, before)
         sys.argv = program
         _restore("HYDRA_FULL_ERROR", full_error)
     outcomes = close_ledger()

@@ -2,11 +2,11 @@
 
 | chrome_room | seeds | EnvGS | environment map | 2DGS |
 |---|---|---|---|---|
-| 20 views of 64×48, 500 steps | 0, 1, 2 | 21.35, 21.26, 21.48 | 19.09, 18.65, 19.07 | 20.09, 19.82, 20.02 |
-| 48 views of 160×120, 800 steps | 0, 1, 2 | 23.09 (seed 0) | 21.41, 21.49, 21.44 | 20.74, 20.85, 21.09 |
+| 20 views of 64×48, 500 steps | 0, 1, 2 | 22.89, 22.61, 22.50 | 18.91, 18.94, 19.07 | 19.58, 20.50, 19.29 |
+| 48 views of 160×120, 3,000 steps | 0, 1, 2 | 25.73, 25.72, 25.76 | 23.16, 23.13, 22.97 | 22.48, 22.29, 22.44 |
 
-Small pictures hold little that only a sharp reflection shows, so 2DGS is above the environment map there; the paper's
-order, EnvGS, environment map, 2DGS, needs the larger ones.
+Small pictures and short runs teach the environment map less than they teach 2DGS, which is above it there; the paper's
+order, EnvGS, environment map, 2DGS, needs larger pictures and time.
 """
 
 from __future__ import annotations
@@ -60,17 +60,17 @@ def near_field(method: Method, scene: Scene) -> float:
 
 def test_near_things_reflect_best_in_envgs(trained, scene):
     psnr = {kind: near_field(method, scene) for kind, method in trained.items()}
-    assert psnr["envgs"] > psnr["2dgs"] + 0.7, psnr
-    assert psnr["envgs"] > psnr["envmap"] + 1.5, psnr
+    assert psnr["envgs"] > psnr["2dgs"] + 1.5, psnr
+    assert psnr["envgs"] > psnr["envmap"] + 2.5, psnr
 
 
 @pytest.mark.slow
-def test_the_papers_order_at_the_size_of_the_demo(tmp_path):
+def test_the_papers_order(tmp_path):
     scene = load_scene({**ROOM, "normal_noise": 5.0}, tmp_path)
-    trained = train(scene, 800, min_coverage=3.0)
+    trained = train(scene, 3000, min_coverage=3.0)
     psnr = {kind: near_field(method, scene) for kind, method in trained.items()}
-    assert psnr["envgs"] > psnr["envmap"] + 1.0, psnr
-    assert psnr["envmap"] > psnr["2dgs"] + 0.2, psnr
+    assert psnr["envgs"] > psnr["envmap"] + 2.0, psnr
+    assert psnr["envmap"] > psnr["2dgs"] + 0.3, psnr
 
 
 def test_envgs_finds_what_reflects_and_where_it_faces(trained, scene):

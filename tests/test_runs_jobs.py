@@ -96,8 +96,9 @@ def test_a_run_that_another_process_is_at_is_left_to_it(
     assert "ok (skipped)" in capsys.readouterr().out
 
 
-def test_ctrl_c_leaves_a_record_and_a_checkpoint_and_the_run_starts_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_kill_leave_a_record_and_a_checkpoint_and_the_run_starts_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: signal.Signals
 ) -> None:
     command = [sys.executable, "-m", "envgs_bench.cli", "run", "--config-dir", str(CONF), "-m", *QUICK]
     overrides = ["runs_dir=runs", "seed=0,1", "steps=1000", "method.kind=fakes.methods:Announces"]
@@ -112,7 +113,7 @@ def test_ctrl_c_leaves_a_record_and_a_checkpoint_and_the_run_starts_again(
         if (tmp_path / "started").exists() or process.poll() is not None:
             break
         time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(how)
     out, _ = process.communicate(timeout=60)
 
     assert process.returncode == 130
