@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import re
 import shutil
@@ -16,6 +15,7 @@ from PIL import Image
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import DatasetError, load_scene
+from envgs_bench.datasets.cache import Draft
 from envgs_bench.datasets.exposure import Observations, brightened, view_offsets, with_equal_exposure
 from envgs_bench.datasets.model import Model
 
@@ -94,16 +94,12 @@ def test_offsets_of_views_that_share_nothing_have_mean_zero_each() -> None:
 
 
 def test_images_with_too_few_points_stay_as_they_are(root: Path, caplog: pytest.LogCaptureFixture) -> None:
-    class Notes:
-        def note(self, text: str) -> None:
-            logging.getLogger().warning(text)
-
     model = Model(root / "sparse/0")
     photographs, _ = model.photographs(root / "images")
     observations = model.observations()
     few = observations["004.png"]
     observations["004.png"] = Observations(few.positions[:5], few.points[:5])
-    equal = {p.name: p.gains for p in with_equal_exposure(photographs, observations, (0, 0, 0), Notes())}
+    equal = {p.name: p.gains for p in with_equal_exposure(photographs, observations, (0, 0, 0), Draft(root / "unused"))}
     assert equal["004.png"] == (1, 1, 1)
     assert "stay as they are: 004.png" in caplog.text
     ratio = np.array(equal["001.png"]) / np.array(equal["002.png"])
@@ -146,10 +142,7 @@ def test_what_a_real_capture_is_darkened_by_is_found_again(tmp_path: Path) -> No
 
 
 def gains_of(root: Path) -> np.ndarray:
-    class Silent:
-        def note(self, text: str) -> None:
-            pass
-
     model = Model(root / "sparse/0")
     photographs, _ = model.photographs(root / "images")
-    return np.array([p.gains for p in with_equal_exposure(photographs, model.observations(), (0, 0, 0), Silent())])
+    equal = with_equal_exposure(photographs, model.observations(), (0, 0, 0), Draft(root / "unused"))
+    return np.array([photograph.gains for photograph in equal])
