@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import torch
@@ -83,10 +83,10 @@ class EnvGS(TracedReflection):
             self.sets["env"].reset_opacity()
 
     def _rule(self, name: str) -> DensificationRule:
-        if name != "env":
-            return super()._rule(name)
-        s = self.settings
-        return DensificationRule(s.env_densify_threshold, s.min_opacity, s.env_max_primitives)
+        rule, s = super()._rule(name), self.settings
+        if name == "env":
+            rule = replace(rule, gradient_threshold=s.env_densify_threshold, max_primitives=s.env_max_primitives)
+        return rule
 
 
 def environment_box(points: Tensor, settings: EnvGSSettings) -> tuple[Tensor, Tensor]:
