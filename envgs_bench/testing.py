@@ -25,7 +25,7 @@ STEPS = 8
 def check_method(kind: str, settings: Mapping[str, Any] | None = None, device: str = "cpu", steps: int = STEPS) -> None:
     """Train the method for a few steps on a tiny scene and hold it against the contract of `Method`.
 
-    Settings are a frozen dataclass with defaults; losses are finite floats with their total as "loss"; primitives and
+    Settings are a frozen dataclass with defaults; losses are finite, with their total as "loss"; primitives and
     bytes are counted under the same keys throughout; renders are finite, of the camera's size and without gradients;
     what is saved and loaded renders the same; the same seed trains to the same picture (to 1e-3 on a GPU).
 
@@ -93,11 +93,12 @@ def _train(method: Method, scene: Scene, steps: int) -> None:
         losses = method.training_step(scene.train[step % len(scene.train)], step)
         _expect("loss" in losses, f"training_step returned {sorted(losses)}, expected the total as 'loss' among them")
         for name, value in losses.items():
-            _expect(isinstance(value, float), f"loss {name!r} is a {type(value).__name__}, expected a float")
+            single = value.numel() == 1 if isinstance(value, Tensor) else isinstance(value, float)
+            _expect(single, f"loss {name!r} is {value!r:.100}, expected a float or a tensor of one value")
             _expect(math.isfinite(value), f"loss {name!r} is {value} in step {step}")
         now = set(method.primitives())
         _expect(now == sets, f"primitives() has keys {sorted(now)} in step {step}, {sorted(sets)} before: keep them")
-    _expect(method.skipped_steps == 0, f"skipped_steps is {method.skipped_steps} though every loss was finite")
+    _expect(int(method.skipped_steps) == 0, f"skipped_steps is {method.skipped_steps} though every loss was finite")
     method.prepare()
 
 

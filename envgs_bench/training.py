@@ -6,17 +6,19 @@ import csv
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from .core import Scene, View
 from .methods.method import Method
 
 # This many steps in a row without a finite loss, and the run has diverged.
 NON_FINITE_STEPS = 20
+READ_EVERY = 10  # steps whose losses are read at once: reading waits for the device
 CURVE_ROWS = 500
 REPORT_SECONDS = 0.2
 
@@ -66,30 +68,37 @@ class Training:
         rows.writerow(["step", "seconds", "loss", "psnr", "skipped_steps", *(f"primitives_{name}" for name in sets)])
         every = max(1, self.steps // CURVE_ROWS)
         reported = 0.0
+        unread: list[Mapping[str, float | Tensor]] = []
         for view in shuffled(self.scene.train, self.steps, self.seed):
-            losses = self.method.training_step(view, self.step + 1)
+            unread.append(self.method.training_step(view, self.step + 1))
             self.step += 1
             counts = self.method.primitives()
             self.peak_primitives = max(self.peak_primitives, sum(counts.values()))
-            loss, psnr = self._judge(losses)
-            now = time.perf_counter()
             last = self.step == self.steps
-            if self.step % every == 0 or last:
-                skipped = self.method.skipped_steps
+            wanted = self.step % every == 0 or last
+            if not wanted and len(unread) < READ_EVERY:
+                continue
+            loss, psnr = self._judge(unread)
+            unread.clear()
+            now = time.perf_counter()
+            if wanted:
+                skipped = int(self.method.skipped_steps)
                 rows.writerow([self.step, f"{now - started:.3f}", loss, psnr, skipped, *(counts[n] for n in sets)])
             if now - reported > REPORT_SECONDS or last:
                 reported = now
                 state = {"step": self.step, "steps": self.steps, "loss": loss, "psnr": psnr, "primitives": counts}
                 report({"stage": "training", **state})
 
-    def _judge(self, losses: dict[str, float]) -> tuple[float, float]:
-        """The step's loss and the running PSNR; raises Diverged where losses have not been finite for too long."""
-        loss = losses["loss"]
-        self._non_finite = 0 if math.isfinite(loss) else self._non_finite + 1
-        if self._non_finite >= min(NON_FINITE_STEPS, self.steps):
-            raise Diverged(f"the loss was not finite in {self._non_finite} steps in a row, up to step {self.step}")
-        if math.isfinite(losses.get("psnr", math.nan)):
-            self._psnr.append(losses["psnr"])
+    def _judge(self, unread: Sequence[Mapping[str, float | Tensor]]) -> tuple[float, float]:
+        """The last step's loss and the running PSNR; raises Diverged where losses have not been finite for too long."""
+        loss = math.nan
+        for step, losses in enumerate(unread, self.step - len(unread) + 1):
+            loss, psnr = float(losses["loss"]), float(losses.get("psnr", math.nan))
+            self._non_finite = 0 if math.isfinite(loss) else self._non_finite + 1
+            if self._non_finite >= min(NON_FINITE_STEPS, self.steps):
+                raise Diverged(f"the loss was not finite in {self._non_finite} steps in a row, up to step {step}")
+            if math.isfinite(psnr):
+                self._psnr.append(psnr)
         return loss, sum(self._psnr) / len(self._psnr) if self._psnr else math.nan
 
     def _synchronize(self) -> None:

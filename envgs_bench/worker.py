@@ -132,7 +132,7 @@ def _cost(method: Method, training: Training) -> Cost:
         train_seconds=training.seconds,
         peak_host_bytes=peak_host_bytes(),
         peak_device_bytes=peak_device_bytes(method.device),
-        skipped_steps=method.skipped_steps,
+        skipped_steps=int(method.skipped_steps),
         peak_primitives=training.peak_primitives,
     )
 

@@ -61,7 +61,7 @@ class GaussianMethod(Method):
         self._prepared.clear()
         self._views = ResidentViews.of(self.device)
 
-    def training_step(self, view: View, step: int) -> dict[str, float]:
+    def training_step(self, view: View, step: int) -> dict[str, Tensor]:
         view = self._views.on_device(view)
         camera, target = view.camera, view.rgb(self.device)
         self._prepared.clear()
@@ -71,21 +71,20 @@ class GaussianMethod(Method):
         loss = torch.stack(list(terms.values())).sum()
         loss.backward()
 
-        values = torch.stack([loss.detach(), psnr(rendering.color, target), *(t.detach() for t in terms.values())])
-        *numbers, finite = torch.cat([values, self._finite(values)]).tolist()  # waits for the device, once a step
-        losses = dict(zip(["loss", "psnr", *terms], numbers, strict=True))
-        if finite:
-            for optimizer in self._optimizers():
-                optimizer.step()
-            for name, seen in statistics.items():
-                self.sets[name].record.add(self._criterion(name, seen, camera), seen.weights)
-        else:
-            self.skipped_steps += 1
+        finite = self._finite(loss.detach())  # on the device: a step never waits to learn whether it counts
+        for optimizer in self._optimizers():
+            optimizer.found_inf = (~finite).float()  # type: ignore[attr-defined]  # torch's way to skip a fused step
+            optimizer.step()
+        for name, seen in statistics.items():
+            learned = self._criterion(name, seen, camera), seen.weights
+            self.sets[name].record.add(*(torch.where(finite, values, 0.0) for values in learned))
+        self.skipped_steps = self.skipped_steps + ~finite
         for optimizer in self._optimizers():
             optimizer.zero_grad(set_to_none=True)
         with torch.no_grad():
             self._after_step(step, self.events(step))
-        return losses
+        shown = {"loss": loss, "psnr": psnr(rendering.color, target), **terms}
+        return {name: value.detach() for name, value in shown.items()}
 
     def events(self, step: int) -> set[str]:
         """What this run does after Adam's step number `step`."""
@@ -206,11 +205,11 @@ class GaussianMethod(Method):
             return nearness(rendering.depth)
         return rendering.alpha.detach() if self.settings.normal_weighting == "alpha" else None
 
-    def _finite(self, values: Tensor) -> Tensor:
-        """Whether losses and all gradients are finite, [1], 1 or 0: a sum is, unless one of its terms is not."""
+    def _finite(self, loss: Tensor) -> Tensor:
+        """Whether the loss and all gradients are finite, a tensor of no dimension: a sum is, unless a term is not."""
         gradients = [p.grad for o in self._optimizers() for g in o.param_groups for p in g["params"]]
         sums = [gradient.sum() for gradient in gradients if gradient is not None]
-        return torch.isfinite(torch.stack([values.sum(), *sums])).all()[None].to(values.dtype)
+        return torch.stack([loss, *sums]).isfinite().all()
 
     def _new_set(
         self,

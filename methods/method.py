@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
+from torch import Tensor
 
 from envgs_bench.core import Camera, Rendering, Scene, View
 
@@ -19,7 +21,8 @@ class Method(ABC):
 
     Attributes:
         Settings: the method's frozen settings dataclass; every field has a default.
-        skipped_steps: training steps that were not applied because a loss or gradient was not finite.
+        skipped_steps: training steps that were not applied because a loss or gradient was not finite; a number, or a
+            tensor of one.
     """
 
     Settings: ClassVar[type]
@@ -28,15 +31,19 @@ class Method(ABC):
         self.settings = settings
         self.device = torch.device(device)
         self.generator = torch.Generator().manual_seed(seed)  # on the CPU: the same numbers for every device
-        self.skipped_steps = 0
+        self.skipped_steps: int | Tensor = 0
 
     @abstractmethod
     def initialize(self, scene: Scene, steps: int) -> None:
         """Start from the scene's points; schedules stretch to a run of `steps` steps."""
 
     @abstractmethod
-    def training_step(self, view: View, step: int) -> dict[str, float]:
-        """Learn from one training view. `step` counts from 1. Returns the losses, the total as "loss"."""
+    def training_step(self, view: View, step: int) -> Mapping[str, float | Tensor]:
+        """Learn from one training view. `step` counts from 1. Returns the losses, the total as "loss".
+
+        A loss is a number, or a tensor of one: the harness reads several steps' at once, so that a step need not wait
+        for the device.
+        """
 
     @abstractmethod
     def render(self, camera: Camera) -> Rendering:

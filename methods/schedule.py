@@ -7,7 +7,7 @@ below a floor, because some things take a number of steps and not a share of the
 | interval | floor | why |
 |---|---|---|
 | densification | 30 steps | its criterion is a mean over views |
-| colour sabotage, normal propagation | 1,000 steps | what is spread over its neighbours has to shrink back, and takes that long |
+| colour sabotage, normal propagation | 1,000 steps | what has grown over its neighbours has to shrink back |
 | opacity reset | 600 steps, 300 for the environment | opacities climb by 0.05 a step, then colours settle |
 
 A run too short for an interval never does the thing: it could not recover. One of 2,000 steps has every phase, one of

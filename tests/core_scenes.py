@@ -7,7 +7,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
+import numpy as np
 import torch
+from scipy.signal import correlate2d
 from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Rendering, rasterize, reflect, trace
@@ -229,3 +231,16 @@ def assert_reflected_as_by_formula(
     assert not directions[~reflects].any()
     torch.testing.assert_close(origins[reflects], expected[0][reflects], atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(directions[reflects], expected[1][reflects], atol=1e-5, rtol=0)
+
+
+def assert_blurred_as_by_scipy(kernel: Callable, device: str) -> None:
+    """The kernel's window is scipy's, on pictures smaller and larger than its tiles and no multiple of them."""
+    taps = tuple(float(k) for k in (1, 3, 2, 5, 4, 9, 7, 6, 8, 2, 1))  # lopsided: a mirrored window would show
+    window = np.outer(taps, taps)
+    generator = torch.Generator().manual_seed(0)
+    for height, width, pad in [(1, 1, 5), (40, 75, 5), (16, 32, 10), (27, 43, 0), (11, 11, 0)]:
+        images = torch.randn(3, height, width, generator=generator)
+        around = np.pad(images.double().numpy(), ((0, 0), (pad, pad), (pad, pad)))
+        expected = np.stack([correlate2d(plane, window, mode="valid") for plane in around])
+        blurred = kernel(images.to(device), taps, pad)
+        torch.testing.assert_close(blurred.cpu().double(), torch.from_numpy(expected), atol=1e-3, rtol=1e-5)

@@ -8,6 +8,7 @@ import pytest
 import torch
 from core_scenes import (
     FIELDS,
+    assert_blurred_as_by_scipy,
     assert_reflected_as_by_formula,
     facing_surfels,
     gradients_of,
@@ -20,6 +21,7 @@ from core_scenes import (
 
 from envgs_bench.core import GaussianSet, build_bvh, rasterize, trace
 from envgs_bench.core import cuda as backend
+from envgs_bench.core.ssim import ssim_map
 
 REASON = backend.why_unavailable()
 pytestmark = pytest.mark.skipif(REASON is not None, reason=f"backend cuda: {REASON}")
@@ -153,3 +155,21 @@ def test_the_rays_that_an_image_reflects_are_those_of_the_formula():
     base = rasterize(random_set(300, extras=1).map(lambda x: x.cuda()), camera)
     for beta_min in (0.05, torch.tensor([0.4], device="cuda")):
         assert_reflected_as_by_formula(backend.reflect, base, camera, beta_min)
+
+
+def test_a_window_over_planes_is_scipys():
+    assert_blurred_as_by_scipy(backend.blur, "cuda")
+
+
+@pytest.mark.parametrize("padding", ["zero", "valid"])
+def test_similarity_and_its_gradient_are_those_of_the_cpu(padding):
+    generator = torch.Generator().manual_seed(0)
+    image, target = (torch.rand(70, 53, 3, generator=generator) for _ in range(2))
+    maps, gradients = [], []
+    for device in ("cpu", "cuda"):
+        leaf = image.to(device).requires_grad_()
+        maps.append(ssim_map(leaf, target.to(device), padding))
+        maps[-1].square().mean().backward()
+        gradients.append(leaf.grad.cpu())
+    torch.testing.assert_close(maps[1].cpu(), maps[0], atol=1e-4, rtol=0)
+    assert relative_error(gradients[1], gradients[0]) < 1e-4

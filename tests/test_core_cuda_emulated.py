@@ -15,6 +15,7 @@ from core_scenes import (
     FIELDS,
     ORACLE,
     Backend,
+    assert_blurred_as_by_scipy,
     assert_reflected_as_by_formula,
     facing_surfels,
     gradients_of,
@@ -204,6 +205,10 @@ def test_the_rays_that_an_image_reflects_are_those_of_the_formula(backend):
     base = backend.rasterize(random_set(300), camera)
     for beta_min in (0.05, torch.tensor([0.4])):
         assert_reflected_as_by_formula(cuda.reflect, base, camera, beta_min)
+
+
+def test_a_window_over_planes_is_scipys(backend):
+    assert_blurred_as_by_scipy(cuda.blur, backend.device)
 
 
 def test_rows_that_begin_anywhere_are_read_right(backend):

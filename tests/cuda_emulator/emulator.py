@@ -33,7 +33,8 @@ from envgs_bench.core.cuda import compiler, launch
 ORDERS = ("ascending", "descending", "shuffled")  # as in emulator.cpp
 HERE = Path(__file__).parent
 KERNEL = re.compile(r'extern "C" __global__ void\s+(?:__launch_bounds__\([^)]*\)\s+)?(\w+)\(')
-MODULES = ("", ".bvh", ".raster_pass", ".reflect", ".sorting", ".trace_pass")  # of the backend, that allocate or wait
+# of the backend, that allocate or wait
+MODULES = ("", ".blur", ".bvh", ".raster_pass", ".reflect", ".sorting", ".trace_pass")
 CHECKS = ("alignment", "bounds")
 FLAGS = (
     "-std=c++20", "-O1", "-fPIC", "-w",
@@ -192,7 +193,7 @@ def load_backend(name: str, device: torch.device, dtype: torch.dtype) -> ModuleT
 def emulated(builds: Path, order: str) -> Iterator[Backend]:
     """Within, backend "cuda" takes CPU tensors and launches emulated kernels, their threads in the given order."""
     modules = [importlib.import_module(f"{cuda.__name__}{name}") for name in MODULES]
-    raster_pass, trace_pass = modules[2], modules[5]
+    raster_pass, trace_pass = (modules[MODULES.index(name)] for name in (".raster_pass", ".trace_pass"))
     with pytest.MonkeyPatch.context() as patch:
         for name in ("rasterize", "trace"):
             patch.setattr(importlib.import_module(f"envgs_bench.core.{name}"), "load_backend", load_backend)
