@@ -7,11 +7,10 @@ import json
 import os
 import uuid
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from .progress import report
+from .progress import mapped
 
 Stamp = list[int]
 
@@ -28,10 +27,8 @@ def digest_of(files: Iterable[Path], root: Path, cache_dir: Path) -> str:
     stamps = {path: _stamp(path) for path in paths}
     names = {path: os.path.relpath(path, root) for path in paths}
     changed = [path for path in paths if known.get(names[path], [None])[0] != stamps[path]]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for done, (path, digest) in enumerate(zip(changed, pool.map(_hash, changed), strict=True), start=1):
-            known[names[path]] = [stamps[path], digest]
-            report("checking files", done, len(changed))
+    for path, digest in zip(changed, mapped("checking files", _hash, changed), strict=True):
+        known[names[path]] = [stamps[path], digest]
     if changed:
         _remember(memory, known)
     text = json.dumps([[names[path], known[names[path]][1]] for path in paths])

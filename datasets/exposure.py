@@ -12,9 +12,7 @@ remains, with a row a view. Only ratios are determined: the exposures' geometric
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +24,7 @@ from .cache import Draft
 from .paths import listed
 from .photographs import Photograph, fit_to_file
 from .pictures import Bytes, Color, read_picture
-from .progress import report
+from .progress import mapped
 from .settings import DatasetError
 
 PATCH_RADIUS = 3  # pixels around a point whose mean is its colour
@@ -56,11 +54,7 @@ def with_equal_exposure(
     Raises:
         DatasetError: a picture cannot be read or has another shape than its camera, or no view shows enough points.
     """
-    seen: list[tuple[NDArray[np.int64], NDArray[np.float64]]] = []
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for found in pool.map(lambda p: _colors(p, observations[p.name], background), photographs):
-            seen.append(found)
-            report("measuring exposure", len(seen), len(photographs))
+    seen = mapped("measuring exposure", lambda p: _colors(p, observations[p.name], background), photographs)
     views = np.repeat(np.arange(len(seen)), [len(points) for points, _ in seen])
     points = np.unique(np.concatenate([points for points, _ in seen]), return_inverse=True)[1]
     logs = np.log(np.concatenate([colors for _, colors in seen]))

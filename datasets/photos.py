@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -21,7 +19,7 @@ from .normals import Frame
 from .paths import listed
 from .photographs import with_siblings
 from .pictures import EXTENSIONS, read_picture
-from .progress import report
+from .progress import mapped
 from .reconstruction import LEAST_IMAGES, Matching, Reconstructor
 from .settings import DatasetError, parse_settings
 from .siblings import region_folders
@@ -98,9 +96,11 @@ def model_of(choice: PhotosSettings, images: Path, names: Sequence[str], cache_d
 
 def _check_decodable(files: Sequence[Path], choice: PhotosSettings) -> None:
     """Structure from motion leaves out what it cannot read; the user would rather know."""
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for done, _ in enumerate(pool.map(lambda path: read_picture(path, choice.background), files), start=1):
-            report("checking images", done, len(files))
+
+    def check(path: Path) -> None:
+        read_picture(path, choice.background)
+
+    mapped("checking images", check, files)
 
 
 def _judge(choice: PhotosSettings, images: Path, names: Sequence[str], placed: Sequence[str], draft: Draft) -> None:

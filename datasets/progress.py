@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import TypeVar
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 Listener = Callable[[str, int, int], None]  # what is being done, how many of it are, of how many
 
 log = logging.getLogger("envgs_bench.datasets")
@@ -29,3 +34,16 @@ def report(stage: str, done: int, total: int) -> None:
     listener = _listener.get()
     if listener is not None:
         listener(stage, done, total)
+
+
+def mapped(stage: str, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """`function` of every item, in their order, on all cores; reports each as it is done.
+
+    The first exception ends it.
+    """
+    results: list[Result] = []
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for result in pool.map(function, items):
+            results.append(result)
+            report(stage, len(results), len(items))
+    return results

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pycolmap
@@ -18,7 +16,7 @@ from .exposure import brightened
 from .normals import world_normals
 from .photographs import Photograph, fit_to_files
 from .pictures import Color, read_mask, read_picture
-from .progress import report
+from .progress import mapped
 from .resampling import resample
 from .settings import DatasetError
 from .undistortion import PINHOLES, undistort, undistorted_camera
@@ -42,12 +40,7 @@ def make_views(
         DatasetError: any file that cannot be read or does not fit; the message names it.
     """
     fitted = fit_to_files(photographs, draft)
-    views: list[View] = []
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for view in pool.map(lambda photograph: _make_view(photograph, downsample, background, draft), fitted):
-            views.append(view)
-            report("reading images", len(views), len(fitted))
-    return views
+    return mapped("reading images", lambda photograph: _make_view(photograph, downsample, background, draft), fitted)
 
 
 def _make_view(photograph: Photograph, downsample: float, background: Color, draft: Draft) -> View:

@@ -3,7 +3,7 @@
 | chrome_room | seeds | EnvGS | environment map | 2DGS |
 |---|---|---|---|---|
 | 20 views of 64×48, 500 steps | 0, 1, 2 | 22.89, 22.61, 22.50 | 18.91, 18.94, 19.07 | 19.58, 20.50, 19.29 |
-| 48 views of 160×120, 3,000 steps | 0, 1, 2 | 25.73, 25.72, 25.76 | 23.16, 23.13, 22.97 | 22.48, 22.29, 22.44 |
+| 48 views of 160×120, 3,000 steps (a GPU) | 0, 1, 2 | 26.20, 26.20, 26.25 | 22.85, 22.83, 22.87 | 22.28, 22.50, 22.56 |
 
 Small pictures and short runs teach the environment map less than they teach 2DGS, which is above it there; the paper's
 order, EnvGS, environment map, 2DGS, needs larger pictures and time.
@@ -69,8 +69,8 @@ def test_the_papers_order(tmp_path):
     scene = load_scene({**ROOM, "normal_noise": 5.0}, tmp_path)
     trained = train(scene, 3000, min_coverage=3.0)
     psnr = {kind: near_field(method, scene) for kind, method in trained.items()}
-    assert psnr["envgs"] > psnr["envmap"] + 2.0, psnr
-    assert psnr["envmap"] > psnr["2dgs"] + 0.3, psnr
+    assert psnr["envgs"] > psnr["envmap"] + 2.8, psnr
+    assert psnr["envmap"] > psnr["2dgs"] + 0.1, psnr
 
 
 def test_envgs_finds_what_reflects_and_where_it_faces(trained, scene):

@@ -1,5 +1,7 @@
 """How a reflection is blended, which rays are traced, and what the events of a reflective method's training do."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from reflection_scenes import HEIGHT, WIDTH, make_camera, make_rendering, mirror
@@ -96,6 +98,14 @@ def test_envgs_and_envmap_differ_in_the_reflected_colour_only():
     }
     for name in ("_draw", "_losses", "_rasterize_base", "training_step", "_sabotage", "_propagate", "_reset_beta"):
         assert getattr(type(envgs), name) is getattr(type(envmap), name), name
+
+
+def test_the_environment_grows_by_the_bases_rule_but_for_its_threshold_and_its_cap():
+    settings = {"min_coverage": 2.0, "min_views": 4.0, "env_densify_threshold": 0.5, "env_max_primitives": 7}
+    method = create_method("envgs", settings)
+    base, env = method._rule("base"), method._rule("env")
+    assert env == replace(base, gradient_threshold=0.5, max_primitives=7)
+    assert (env.min_coverage, env.min_views) == (2.0, 4.0)
 
 
 def initialized(steps: int, **settings) -> tuple[EnvMap, View]:

@@ -112,6 +112,20 @@ def test_a_loss_that_stays_away_is_a_divergence(tmp_path: Path, steps: int, last
             training.run(tmp_path / "curve.csv", nothing)
 
 
+def test_losses_of_a_device_are_read_ten_steps_at_once_and_judged_one_by_one(tmp_path: Path) -> None:
+    """19 steps without a loss, one with, and 20 without: the 42nd is the last straw, found out after the 50th."""
+
+    class OnDevice(MeanColor):
+        def training_step(self, view: Any, step: int) -> dict[str, torch.Tensor]:
+            lost = step >= 3 and step != 22
+            return {"loss": torch.tensor(math.nan if lost else 1.0), "psnr": torch.tensor(float(step))}
+
+    training = Training(OnDevice(Settings()), tiny_scene(), 20_000, 0)
+    with pytest.raises(Diverged, match="in 20 steps in a row, up to step 42"):
+        training.run(tmp_path / "curve.csv", nothing)
+    assert training.step == 50
+
+
 def test_evaluation_scores_what_was_drawn(tmp_path: Path) -> None:
     method, _ = trained(50, tmp_path)
     views = tiny_scene().test

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,7 +14,7 @@ from pydantic import Field
 from envgs_bench.core import Camera, Scene, View
 
 from ..cache import cached_scene
-from ..progress import report
+from ..progress import mapped
 from ..settings import SourceSettings, parse_settings
 from ..split import split_views
 from .cameras import cameras_around
@@ -80,11 +78,7 @@ def _make(choice: ToySettings, name: str) -> Scene:
     def make_view(index: int) -> View:
         return _view(world, cameras[index], f"{index:04d}", choice.supersampling, for_views[index])
 
-    views = []
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for view in pool.map(make_view, range(choice.views)):
-            views.append(view)
-            report("tracing views", len(views), choice.views)
+    views = mapped("tracing views", make_view, range(choice.views))
     train, test = split_views(views, name)
     points, colors = sfm_points(train, choice.noise, description.far_points, for_points)
     if choice.normal_noise:
