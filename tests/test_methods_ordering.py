@@ -2,7 +2,7 @@
 
 | chrome_room | seeds | EnvGS | environment map | 2DGS |
 |---|---|---|---|---|
-| 20 views of 64×48, 500 steps | 0, 1, 2 | 22.89, 22.61, 22.50 | 18.91, 18.94, 19.07 | 19.58, 20.50, 19.29 |
+| 20 views of 64×48, 500 steps | 0, 1, 2 | 23.20, 22.75, 23.03 | 18.91, 18.94, 19.07 | 19.58, 20.50, 19.29 |
 | 48 views of 160×120, 3,000 steps (a GPU) | 0, 1, 2 | 26.20, 26.20, 26.25 | 22.85, 22.83, 22.87 | 22.28, 22.50, 22.56 |
 
 Small pictures and short runs teach the environment map less than they teach 2DGS, which is above it there; the paper's
@@ -60,8 +60,8 @@ def near_field(method: Method, scene: Scene) -> float:
 
 def test_near_things_reflect_best_in_envgs(trained, scene):
     psnr = {kind: near_field(method, scene) for kind, method in trained.items()}
-    assert psnr["envgs"] > psnr["2dgs"] + 1.5, psnr
-    assert psnr["envgs"] > psnr["envmap"] + 2.5, psnr
+    assert psnr["envgs"] > psnr["2dgs"] + 1.7, psnr
+    assert psnr["envgs"] > psnr["envmap"] + 3.0, psnr
 
 
 @pytest.mark.slow
