@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -30,25 +32,32 @@ def noisy_normals(normals: Array, directions: Array, mean_degrees: float, rng: n
         mean_degrees: the angle's mean over many views; one view's own mean differs, as estimators' do.
     """
     deviation = np.radians(mean_degrees) / np.sqrt(np.pi / 2)
-    rotation = deviation * np.stack([_smooth_field(normals.shape[:2], rng) for _ in range(3)], axis=-1)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        fields = [_bands(normals.shape[:2], rng, pool) for _ in range(3)]
+        rotation = deviation * np.stack([sum(band.result() for band in bands) for bands in fields], axis=-1)
     turned = _rotated(normals, rotation)
     sight = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
     along = np.sum(turned * sight, axis=-1, keepdims=True)
     return turned - 2 * np.maximum(along, 0) * sight
 
 
-def _smooth_field(shape: tuple[int, int], rng: np.random.Generator) -> Array:
-    """A Gaussian field [H, W] of deviation 1, its correlations those of BANDS."""
-    total = np.zeros(shape)
+def _bands(shape: tuple[int, int], rng: np.random.Generator, pool: ThreadPoolExecutor) -> list[Future[Array]]:
+    """What adds up to a Gaussian field [H, W] of deviation 1: noise a band, drawn here, blurred in the pool."""
+    bands = []
     for blur, share in BANDS:
         sigma = blur * shape[1]
         margin = int(np.ceil(4 * sigma))
         white = rng.normal(size=(shape[0] + 2 * margin, shape[1] + 2 * margin))
-        kernel = ndimage.gaussian_filter1d(np.eye(1, 2 * margin + 1, margin)[0], sigma)
-        # By Fourier transforms: at 800 pixels the widest kernel has 1,601 taps.
-        smooth = oaconvolve(oaconvolve(white, kernel[:, None], "valid", axes=0), kernel[None], "valid", axes=1)
-        total += np.sqrt(share) * smooth / np.sum(kernel**2)  # the blur leaves (Σ k²)² of the variance, in two passes
-    return total
+        bands.append(pool.submit(_blurred, white, sigma, margin, share))
+    return bands
+
+
+def _blurred(white: Array, sigma: float, margin: int, share: float) -> Array:
+    """White noise, blurred and without its margin, of deviation √share."""
+    kernel = ndimage.gaussian_filter1d(np.eye(1, 2 * margin + 1, margin)[0], sigma)
+    # By Fourier transforms: at 800 pixels the widest kernel has 1,601 taps.
+    smooth = oaconvolve(oaconvolve(white, kernel[:, None], "valid", axes=0), kernel[None], "valid", axes=1)
+    return np.sqrt(share) * smooth / np.sum(kernel**2)  # the blur leaves (Σ k²)² of the variance, in two passes
 
 
 def _rotated(vectors: Array, rotation: Array) -> Array:
