@@ -95,7 +95,7 @@ def model_of(choice: PhotosSettings, images: Path, names: Sequence[str], cache_d
 
 
 def _check_decodable(files: Sequence[Path], choice: PhotosSettings) -> None:
-    """Structure from motion leaves out what it cannot read; the user would rather know."""
+    """Structure from motion leaves out what it cannot read; the user would rather know. Keeps no picture."""
 
     def check(path: Path) -> None:
         read_picture(path, choice.background)
