@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
 import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from pkgutil import resolve_name
 
 import numpy as np
 import torch
@@ -61,11 +61,9 @@ def estimator_version(path: str | None) -> str | None:
 
 
 def _function(path: str) -> Estimator:
+    module_name, _, name = path.partition(":")
     try:
-        found = resolve_name(path)
-        if not callable(found):
-            raise ValueError(f"{path} is no function")
-        return found
+        return getattr(importlib.import_module(module_name), name)
     except (ImportError, AttributeError, ValueError) as error:
         raise DatasetError(
             f"dataset.normal_estimator={path!r} cannot be imported ({error}); expected package.module:function"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from pkgutil import resolve_name
 from typing import Any
 
 from envgs_bench.core import Scene
@@ -54,7 +54,8 @@ def _source(kind: str) -> Source:
             f"dataset.kind={kind!r} is unknown: expected one of {', '.join(BUILT_IN)}, "
             "or an import path, package.module:function"
         )
+    module_name, _, function_name = path.partition(":")
     try:
-        return resolve_name(path)
-    except (ImportError, AttributeError, ValueError) as error:
+        return getattr(importlib.import_module(module_name), function_name)
+    except (ImportError, AttributeError) as error:
         raise DatasetError(f"dataset.kind={kind!r} cannot be imported from {path}: {error}") from error

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping
 from importlib.metadata import entry_points
-from pkgutil import resolve_name
 from typing import Any
 
 import torch
@@ -54,9 +54,10 @@ def _method_class(kind: str) -> type[Method]:
             f"unknown method {kind!r}: the known ones are {', '.join(sorted(paths))}; "
             "one of your own is given as an import path, package.module:Class"
         )
+    module_name, _, class_name = path.partition(":")
     try:
-        found = resolve_name(path)
-    except (ImportError, AttributeError, ValueError) as error:
+        found = getattr(importlib.import_module(module_name), class_name)
+    except (ImportError, AttributeError) as error:
         raise ValueError(f"method {kind!r} cannot be imported from {path}: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Method)):
         raise ValueError(f"method {kind!r}: {path} is not a subclass of envgs_bench.methods.method.Method")
