@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +13,7 @@ from torch import Tensor
 
 from envgs_bench.core import View
 
-from ..progress import report
+from ..progress import mapped
 
 
 @dataclass(frozen=True)
@@ -49,9 +47,7 @@ def write_views(root: Path, views: Sequence[ViewFiles]) -> None:
             path.parent.mkdir(parents=True, exist_ok=True)
             np.save(path, view.normal.float().numpy())
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for done, _ in enumerate(pool.map(write, views), start=1):
-            report("writing views", done, len(views))
+    mapped("writing views", write, views)
 
 
 def _write_png(path: Path, pixels: Tensor) -> None:
