@@ -72,13 +72,14 @@ class GaussianMethod(Method):
         loss.backward()
 
         finite = self._finite(loss.detach())  # on the device: a step never waits to learn whether it counts
+        skipped = (~finite).float()
         for optimizer in self._optimizers():
-            optimizer.found_inf = (~finite).float()  # type: ignore[attr-defined]  # torch's way to skip a fused step
+            optimizer.found_inf = skipped  # type: ignore[attr-defined]  # torch's way to skip a fused step
             optimizer.step()
         for name, seen in statistics.items():
             learned = self._criterion(name, seen, camera), seen.weights
             self.sets[name].record.add(*(torch.where(finite, values, 0.0) for values in learned))
-        self.skipped_steps = self.skipped_steps + ~finite
+        self.skipped_steps = self.skipped_steps + skipped
         for optimizer in self._optimizers():
             optimizer.zero_grad(set_to_none=True)
         with torch.no_grad():
