@@ -70,7 +70,7 @@ def test_the_papers_order(tmp_path):
     trained = train(scene, 3000, min_coverage=3.0)
     psnr = {kind: near_field(method, scene) for kind, method in trained.items()}
     assert psnr["envgs"] > psnr["envmap"] + 2.8, psnr
-    assert psnr["envmap"] > psnr["2dgs"] + 0.1, psnr
+    assert psnr["envmap"] > psnr["2dgs"] + 0.2, psnr
 
 
 def test_envgs_finds_what_reflects_and_where_it_faces(trained, scene):
