@@ -3,15 +3,51 @@
 
 using namespace envgs;
 
-ENVGS_FN void add_four(float* to, const float* four) {
+ENVGS_FN void add_four(float* to, float4 four) {
 #if __CUDA_ARCH__ >= 900
-    asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};" ::"l"(to), "f"(four[0]), "f"(four[1]), "f"(four[2]),
-                 "f"(four[3])
+    asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};" ::"l"(to), "f"(four.x), "f"(four.y), "f"(four.z),
+                 "f"(four.w)
                  : "memory");
 #else
-    for (int k = 0; k < 4; ++k) atomicAdd(to + k, four[k]);
+    atomicAdd(to, four.x), atomicAdd(to + 1, four.y), atomicAdd(to + 2, four.z), atomicAdd(to + 3, four.w);
 #endif
 }
+
+// What one hit of each of a warp's rays adds: a row a thread, in shared memory. Neighbouring rays hit the same surfels,
+// whose rows are added up here and leave in one piece: a team of threads takes a surfel, a thread four columns.
+struct WarpRows {
+    static constexpr int kFours = kTraceSums / 4;
+    static constexpr int kTeam = kFours <= 8 ? 8 : kFours <= 16 ? 16 : 32;  // threads
+    static constexpr int kStride = kFours | 1;  // odd: eight rows' fours lie in different banks
+
+    float4 fours[32][kStride];
+
+    // The whole warp. Rows of threads whose `surfel` is negative do not count.
+    __device__ __forceinline__ void add_to(float* sums, int surfel) {
+        int column = lane_id() % kTeam, team = lane_id() / kTeam;
+        __syncwarp();
+        u32 alike = __match_any_sync(kFullWarp, surfel);
+        u32 firsts = __ballot_sync(kFullWarp, surfel >= 0 && lane_id() == __ffs(alike) - 1);
+        while (firsts) {
+            int first = 0;
+            bool works = false;
+#pragma unroll
+            for (int t = 0; t < 32 / kTeam; ++t) {  // the next surfels, one a team
+                if (t == team && firsts) first = __ffs(firsts) - 1, works = column < kFours;
+                firsts &= firsts - 1;
+            }
+            u32 group = __shfl_sync(kFullWarp, alike, first);
+            int to = __shfl_sync(kFullWarp, surfel, first);
+            float4 sum = {0.0f, 0.0f, 0.0f, 0.0f};
+            for (group = works ? group : 0; group; group &= group - 1) {
+                float4 four = fours[__ffs(group) - 1][column];
+                sum.x += four.x, sum.y += four.y, sum.z += four.z, sum.w += four.w;
+            }
+            if (works) add_four(sums + long(kTraceSums) * to + 4 * column, sum);
+        }
+        __syncwarp();
+    }
+};
 
 extern "C" __global__ void __launch_bounds__(128)
     differentiate_rays(const float* origins, const float* directions, const u32* order, int rays,
@@ -21,25 +57,35 @@ extern "C" __global__ void __launch_bounds__(128)
                        const float* g_normal, const float* g_extras, const u32* page_slots, const int* page_next,
                        const int2* page_heads, const u32* pages_used, u32 page_capacity, float* sums,
                        float* g_origins, float* g_directions) {
+    __shared__ WarpRows rows_of_warps[128 / 32];
+    WarpRows& rows_of_warp = rows_of_warps[warp_id()];
     long place = long(blockIdx.x) * blockDim.x + threadIdx.x;
-    if (place >= rays) return;
+    bool exists = place < rays;
     Surfels surfels = {quarters};
     Ray ray = ordered_ray(origins, directions, order, rays, place);
-    long at = ray.index;
+    long at = exists ? ray.index : 0;
     Planes<const float> out = {color, alpha, depth, normal, extras, rays};
     Planes<const float> gradient = {g_color, g_alpha, g_depth, g_normal, g_extras, rays};
     Upstream g(out, gradient, at, load3(background));
     // Hits were lost for want of pages: gradients that cannot be mistaken for the right ones.
     if (*pages_used > page_capacity) g.transmittance = __int_as_float(0x7fc00000);
     Vec3<float> g_origin = {0.0f, 0.0f, 0.0f}, g_direction = {0.0f, 0.0f, 0.0f};
-    int2 head = page_heads[place / kRays];
-    for (int page = head.x, rows = head.y; rows > 0 && page >= 0; rows -= kPageRows) {
-        const u32* slots = page_slots + long(page) * kPageRows * kRays + place % kRays;
-        u32 following = slots[0];
-        for (int k = 0; k < min(rows, kPageRows); ++k) {
-            u32 slot = following;
-            if (k + 1 < min(rows, kPageRows)) following = slots[(k + 1) * kRays];  // while this hit is worked on
-            if (slot == kNoHit) continue;
+    int2 head = exists ? page_heads[place / kRays] : make_int2(-1, 0);
+    int page = head.x, rows = page >= 0 ? head.y : 0;
+    auto slot_of = [&](int row) {
+        if (row > 0 && row < rows && row % kPageRows == 0) {
+            page = page_next[page];
+            if (page < 0) rows = 0;
+        }
+        return row < rows ? page_slots[(long(page) * kPageRows + row % kPageRows) * kRays + place % kRays] : kNoHit;
+    };
+    u32 following = slot_of(0);
+    int most = __reduce_max_sync(kFullWarp, u32(rows));
+    for (int row = 0; row < most; ++row) {
+        u32 slot = following;
+        following = slot_of(row + 1);  // while this hit is worked on
+        int index = -1;
+        if (slot != kNoHit) {
             TracedSurfel s = surfels.load(slot);
             Appearance look = appearances[slot];
             PlaneHit<float> hit = intersect(s.frame, ray.origin - s.mean, ray.direction);
@@ -64,16 +110,18 @@ extern "C" __global__ void __launch_bounds__(128)
             store3(sum + kDirectionSum, g_v);
 #pragma unroll
             for (int e = 0; e < kExtras; ++e) sum[kShSums + kShFloats + e] = weight * g.extras[e];
-            float* to = sums + long(kTraceSums) * s.index;
+            index = s.index;
 #pragma unroll
-            for (int four = 0; four < kTraceSums; four += 4) add_four(to + four, sum + four);
+            for (int k = 0; k < WarpRows::kFours; ++k)
+                rows_of_warp.fours[lane_id()][k] = make_float4(sum[4 * k], sum[4 * k + 1], sum[4 * k + 2], sum[4 * k + 3]);
 
             Vec3<float> world = local.x * s.frame.u + local.y * s.frame.v + local.z * s.frame.n;
             g_origin = g_origin + world - g_v;
             g_direction = g_direction + hit.t * world;
         }
-        if (rows > kPageRows) page = page_next[page];
+        rows_of_warp.add_to(sums, index);
     }
+    if (!exists) return;
     store3(g_origins + 3 * at, g_origin);
     store3(g_directions + 3 * at, g_direction);
 }
