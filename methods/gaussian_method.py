@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
@@ -9,12 +10,12 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, View, rasterize
+from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, View, depth_normals, rasterize
 
 from .checkpoint import read_checkpoint, write_checkpoint
 from .densification import DensificationRule, screen_criterion
 from .initialization import initial_tensors
-from .losses import depth_normals, nearness, normal_distance, normal_loss, photometric_loss, psnr
+from .losses import nearness, normal_distance, normal_loss, photometric_loss, psnr
 from .method import Method
 from .parameters import GaussianParameters, LearningRates
 from .resident_views import ResidentViews
@@ -136,7 +137,7 @@ class GaussianMethod(Method):
         terms = {"rgb": photometric_loss(rendering.color, target)}
         weight = self._normal_weights(rendering)
         if settings.normal_weight > 0 and step > self.schedule.at(settings.normal_from):
-            reference = depth_normals(rendering.depth, view.camera.rays()[1])
+            reference = depth_normals(rendering.depth, view.camera, backend=settings.backend)
             terms["normal"] = settings.normal_weight * normal_loss(rendering.normal, reference, weight)
         if settings.mono_weight > 0 and view.normal is not None:
             mono_weight = settings.mono_weight * self.schedule.rate_scale
@@ -207,10 +208,10 @@ class GaussianMethod(Method):
         return rendering.alpha.detach() if self.settings.normal_weighting == "alpha" else None
 
     def _finite(self, loss: Tensor) -> Tensor:
-        """Whether the loss and all gradients are finite, a tensor of no dimension: a sum is, unless a term is not."""
+        """Whether the loss and all gradients are finite, a tensor of no dimension: their largest magnitude tells."""
         gradients = [p.grad for o in self._optimizers() for g in o.param_groups for p in g["params"]]
-        sums = [gradient.sum() for gradient in gradients if gradient is not None]
-        return torch.stack([loss, *sums]).isfinite().all()
+        present = [gradient for gradient in gradients if gradient is not None and gradient.numel()]
+        return torch.nn.utils.get_total_norm([loss, *present], math.inf).isfinite()
 
     def _new_set(
         self,

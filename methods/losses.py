@@ -7,7 +7,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from envgs_bench.core.ssim import ssim
-from envgs_bench.core.vectors import unit
 
 SSIM_SHARE = 0.2  # of the photometric loss, as 3DGS
 
@@ -26,7 +25,7 @@ def normal_loss(normal: Tensor, reference: Tensor, weight: Tensor | None = None)
         reference: [H, W, 3] unit normals in the same frame; zero where unknown: such pixels count as no error.
         weight: [H, W] weight of a pixel's error, 1 where None.
     """
-    known = (reference.detach().abs().sum(-1) > 0).to(normal)
+    known = reference.detach().any(-1).to(normal)
     error = known - (normal * reference).sum(-1)
     return (error if weight is None else error * weight).mean()
 
@@ -36,29 +35,9 @@ def normal_distance(normal: Tensor, reference: Tensor, weight: Tensor | None = N
 
     Its gradient does not vanish as the angle does, which 1 − cos's does (EnvGS's released code adds both).
     """
-    known = (reference.detach().abs().sum(-1) > 0).to(normal)
+    known = reference.detach().any(-1).to(normal)
     error = (normal - reference).abs().sum(-1) * known
     return (error if weight is None else error * weight).mean()
-
-
-def depth_normals(depth: Tensor, directions: Tensor) -> Tensor:
-    """Normals of the surface that a depth map shows, by central differences (Eq. 8).
-
-    Args:
-        depth: [H, W] distance along each pixel's ray, 0 where nothing is hit.
-        directions: [H, W, 3] the pixels' rays as `Camera.rays()` gives them (through the pixel centres).
-
-    Returns:
-        [H, W, 3] unit normals in the frame of `directions`, facing the viewer; 0 on the border and wherever one of the
-        four neighbours has no depth.
-    """
-    points = depth[..., None] * directions  # relative to the camera's centre, which differences do not see
-    down = points[2:, 1:-1] - points[:-2, 1:-1]
-    right = points[1:-1, 2:] - points[1:-1, :-2]
-    hit = depth.detach() > 0
-    complete = hit[2:, 1:-1] & hit[:-2, 1:-1] & hit[1:-1, 2:] & hit[1:-1, :-2]
-    normals = unit(torch.linalg.cross(down, right)) * complete[..., None]
-    return functional.pad(normals, (0, 0, 1, 1, 1, 1))
 
 
 def nearness(depth: Tensor) -> Tensor:

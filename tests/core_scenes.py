@@ -5,14 +5,13 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
-import numpy as np
 import torch
-from scipy.signal import correlate2d
 from torch import Tensor
 
-from envgs_bench.core import Camera, GaussianSet, Rendering, rasterize, reflect, trace
+from envgs_bench.core import Camera, GaussianSet, Rendering, depth_normals, rasterize, reflect, trace
+from envgs_bench.core.ssim import K1, K2, TAPS, ssim_map
 from envgs_bench.core.torch.drawing import MAX_ALPHA, Drawing, alphas
 from envgs_bench.core.torch.search import all_blended_hits
 from envgs_bench.core.torch.surfels import RasterizedSurfels, TracedSurfels
@@ -220,11 +219,21 @@ def padded(table: Tensor, width: int) -> Tensor:
 def assert_reflected_as_by_formula(
     kernel: Callable, image: Rendering, camera: Camera, beta_min: Tensor | float
 ) -> None:
-    """The kernel's rays are, at every pixel, those of the formula that training differentiates through."""
-    origins, directions, beta = (x.cpu() for x in kernel(image, camera, 0.02, 1e-2, beta_min))
+    """The kernel's rays and their gradients are, at every pixel, those of the formula."""
+    leaves = ("depth", "normal", "extras")
+    image = replace(image, **{name: getattr(image, name).detach().clone().requires_grad_() for name in leaves})
+    on_cpu = image.map(lambda x: x.detach().cpu().requires_grad_(x.requires_grad))
+    rays = kernel(image, camera, 0.02, 1e-2, beta_min)
     if isinstance(beta_min, Tensor):
         beta_min = beta_min.cpu()
-    expected = reflect(image.map(Tensor.cpu), camera.to("cpu"), offset=0.02, beta_min=beta_min, backend="torch")
+    expected = reflect(on_cpu, camera.to("cpu"), offset=0.02, beta_min=beta_min, backend="torch")
+    for found in (rays, expected):
+        generator = torch.Generator().manual_seed(0)
+        sum((x * torch.randn(x.shape, generator=generator).to(x.device)).sum() for x in found).backward()
+    for name in leaves:
+        assert relative_error(getattr(image, name).grad, getattr(on_cpu, name).grad) < 1e-4, name
+    origins, directions, beta = (x.detach().cpu() for x in rays)
+    expected = [x.detach() for x in expected]
     reflects = expected[2] > 0
     assert 0 < reflects.sum() < reflects.numel()
     assert torch.equal(beta, expected[2])
@@ -233,14 +242,33 @@ def assert_reflected_as_by_formula(
     torch.testing.assert_close(directions[reflects], expected[1][reflects], atol=1e-5, rtol=0)
 
 
-def assert_blurred_as_by_scipy(kernel: Callable, device: str) -> None:
-    """The kernel's window is scipy's, on pictures smaller and larger than its tiles and no multiple of them."""
-    taps = tuple(float(k) for k in (1, 3, 2, 5, 4, 9, 7, 6, 8, 2, 1))  # lopsided: a mirrored window would show
-    window = np.outer(taps, taps)
+def assert_depth_normals_as_by_formula(kernel: Callable, depth: Tensor, camera: Camera) -> None:
+    """The kernel's normals and their gradient are, at every pixel, those of the formula."""
+    depth = depth.detach().clone().requires_grad_()
+    exact = depth.detach().cpu().double().requires_grad_()
+    pose, intrinsics = (x.cpu().double() for x in (camera.world_to_camera, camera.intrinsics))
+    on_cpu = Camera(pose, intrinsics, camera.width, camera.height)
+    normals, expected = kernel(depth, camera), depth_normals(exact, on_cpu, backend="torch")
+    known = expected.detach().any(-1)
+    assert 0 < known.sum() < known.numel()
+    torch.testing.assert_close(normals.detach().cpu().double(), expected.detach(), atol=1e-4, rtol=0)
+    towards = torch.randn(expected.shape, generator=torch.Generator().manual_seed(0))
+    (normals * towards.to(depth)).sum().backward()
+    (expected * towards).sum().backward()
+    assert relative_error(depth.grad, exact.grad) < 1e-4
+
+
+def assert_similar_as_by_formula(kernel: Callable, device: str) -> None:
+    """The kernel's similarity and its gradient are the formula's, on images smaller and larger than its tiles."""
     generator = torch.Generator().manual_seed(0)
-    for height, width, pad in [(1, 1, 5), (40, 75, 5), (16, 32, 10), (27, 43, 0), (11, 11, 0)]:
-        images = torch.randn(3, height, width, generator=generator)
-        around = np.pad(images.double().numpy(), ((0, 0), (pad, pad), (pad, pad)))
-        expected = np.stack([correlate2d(plane, window, mode="valid") for plane in around])
-        blurred = kernel(images.to(device), taps, pad)
-        torch.testing.assert_close(blurred.cpu().double(), torch.from_numpy(expected), atol=1e-3, rtol=1e-5)
+    for height, width, padding in [(1, 1, "zero"), (40, 75, "zero"), (16, 32, "zero"), (27, 43, "valid")]:
+        planes, target = (torch.rand(*shape, generator=generator) for shape in ((3, height, width), (height, width, 3)))
+        image = planes.to(device, copy=True).requires_grad_()
+        exact = planes.double().requires_grad_()
+        expected = ssim_map(exact.movedim(0, 2), target.double(), padding)
+        found = kernel(image.movedim(0, 2), target.to(device), TAPS, 5 if padding == "zero" else 0, K1**2, K2**2)
+        torch.testing.assert_close(found.detach().cpu().double(), expected.detach(), atol=2e-5, rtol=0)
+        for values in (found, expected):  # a gradient in the other order of memory, and of one number
+            towards = torch.rand(expected.shape, generator=torch.Generator().manual_seed(1)).to(values)
+            ((values * towards).sum() + values.mean()).backward()
+        assert relative_error(image.grad, exact.grad) < 1e-4

@@ -8,8 +8,9 @@ import pytest
 import torch
 from core_scenes import (
     FIELDS,
-    assert_blurred_as_by_scipy,
+    assert_depth_normals_as_by_formula,
     assert_reflected_as_by_formula,
+    assert_similar_as_by_formula,
     facing_surfels,
     gradients_of,
     loss_of,
@@ -17,6 +18,7 @@ from core_scenes import (
     random_rays,
     random_set,
     relative_error,
+    tilted_camera,
 )
 
 from envgs_bench.core import GaussianSet, build_bvh, rasterize, trace
@@ -157,8 +159,14 @@ def test_the_rays_that_an_image_reflects_are_those_of_the_formula():
         assert_reflected_as_by_formula(backend.reflect, base, camera, beta_min)
 
 
-def test_a_window_over_planes_is_scipys():
-    assert_blurred_as_by_scipy(backend.blur, "cuda")
+def test_normals_of_a_depth_map_are_those_of_the_formula():
+    camera = tilted_camera(97, 65).to("cuda")
+    depth = rasterize(random_set(300, extras=1).map(lambda x: x.cuda()), camera).depth
+    assert_depth_normals_as_by_formula(backend.depth_normals, depth, camera)
+
+
+def test_similarity_is_that_of_the_formula():
+    assert_similar_as_by_formula(backend.similarity, "cuda")
 
 
 @pytest.mark.parametrize("padding", ["zero", "valid"])
@@ -167,7 +175,7 @@ def test_similarity_and_its_gradient_are_those_of_the_cpu(padding):
     image, target = (torch.rand(70, 53, 3, generator=generator) for _ in range(2))
     maps, gradients = [], []
     for device in ("cpu", "cuda"):
-        leaf = image.to(device).requires_grad_()
+        leaf = image.to(device, copy=True).requires_grad_()
         maps.append(ssim_map(leaf, target.to(device), padding))
         maps[-1].square().mean().backward()
         gradients.append(leaf.grad.cpu())

@@ -15,8 +15,9 @@ from core_scenes import (
     FIELDS,
     ORACLE,
     Backend,
-    assert_blurred_as_by_scipy,
+    assert_depth_normals_as_by_formula,
     assert_reflected_as_by_formula,
+    assert_similar_as_by_formula,
     facing_surfels,
     gradients_of,
     loss_of,
@@ -207,8 +208,13 @@ def test_the_rays_that_an_image_reflects_are_those_of_the_formula(backend):
         assert_reflected_as_by_formula(cuda.reflect, base, camera, beta_min)
 
 
-def test_a_window_over_planes_is_scipys(backend):
-    assert_blurred_as_by_scipy(cuda.blur, backend.device)
+def test_normals_of_a_depth_map_are_those_of_the_formula(backend):
+    camera = tilted_camera(49, 33)
+    assert_depth_normals_as_by_formula(cuda.depth_normals, backend.rasterize(random_set(300), camera).depth, camera)
+
+
+def test_similarity_is_that_of_the_formula(backend):
+    assert_similar_as_by_formula(cuda.similarity, backend.device)
 
 
 def test_rows_that_begin_anywhere_are_read_right(backend):

@@ -1,8 +1,9 @@
-"""The shared core: three calls, `rasterize`, `reflect` and `trace`, and the plain types they take and return."""
+"""The shared core: `rasterize`, `depth_normals`, `reflect` and `trace`, and the plain types they take and return."""
 
 from .backends import available_backends
 from .camera import Camera
 from .gaussians import GaussianSet
+from .normals import depth_normals
 from .rasterize import rasterize
 from .reflect import reflect
 from .rendering import Rendering, Statistics
@@ -19,6 +20,7 @@ __all__ = [
     "View",
     "available_backends",
     "build_bvh",
+    "depth_normals",
     "rasterize",
     "reflect",
     "trace",

@@ -4,14 +4,17 @@ A backend module offers some of
 
     rasterize(gaussians, camera, options: RasterizeOptions) -> Rendering
     trace(gaussians, origins [R, 3], directions [R, 3], bvh, options: TraceOptions) -> Rendering, one value a ray
-    reflect(image, camera, offset, alpha_min, beta_min) -> origins, directions, β; a formula serves where there is none
+    reflect(image, camera, offset, alpha_min, beta_min) -> origins, directions, β
+    depth_normals(depth [H, W], camera) -> normals [H, W, 3]
     build_bvh(gaussians) -> Bvh
     why_unavailable() -> str | None: one sentence for the user, or None where it works
+
+Where `reflect` or `depth_normals` is missing, torch's formula serves.
 
 | backend | draws | on |
 |---|---|---|
 | cpu | rasterize, trace | native C++, SIMD, all cores |
-| cuda | rasterize, trace, reflect | CUDA C++ compiled at first use |
+| cuda | all of it | CUDA C++ compiled at first use |
 | torch | rasterize, trace | plain autograd, any dtype: the oracle |
 | embree | trace | closest hits re-cast by Embree: the independent oracle |
 """

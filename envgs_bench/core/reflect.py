@@ -40,10 +40,9 @@ def reflect(
         reflects.
     """
     module = load_backend(backend, image.alpha.device, image.alpha.dtype)
-    depth, normal, beta = image.depth, image.normal, image.extras[..., 0]
-    learns = torch.is_grad_enabled() and any(values.requires_grad for values in (depth, normal, beta))
-    if hasattr(module, "reflect") and not learns:
+    if hasattr(module, "reflect"):
         return module.reflect(image, camera, offset, alpha_min, beta_min)
+    depth, normal, beta = image.depth, image.normal, image.extras[..., 0]
     reflects = (image.alpha > alpha_min) & (normal.square().sum(-1) > alpha_min**2) & (beta > beta_min)
     rays = camera.rays()[1]
     normal = unit(normal)

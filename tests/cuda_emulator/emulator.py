@@ -34,7 +34,7 @@ ORDERS = ("ascending", "descending", "shuffled")  # as in emulator.cpp
 HERE = Path(__file__).parent
 KERNEL = re.compile(r'extern "C" __global__ void\s+(?:__launch_bounds__\([^)]*\)\s+)?(\w+)\(')
 # of the backend, that allocate or wait
-MODULES = ("", ".blur", ".bvh", ".raster_pass", ".reflect", ".sorting", ".trace_pass")
+MODULES = ("", ".bvh", ".normals", ".raster_pass", ".reflect", ".similarity", ".sorting", ".trace_pass")
 CHECKS = ("alignment", "bounds")
 FLAGS = (
     "-std=c++20", "-O1", "-fPIC", "-w",

@@ -11,14 +11,15 @@ from ..differentiable import SetTensors, draw
 from ..gaussians import GaussianSet
 from ..rendering import Rendering
 from ..trace import Bvh
-from .blur import blur
 from .bvh import SurfelTree
 from .compiler import why_unavailable
+from .normals import depth_normals
 from .raster_pass import RasterPass
 from .reflect import reflect
+from .similarity import similarity
 from .trace_pass import TracePass
 
-__all__ = ["blur", "build_bvh", "rasterize", "reflect", "trace", "why_unavailable"]
+__all__ = ["build_bvh", "depth_normals", "rasterize", "reflect", "similarity", "trace", "why_unavailable"]
 
 
 def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> Rendering:
