@@ -70,7 +70,8 @@ def screen_criterion(statistics: Statistics, camera: Camera) -> Tensor:
     """
     assert statistics.position_gradients is not None
     in_camera = statistics.position_gradients @ camera.world_to_camera[:2, :3].T
-    half_size = camera.intrinsics.new_tensor([camera.width / 2, camera.height / 2])
+    # Filled in where the camera is: copying two numbers to a GPU waits for it.
+    half_size = torch.stack([camera.intrinsics.new_full((), size / 2) for size in (camera.width, camera.height)])
     return (in_camera * (half_size / camera.intrinsics.diagonal()[:2])).norm(dim=1)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
+from torch import Tensor
 
 from envgs_bench.core import View
 
@@ -36,17 +37,17 @@ class ResidentViews:
         known = self._copies.get(id(view))
         if known is not None:
             return known[1]
+        image = view.image.to(self.device)
         normal = None if view.normal is None else view.normal.to(self.device)
-        copy = replace(
-            view,
-            camera=view.camera.to(self.device),
-            image=view.image.to(self.device),
-            normal=normal,
-            masks={},
-            depth=None,
-        )
-        size = copy.image.nbytes + (0 if normal is None else normal.nbytes)
+        copy = replace(view, camera=view.camera.to(self.device), image=image, normal=normal, masks={}, depth=None)
+        size = image.nbytes + (0 if normal is None else normal.nbytes)
         if size <= self._room:
             self._room -= size
+            copy = replace(copy, image=_by_planes(image), normal=None if normal is None else _by_planes(normal))
             self._copies[id(view)] = view, copy
         return copy
+
+
+def _by_planes(pixels: Tensor) -> Tensor:
+    """The same [H, W, C], in memory a plane a channel as what the core draws: kernels then read both side by side."""
+    return pixels.movedim(2, 0).contiguous().movedim(0, 2)
