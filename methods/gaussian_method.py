@@ -93,7 +93,7 @@ class GaussianMethod(Method):
         s, happens = self.settings, set()
         recovers = self.schedule.recovers(step, stop=s.densify_until, interval=s.opacity_reset_every)
         if not recovers and self.schedule.densifies(
-            step, start=s.densify_from, stop=s.densify_until, interval=s.densify_every
+            step, start=s.densify_from, stop=s.densify_until, interval=self._densify_every(step)
         ):
             happens.add("densify_base")
         if self.schedule.resets(step, stop=s.densify_until, interval=s.opacity_reset_every):
@@ -148,6 +148,10 @@ class GaussianMethod(Method):
         if self.perceptual and settings.perceptual_weight > 0 and step > self.schedule.at(settings.perceptual_from):
             terms["perceptual"] = settings.perceptual_weight * self.perceptual(rendering.color, target)
         return terms
+
+    def _densify_every(self, step: int) -> int:
+        """The base set's interval at this step, in steps of a run of 30,000."""
+        return self.settings.densify_every
 
     def _criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
         return screen_criterion(statistics, camera)

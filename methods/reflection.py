@@ -125,17 +125,16 @@ class ReflectiveMethod(GaussianMethod):
     def events(self, step: int) -> set[str]:
         s, schedule = self.settings, self.schedule
         happens = super().events(step)
-        settling = schedule.at(s.bootstrap) < step <= schedule.at(s.disturb_until)
-        if settling and not schedule.densifies(
-            step, start=s.densify_from, stop=s.densify_until, interval=s.densify_slowly_every
-        ):
-            happens.discard("densify_base")
         disturbs = schedule.disturbs(step, start=s.bootstrap, stop=s.disturb_until, interval=s.disturb_every)
         if disturbs and "reset_base_opacity" not in happens:
             happens |= {name for name, wanted in (("sabotage", s.sabotage), ("propagate", s.propagate)) if wanted}
         if "reset_base_opacity" in happens and s.beta_reset != "none" and step >= schedule.at(s.beta_reset_from):
             happens.add("reset_beta")
         return happens
+
+    def _densify_every(self, step: int) -> int:
+        settling = self.schedule.at(self.settings.bootstrap) < step <= self.schedule.at(self.settings.disturb_until)
+        return self.settings.densify_slowly_every if settling else super()._densify_every(step)
 
     def _after_step(self, step: int, events: set[str]) -> None:
         super()._after_step(step, events)

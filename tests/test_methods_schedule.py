@@ -57,6 +57,13 @@ def test_a_short_run_has_every_phase_that_it_can_recover_from(steps, missing):
     assert last <= 0.7 * steps  # and the last third is left to converge
 
 
+def test_a_run_of_any_length_grows_slowly_at_that_interval_alone_while_reflections_settle():
+    grows = events("envgs", 7000, densify_slowly_every=500, opacity_reset_every=0)["densify_base"]
+    settling = [step for step in grows if 700 < step <= 4200]  # 3,000 to 18,000 of 30,000
+    assert settling == list(range(6 * 117, 4201, 117))
+    assert grows[-1] - grows[-2] == 30
+
+
 def test_what_is_switched_off_never_happens():
     found = events(
         "envgs",
