@@ -64,14 +64,15 @@ class EnvGS(TracedReflection):
         return spatial_criterion(statistics) if name == "env" else super()._criterion(name, statistics, camera)
 
     def events(self, step: int) -> set[str]:
-        s = self.settings
+        s, schedule = self.settings, self.schedule
         happens = super().events(step)
         resets = {"stop": s.densify_until, "interval": s.env_opacity_reset_every, "floor": ENV_RESET_FLOOR}
-        if not self.schedule.recovers(step, **resets) and self.schedule.densifies(
-            step, start=s.bootstrap, stop=s.densify_until, interval=s.env_densify_every
+        every = schedule.densification_interval(s.env_densify_every)
+        if not schedule.recovers(step, **resets) and schedule.densifies(
+            step, start=s.bootstrap, stop=s.densify_until, every=every
         ):
             happens.add("densify_env")
-        if step > self.schedule.at(s.bootstrap) and self.schedule.resets(step, **resets):
+        if step > schedule.at(s.bootstrap) and schedule.resets(step, **resets):
             happens.add("reset_env_opacity")
         return happens
 

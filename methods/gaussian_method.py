@@ -90,13 +90,13 @@ class GaussianMethod(Method):
 
     def events(self, step: int) -> set[str]:
         """What this run does after Adam's step number `step`."""
-        s, happens = self.settings, set()
-        recovers = self.schedule.recovers(step, stop=s.densify_until, interval=s.opacity_reset_every)
-        if not recovers and self.schedule.densifies(
-            step, start=s.densify_from, stop=s.densify_until, interval=self._densify_every(step)
+        s, schedule, happens = self.settings, self.schedule, set()
+        recovers = schedule.recovers(step, stop=s.densify_until, interval=s.opacity_reset_every)
+        if not recovers and schedule.densifies(
+            step, start=s.densify_from, stop=s.densify_until, every=self._densify_every(step)
         ):
             happens.add("densify_base")
-        if self.schedule.resets(step, stop=s.densify_until, interval=s.opacity_reset_every):
+        if schedule.resets(step, stop=s.densify_until, interval=s.opacity_reset_every):
             happens.add("reset_base_opacity")
         return happens
 
@@ -150,8 +150,8 @@ class GaussianMethod(Method):
         return terms
 
     def _densify_every(self, step: int) -> int:
-        """The base set's interval at this step, in steps of a run of 30,000."""
-        return self.settings.densify_every
+        """The base set's interval at this step, in steps of this run; 0: never."""
+        return self.schedule.densification_interval(self.settings.densify_every)
 
     def _criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
         return screen_criterion(statistics, camera)

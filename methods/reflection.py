@@ -25,6 +25,7 @@ SABOTAGE_RANGE = 0.4
 PROPAGATE_ABOVE = 0.02  # β from which a primitive is enlarged
 PROPAGATE_SCALE = 1.5
 HOLD_FLOOR = 10  # steps
+SETTLING_GROWTHS = 10  # densifications of the base that there is time for while the reflections settle
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class ReflectionSettings(GaussianSettings):
     rotation_lr_final: float = 1e-4  # a tenth, so that normals settle: a mirror shows each degree twice
 
     densify_until: int = 21_000
-    densify_slowly_every: int = 500  # the base set's interval while the reflections settle
+    settling_interval: int = 5  # × densify_every, or less in a short run, while the reflections settle
 
     bootstrap: int = 3_000  # steps with the base set alone
     joint: bool = True  # reflected rays pass gradients on to the base set's normals and positions
@@ -133,8 +134,12 @@ class ReflectiveMethod(GaussianMethod):
         return happens
 
     def _densify_every(self, step: int) -> int:
-        settling = self.schedule.at(self.settings.bootstrap) < step <= self.schedule.at(self.settings.disturb_until)
-        return self.settings.densify_slowly_every if settling else super()._densify_every(step)
+        usual, s = super()._densify_every(step), self.settings
+        start, stop = self.schedule.at(s.bootstrap), self.schedule.at(s.disturb_until)
+        if not start < step <= stop:
+            return usual
+        longest = (stop - start) // (SETTLING_GROWTHS * max(usual, 1))
+        return usual * max(min(s.settling_interval, longest), 1)
 
     def _after_step(self, step: int, events: set[str]) -> None:
         super()._after_step(step, events)

@@ -60,9 +60,13 @@ class Schedule:
         """
         return min(max(1.0, math.sqrt(REFERENCE_STEPS / self.steps)), 10.0)
 
-    def densifies(self, step: int, *, start: int, stop: int, interval: int) -> bool:
-        """Whether a densification that runs every `interval` between `start` and `stop` (reference) falls on `step`."""
-        return self.at(start) < step < self.at(stop) and self._falls_on(step, interval, DENSIFY_FLOOR)
+    def densification_interval(self, reference_interval: int) -> int:
+        """Steps of this run between two densifications; 0, never, where the reference interval is 0."""
+        return self.every(reference_interval, DENSIFY_FLOOR) if reference_interval > 0 else 0
+
+    def densifies(self, step: int, *, start: int, stop: int, every: int) -> bool:
+        """Whether a densification `every` so many steps of this run, between `start` and `stop` (reference), is due."""
+        return every > 0 and self.at(start) < step < self.at(stop) and step % every == 0
 
     def resets(self, step: int, *, stop: int, interval: int, floor: int = RESET_FLOOR) -> bool:
         """Whether an opacity reset, every `interval` until before `stop` (reference), falls on `step`."""

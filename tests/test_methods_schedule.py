@@ -57,11 +57,16 @@ def test_a_short_run_has_every_phase_that_it_can_recover_from(steps, missing):
     assert last <= 0.7 * steps  # and the last third is left to converge
 
 
-def test_a_run_of_any_length_grows_slowly_at_that_interval_alone_while_reflections_settle():
-    grows = events("envgs", 7000, densify_slowly_every=500, opacity_reset_every=0)["densify_base"]
-    settling = [step for step in grows if 700 < step <= 4200]  # 3,000 to 18,000 of 30,000
-    assert settling == list(range(6 * 117, 4201, 117))
-    assert grows[-1] - grows[-2] == 30
+@pytest.mark.parametrize(
+    ("steps", "usual", "settling"),
+    [(30_000, 100, 500), (12_000, 40, 200), (7000, 30, 150), (3000, 30, 150), (2000, 30, 90), (800, 30, 30)],
+)
+def test_while_reflections_settle_the_base_grows_more_rarely_but_ten_times(steps, usual, settling):
+    grows = events("envgs", steps, opacity_reset_every=0)["densify_base"]
+    first, last = round(0.1 * steps), round(0.6 * steps)  # 3,000 to 18,000 of 30,000
+    settles = [step for step in grows if first < step <= last]
+    assert settles == [step for step in range(settling, last + 1, settling) if step > first]
+    assert all(step % usual == 0 for step in grows if step > last)
 
 
 def test_what_is_switched_off_never_happens():

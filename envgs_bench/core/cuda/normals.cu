@@ -3,7 +3,7 @@
 
 using namespace envgs;
 
-// The cross of a pixel's four neighbours on the surface, relative to the camera's centre.
+// The surface around a pixel, by its four neighbours.
 struct Stencil {
     Vec3<float> down, right;  // from the upper to the lower neighbour, from the left to the right one
     bool complete;            // inside the border, and all four have a depth
