@@ -67,6 +67,8 @@ class ReflectiveMethod(GaussianMethod):
             raise ValueError(f"beta_reset is {settings.beta_reset!r}, expected min, max or none")
         if not 0 <= settings.beta_filter < 1:
             raise ValueError(f"beta_filter is {settings.beta_filter:g}, expected a share of at least 0 and below 1")
+        if settings.settling_interval < 1:
+            raise ValueError(f"settling_interval is {settings.settling_interval}, expected at least 1 × densify_every")
         self.reflects = False  # once the bootstrapping is over
         self._hold_until = 0
 
@@ -139,7 +141,7 @@ class ReflectiveMethod(GaussianMethod):
         if not start < step <= stop:
             return usual
         longest = (stop - start) // (SETTLING_GROWTHS * max(usual, 1))
-        return usual * max(min(s.settling_interval, longest), 1)
+        return usual * max(1, min(s.settling_interval, longest))
 
     def _after_step(self, step: int, events: set[str]) -> None:
         super()._after_step(step, events)

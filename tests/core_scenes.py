@@ -261,7 +261,13 @@ def assert_depth_normals_as_by_formula(kernel: Callable, depth: Tensor, camera: 
 def assert_similar_as_by_formula(kernel: Callable, device: str) -> None:
     """The kernel's similarity and its gradient are the formula's, on images smaller and larger than its tiles."""
     generator = torch.Generator().manual_seed(0)
-    for height, width, padding in [(1, 1, "zero"), (40, 75, "zero"), (16, 32, "zero"), (27, 43, "valid")]:
+    for height, width, padding in [
+        (1, 1, "zero"),
+        (40, 75, "zero"),
+        (16, 32, "zero"),
+        (27, 43, "valid"),
+        (11, 11, "valid"),
+    ]:
         planes, target = (torch.rand(*shape, generator=generator) for shape in ((3, height, width), (height, width, 3)))
         image = planes.to(device, copy=True).requires_grad_()
         exact = planes.double().requires_grad_()

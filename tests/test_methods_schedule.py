@@ -69,6 +69,11 @@ def test_while_reflections_settle_the_base_grows_more_rarely_but_ten_times(steps
     assert all(step % usual == 0 for step in grows if step > last)
 
 
+def test_an_interval_below_the_usual_one_is_refused():
+    with pytest.raises(ValueError, match="settling_interval is 0, expected at least 1"):
+        create_method("envgs", {"settling_interval": 0})
+
+
 def test_what_is_switched_off_never_happens():
     found = events(
         "envgs",
