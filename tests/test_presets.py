@@ -1,4 +1,4 @@
-"""The paper's scenes as configurations: all there, named as the paper's tables name them, and hints where they fit."""
+"""Known scenes as configurations: the paper's all there, named as its tables name them, and hints where they fit."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from envgs_bench.settings import parse_settings
 
 FAMILIES = ("ref_real", "nerf_casting", "envgs", "shiny_blender", "mipnerf360")
 PRESETS = [name for name in config_names("dataset") if name.startswith(FAMILIES)]
+CAPTURES = [name for name in config_names("dataset") if name.startswith("captures/")]
 
 
 def composed(*overrides: str) -> dict[str, Any]:
@@ -38,7 +39,7 @@ def test_every_scene_of_the_papers_tables_has_a_preset_of_its_name() -> None:
     assert {paper_scene(composed(f"dataset={name}")["dataset"]["name"]) for name in PRESETS} == expected
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", PRESETS + CAPTURES)
 def test_a_preset_lies_below_data_root_and_is_refused_only_because_nothing_is_there(name: str, tmp_path: Path) -> None:
     content = composed(f"dataset={name}", f"data_root={tmp_path}")
     assert content["dataset"]["name"] == name
@@ -67,6 +68,10 @@ def test_the_papers_settings_reach_the_run() -> None:
     assert composed("dataset=ref_real/sedan", "steps=7")["steps"] == 7
     assert composed("dataset=toy/chrome_room")["steps"] == 3_000
     assert composed("dataset=colmap", "dataset.root=capture")["steps"] == 7_000
+    assert {name: composed(f"dataset={name}")["steps"] for name in CAPTURES} == {
+        "captures/fox": 3_000,
+        "captures/gold_cape": 7_000,
+    }
 
 
 def test_hints_go_to_the_methods_that_know_them_and_give_way_to_overrides() -> None:
@@ -82,6 +87,8 @@ def test_hints_go_to_the_methods_that_know_them_and_give_way_to_overrides() -> N
     assert composed("dataset=colmap", "dataset.root=capture")["hints"] == {}
     toy = {"mono_weight": 0.1, "mono_loss": "l1_cos", "min_coverage": 3.0}
     assert toy.items() <= composed("dataset=toy/chrome_room")["method"]["settings"].items()
+    near = {m: composed("dataset=captures/gold_cape", f"method={m}")["method"]["settings"]["near"] for m in beta}
+    assert near == {"2dgs": 2.2, "envmap128": 2.2, "envgs": 2.2}
     plain = composed("dataset=toy/chrome_room", "method=2dgs")["method"]["settings"]
     assert plain["mono_weight"] == 0
 
