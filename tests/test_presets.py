@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,24 @@ def test_a_preset_lies_below_data_root_and_is_refused_only_because_nothing_is_th
         load_scene(content["dataset"], tmp_path)
     assert "there is no such key" not in str(caught.value)
     assert "http" not in str(caught.value)
+
+
+@pytest.mark.skipif("ENVGS_BENCH_DATA" not in os.environ, reason="ENVGS_BENCH_DATA names no folder of real captures")
+@pytest.mark.parametrize(
+    ("name", "views", "size", "points"),
+    [("fox", (43, 7), (135, 240), 14_464), ("gold_cape", (104, 15), (227, 227), 42_798)],
+)
+def test_a_known_capture_is_read_as_its_results_say(
+    name: str, views: tuple[int, int], size: tuple[int, int], points: int, tmp_path: Path
+) -> None:
+    (tmp_path / "captures").symlink_to(os.environ["ENVGS_BENCH_DATA"])
+    if not (tmp_path / "captures" / name).is_dir():
+        pytest.skip(f"$ENVGS_BENCH_DATA/{name} is not there")
+    scene = load_scene(composed(f"dataset=captures/{name}", f"data_root={tmp_path}")["dataset"], tmp_path)
+    assert (len(scene.train), len(scene.test)) == views
+    assert {(view.camera.width, view.camera.height) for view in [*scene.train, *scene.test]} == {size}
+    assert len(scene.points) == points + 10_000
+    assert all(("foreground" in view.masks) == (name == "gold_cape") for view in scene.test)
 
 
 def test_the_papers_settings_reach_the_run() -> None:
