@@ -64,7 +64,7 @@ def _function(path: str) -> Estimator:
     module_name, _, name = path.partition(":")
     try:
         return getattr(importlib.import_module(module_name), name)
-    except (ImportError, AttributeError, ValueError) as error:
+    except (ImportError, AttributeError, TypeError, ValueError) as error:  # the last two of .a:b and :b
         raise DatasetError(
             f"dataset.normal_estimator={path!r} cannot be imported ({error}); expected package.module:function"
         ) from error

@@ -57,5 +57,5 @@ def _source(kind: str) -> Source:
     module_name, _, function_name = path.partition(":")
     try:
         return getattr(importlib.import_module(module_name), function_name)
-    except (ImportError, AttributeError) as error:
+    except (ImportError, AttributeError, TypeError, ValueError) as error:  # the last two of .a:b and :b
         raise DatasetError(f"dataset.kind={kind!r} cannot be imported from {path}: {error}") from error

@@ -57,7 +57,7 @@ def _method_class(kind: str) -> type[Method]:
     module_name, _, class_name = path.partition(":")
     try:
         found = getattr(importlib.import_module(module_name), class_name)
-    except (ImportError, AttributeError) as error:
+    except (ImportError, AttributeError, TypeError, ValueError) as error:  # the last two of .a:b and :b
         raise ValueError(f"method {kind!r} cannot be imported from {path}: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Method)):
         raise ValueError(f"method {kind!r}: {path} is not a subclass of envgs_bench.methods.method.Method")

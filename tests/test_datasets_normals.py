@@ -178,6 +178,7 @@ def test_an_estimator_sees_the_training_views_once(root: Path, monkeypatch: pyte
         ("nowhere:guess", "cannot be imported .*No module named 'nowhere'.*expected package.module:function"),
         ("os:guess", "cannot be imported"),
         ("os", "cannot be imported"),
+        (".mine:guess", "cannot be imported"),
         (f"{__name__}:of_another_shape", r"returned float64 \[3, 3\] for image 001, expected floats \[48, 64, 3\]"),
         (f"{__name__}:failing", r"failed on image 001 \(RuntimeError\('no weights'\)\)"),
     ],

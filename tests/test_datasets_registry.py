@@ -61,6 +61,8 @@ def test_a_source_of_ones_own_with_a_real_point_cloud(tmp_path: Path) -> None:
         ({"kind": "polycam"}, "dataset.kind='polycam' is unknown: expected one of toy, colmap"),
         ({"kind": "nowhere:load"}, "dataset.kind='nowhere:load' cannot be imported .*No module named 'nowhere'"),
         ({"kind": "os:load"}, "dataset.kind='os:load' cannot be imported"),
+        ({"kind": ":load"}, "dataset.kind=':load' cannot be imported"),
+        ({"kind": ".mine:load"}, "dataset.kind='.mine:load' cannot be imported"),
     ],
 )
 def test_unknown_kinds_are_named(tmp_path: Path, settings: dict[str, Any], message: str) -> None:

@@ -206,7 +206,9 @@ def test_bad_settings_are_refused(kind, settings, message):
         create_method(kind, settings)
 
 
-@pytest.mark.parametrize("kind", ["4dgs", "no.such.module:Method", "envgs_bench.methods.envgs:Nothing", "pathlib:Path"])
+@pytest.mark.parametrize(
+    "kind", ["4dgs", "no.such.module:Method", "envgs_bench.methods.envgs:Nothing", "pathlib:Path", ".mine:A"]
+)
 def test_unknown_methods_are_refused(kind):
     with pytest.raises(ValueError, match=kind.split(":")[0]):
         create_method(kind)
