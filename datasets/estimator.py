@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
 import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -14,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from envgs_bench.core import Camera, View
+from envgs_bench.import_path import load_import_path
 
 from .cache import Draft
 from .normals import world_normals
@@ -61,10 +61,9 @@ def estimator_version(path: str | None) -> str | None:
 
 
 def _function(path: str) -> Estimator:
-    module_name, _, name = path.partition(":")
     try:
-        return getattr(importlib.import_module(module_name), name)
-    except (ImportError, AttributeError, TypeError, ValueError) as error:  # the last two of .a:b and :b
+        return load_import_path(path)
+    except ImportError as error:
         raise DatasetError(
             f"dataset.normal_estimator={path!r} cannot be imported ({error}); expected package.module:function"
         ) from error

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from envgs_bench.core import Scene
+from envgs_bench.import_path import load_import_path
 
 from .settings import DatasetError
 
@@ -54,8 +54,7 @@ def _source(kind: str) -> Source:
             f"dataset.kind={kind!r} is unknown: expected one of {', '.join(BUILT_IN)}, "
             "or an import path, package.module:function"
         )
-    module_name, _, function_name = path.partition(":")
     try:
-        return getattr(importlib.import_module(module_name), function_name)
-    except (ImportError, AttributeError, TypeError, ValueError) as error:  # the last two of .a:b and :b
+        return load_import_path(path)
+    except ImportError as error:
         raise DatasetError(f"dataset.kind={kind!r} cannot be imported from {path}: {error}") from error

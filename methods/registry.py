@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from importlib.metadata import entry_points
 from typing import Any
 
 import torch
+
+from envgs_bench.import_path import load_import_path
 
 from .method import Method
 from .settings import make_settings
@@ -54,10 +55,9 @@ def _method_class(kind: str) -> type[Method]:
             f"unknown method {kind!r}: the known ones are {', '.join(sorted(paths))}; "
             "one of your own is given as an import path, package.module:Class"
         )
-    module_name, _, class_name = path.partition(":")
     try:
-        found = getattr(importlib.import_module(module_name), class_name)
-    except (ImportError, AttributeError, TypeError, ValueError) as error:  # the last two of .a:b and :b
+        found = load_import_path(path)
+    except ImportError as error:
         raise ValueError(f"method {kind!r} cannot be imported from {path}: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Method)):
         raise ValueError(f"method {kind!r}: {path} is not a subclass of envgs_bench.methods.method.Method")
