@@ -12,23 +12,15 @@ from pydantic import Field
 
 from envgs_bench.core import Scene
 
-from .cache import Draft
-from .capture import (
-    CaptureSettings,
-    Channel,
-    Missing,
-    cached_capture,
-    files_of,
-    refuse_missing,
-    require_folder,
-)
-from .estimator import with_estimated_normals
-from .frames import read_frames
-from .normals import NormalMap
-from .photographs import Photograph, with_masks
-from .pointcloud import PointCloud, random_points, read_ply
+from .capture import CaptureSettings, Channel, Missing, cached_capture, files_of, refuse_missing, require_folder
+from .formats.normal_maps import NormalMap
+from .formats.point_clouds import PointCloud, random_points, read_ply
+from .formats.transforms_json import read_frames
+from .photographs.normal_estimation import with_estimated_normals
+from .photographs.photograph import Photograph, with_masks
+from .photographs.views import make_views
 from .settings import parse_settings
-from .views import make_views
+from .store.cache import Draft
 
 VERSION = 2  # raise it with every change that alters a scene
 TRANSFORMS = ("transforms_train.json", "transforms_test.json")

@@ -12,15 +12,15 @@ from pydantic import Field
 
 from envgs_bench.core import Scene
 
-from .cache import Draft, drafted_scene
-from .contents import digest_of
-from .estimator import estimator_version, with_estimated_normals
+from .formats.point_clouds import PointCloud, far_points
 from .paths import listed
-from .photographs import Photograph
-from .pointcloud import PointCloud, far_points
+from .photographs.normal_estimation import estimator_version, with_estimated_normals
+from .photographs.photograph import Photograph
+from .photographs.views import make_views
 from .settings import DatasetError, SourceSettings
 from .split import split_views
-from .views import make_views
+from .store.cache import Draft, drafted_scene
+from .store.contents import digest_of
 
 Missing = Literal["refuse", "skip"]
 Channel = Annotated[float, Field(ge=0, le=1)]
@@ -112,6 +112,6 @@ def make_scene(
     train = with_estimated_normals(train, settings.normal_estimator, draft)
     if not settings.exact_normals:
         test = [replace(view, normal=None) for view in test]
-    far = far_points(torch.stack([view.camera.centre for view in train]), settings.far_points)
+    far = far_points(torch.stack([view.camera.center for view in train]), settings.far_points)
     points, colors = (torch.cat(parts) for parts in zip(cloud, far, strict=True))
     return Scene(settings.scene_name, train, test, points, colors, torch.tensor(settings.background))

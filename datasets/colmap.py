@@ -8,17 +8,17 @@ from typing import Any, Literal
 
 from envgs_bench.core import Scene
 
-from .cache import Draft
 from .capture import Missing, PhotographSettings, cached_capture, make_scene, refuse_missing, require_folder
-from .contents import files_in
-from .exposure import with_equal_exposure
-from .model import Model
-from .normals import Frame
+from .formats.colmap_model import Model
+from .formats.normal_maps import Frame
+from .formats.pictures import EXTENSIONS
 from .paths import listed
-from .photographs import Photograph, with_siblings
-from .pictures import EXTENSIONS
+from .photographs.exposure import with_equal_exposure
+from .photographs.photograph import Photograph, with_siblings
+from .photographs.siblings import Siblings, region_folders
 from .settings import DatasetError, parse_settings
-from .siblings import Siblings, region_folders
+from .store.cache import Draft
+from .store.contents import files_in
 
 VERSION = 4  # raise it with every change that alters a scene
 

@@ -10,19 +10,19 @@ from pydantic import Field
 
 from envgs_bench.core import Scene
 
-from .cache import Draft
 from .capture import PhotographSettings, cached_capture, make_scene, require_folder
-from .contents import digest_of, files_in
-from .exposure import with_equal_exposure
-from .model import Model
-from .normals import Frame
+from .formats.colmap_model import Model
+from .formats.normal_maps import Frame
+from .formats.pictures import EXTENSIONS, read_picture
 from .paths import listed
-from .photographs import with_siblings
-from .pictures import EXTENSIONS, read_picture
-from .progress import mapped
-from .reconstruction import LEAST_IMAGES, Matching, Reconstructor
+from .photographs.exposure import with_equal_exposure
+from .photographs.photograph import with_siblings
+from .photographs.reconstruction import LEAST_IMAGES, Matching, Reconstructor
+from .photographs.siblings import region_folders
 from .settings import DatasetError, parse_settings
-from .siblings import region_folders
+from .store.cache import Draft
+from .store.contents import digest_of, files_in
+from .store.progress import mapped
 
 VERSION = 3  # raise it with every change that alters a scene
 MODEL_VERSION = 1  # and this with every change that alters a reconstruction
@@ -34,7 +34,7 @@ class PhotosSettings(PhotographSettings):
     kind: Literal["photos"]
     equalize_exposure: bool = False
     images: str | None = None  # folder below root; images/ where there is one, else root itself, where None
-    matching: Matching = "exhaustive"  # sequential: with neighbours in the order of names, as of a video's frames
+    matching: Matching = "exhaustive"  # sequential: with neighbors in the order of names, as of a video's frames
     camera_model: Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"] = "OPENCV"
     feature_size: Annotated[int, Field(ge=100)] = 1600  # pixels along the longer side, for finding features
     min_registered: Annotated[float, Field(gt=0, le=1)] = 0.5  # share of the images that must be placed

@@ -11,14 +11,14 @@ from pydantic import Field
 
 from envgs_bench.core import Scene
 
-from .cache import Draft
 from .capture import Missing, PhotographSettings, cached_capture, files_of, make_scene, refuse_missing, require_folder
-from .frames import FrameFile, read_frames, without_common_folder
-from .normals import Frame
+from .formats.normal_maps import Frame
+from .formats.point_clouds import PointCloud, random_points, read_ply
+from .formats.transforms_json import FrameFile, read_frames, without_common_folder
 from .paths import path_below
-from .photographs import Photograph, with_siblings
-from .pointcloud import PointCloud, random_points, read_ply
+from .photographs.photograph import Photograph, with_siblings
 from .settings import DatasetError, parse_settings
+from .store.cache import Draft
 
 VERSION = 3  # raise it with every change that alters a scene
 NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # of instant-ngp, whose box [0, 1]³ is grown by aabb_scale around its middle

@@ -12,9 +12,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from envgs_bench.methods.method import Method
+from envgs_bench.methods.registry import create_method
+
 from .core import Camera, Rendering, Scene, View
-from .methods.method import Method
-from .methods.registry import create_method
 
 WIDTH, HEIGHT = 32, 24
 VIEWS = 6
@@ -58,7 +59,7 @@ def check_method(kind: str, settings: Mapping[str, Any] | None = None, device: s
 
 
 def tiny_scene() -> Scene:
-    """Cameras in a ring that look at the origin, in a world whose colour is that of the viewing direction."""
+    """Cameras in a ring that look at the origin, in a world whose color is that of the viewing direction."""
     generator = torch.Generator().manual_seed(0)
     views = [_view(f"view{index}", 2 * math.pi * index / VIEWS) for index in range(VIEWS)]
     points = torch.randn(POINTS, 3, generator=generator)

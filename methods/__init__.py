@@ -9,6 +9,6 @@
 | single_set | single_set.py | surfels with β, traced for what they reflect themselves |
 
 The first two are `gaussian_method.py` and no more; the others are `reflection.py`, which builds on it, and differ in
-where the reflected colour comes from: `traced.py` is what the last two share. Another package adds a method by an entry
+where the reflected color comes from: `traced.py` is what the last two share. Another package adds a method by an entry
 point of group `envgs_bench.methods`.
 """

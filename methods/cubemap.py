@@ -1,7 +1,7 @@
 """A cube map and its differentiable bilinear lookup, without seams between faces.
 
 Face order and orientation are OpenGL's: +x, −x, +y, −y, +z, −z; on each, column and row grow along the signed axes of
-the table below, and texel centres lie at half-integers of the face's size.
+the table below, and texel centers lie at half-integers of the face's size.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ AXES, SIGNS = torch.tensor(FACES)[:, 1:].unbind(-1)  # [6, 2] each, of columns a
 class CubemapLayout:
     """Where the texels of a map of S texels an edge lie; `layout_of(S)` makes it, on one device."""
 
-    # Flat numbers of a face's texels and of the ring of their neighbours on other faces. Beyond a face's four corners
+    # Flat numbers of a face's texels and of the ring of their neighbors on other faces. Beyond a face's four corners
     # there is none; the number there is 6·S² plus that of the cube's corner.
     around: Tensor  # [6, S + 2, S + 2]
     corners: Tensor  # [8, 3] flat numbers of the three texels that meet at each corner of the cube
@@ -41,9 +41,9 @@ def layout_of(size: int, device: torch.device | str = "cpu") -> CubemapLayout:
 
 
 def texel_directions(size: int) -> Tensor:
-    """Directions [6, size, size, 3] through the texel centres; the largest component is ±1."""
-    centre = (2 * torch.arange(size) + 1) / size - 1
-    return _face_points(centre, centre)
+    """Directions [6, size, size, 3] through the texel centers; the largest component is ±1."""
+    center = (2 * torch.arange(size) + 1) / size - 1
+    return _face_points(center, center)
 
 
 def sample_cubemap(texels: Tensor, directions: Tensor, layout: CubemapLayout) -> Tensor:
@@ -63,7 +63,7 @@ def sample_cubemap(texels: Tensor, directions: Tensor, layout: CubemapLayout) ->
     flat = torch.cat([flat, flat[layout.corners].mean(1)])
 
     face, column, row = _face_coordinates(directions, layout.axes, layout.signs)
-    x = (column + 1) * (size / 2) + 0.5  # in the padded face, whose texel i has its centre at i
+    x = (column + 1) * (size / 2) + 0.5  # in the padded face, whose texel i has its center at i
     y = (row + 1) * (size / 2) + 0.5
     x0 = x.detach().floor().clamp(0, size)
     y0 = y.detach().floor().clamp(0, size)
@@ -78,7 +78,7 @@ def sample_cubemap(texels: Tensor, directions: Tensor, layout: CubemapLayout) ->
 
 
 def resized_cubemap(texels: Tensor, layout: CubemapLayout, size: int) -> Tensor:
-    """The map [6, S, S, C] looked up at the texel centres of one with `size` texels an edge: [6, size, size, C]."""
+    """The map [6, S, S, C] looked up at the texel centers of one with `size` texels an edge: [6, size, size, C]."""
     directions = texel_directions(size).to(texels)
     return sample_cubemap(texels, directions.reshape(-1, 3), layout).reshape(6, size, size, -1)
 
@@ -89,7 +89,7 @@ def _texels_around(size: int) -> Tensor:
     own = torch.arange(6 * size * size).reshape(6, size, size)
     index = torch.zeros(6, size + 2, size + 2, dtype=torch.long)
     index[:, 1:-1, 1:-1] = own
-    # Just beyond an edge, a point of the face's plane belongs to the neighbouring face, in its outermost texel.
+    # Just beyond an edge, a point of the face's plane belongs to the neighboring face, in its outermost texel.
     beyond = position.clamp(-1 - 1e-3 / size, 1 + 1e-3 / size)
     for part in ((slice(None), [0, -1]), ([0, -1], slice(None))):
         columns = beyond if part[0] == slice(None) else inside

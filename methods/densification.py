@@ -64,9 +64,9 @@ class DensificationRecord:
 
 
 def screen_criterion(statistics: Statistics, camera: Camera) -> Tensor:
-    """3DGS's criterion, [N]: the gradient of the projected centre in half image widths and heights.
+    """3DGS's criterion, [N]: the gradient of the projected center in half image widths and heights.
 
-    A centre at depth t moves by f/t pixels a unit, so ∂L/∂x_ndc = W/(2f)·t·∂L/∂x, and alike for y.
+    A center at depth t moves by f/t pixels a unit, so ∂L/∂x_ndc = W/(2f)·t·∂L/∂x, and alike for y.
     """
     assert statistics.position_gradients is not None
     in_camera = statistics.position_gradients @ camera.world_to_camera[:2, :3].T

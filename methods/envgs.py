@@ -1,4 +1,4 @@
-"""EnvGS: the reflected colour comes from a second set of surfels, traced along the reflected rays."""
+"""EnvGS: the reflected color comes from a second set of surfels, traced along the reflected rays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The environment-map variant: the reflected colour comes from a cube map, as if everything were far away."""
+"""The environment-map variant: the reflected color comes from a cube map, as if everything were far away."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class EnvMapSettings(ReflectionSettings):
 
 
 class EnvMap(ReflectiveMethod):
-    """EnvGS "w/ environment map" (paper, Sec. 5.4 and App. B.1): texels hold logits of colours in [0, 1].
+    """EnvGS "w/ environment map" (paper, Sec. 5.4 and App. B.1): texels hold logits of colors in [0, 1].
 
     The map starts with an eighth of its texels an edge and doubles three times: a texel that few pixels see begins as
     what its surroundings have learned, and the early map is smooth enough to turn normals by.
@@ -38,7 +38,7 @@ class EnvMap(ReflectiveMethod):
         self._set_texels(torch.zeros(6, settings.envmap_size, settings.envmap_size, 3))
 
     def _start_reflection(self) -> None:
-        self._set_texels(torch.zeros(6, 2, 2, 3))  # grey; _set_rates gives it its size
+        self._set_texels(torch.zeros(6, 2, 2, 3))  # gray; _set_rates gives it its size
 
     def _set_rates(self, step: int) -> None:
         super()._set_rates(step)

@@ -254,5 +254,5 @@ class GaussianMethod(Method):
 
 
 def _extent(points: Tensor) -> float:
-    """Half the diagonal of the points' box, at least a hair: the scene scale where all cameras share one centre."""
+    """Half the diagonal of the points' box, at least a hair: the scene scale where all cameras share one center."""
     return max(0.5 * float((points.amax(0) - points.amin(0)).norm()), 1e-3)

@@ -10,17 +10,17 @@ from torch import Tensor
 
 from .parameters import inverse_sigmoid, sh_from_rgb
 
-NEIGHBOURS = 3
-PLANE_NEIGHBOURS = 8
+NEIGHBORS = 3
+PLANE_NEIGHBORS = 8
 SMALLEST_SCALE = 1e-5  # of the scene radius: coincident points still need an extent
 
 
-def neighbour_distance(points: Tensor, radius: float) -> Tensor:
-    """RMS distance of each of the points [N, 3] to its 3 nearest neighbours, [N], at least 1e-5 of `radius`.
+def neighbor_distance(points: Tensor, radius: float) -> Tensor:
+    """RMS distance of each of the points [N, 3] to its 3 nearest neighbors, [N], at least 1e-5 of `radius`.
 
-    A point with fewer neighbours uses those it has; a lone point gets 1 % of `radius`.
+    A point with fewer neighbors uses those it has; a lone point gets 1 % of `radius`.
     """
-    count = min(NEIGHBOURS, len(points) - 1)
+    count = min(NEIGHBORS, len(points) - 1)
     if count < 1:
         return torch.full((len(points),), 0.01 * radius, dtype=points.dtype, device=points.device)
     positions = points.detach().cpu().double().numpy()
@@ -30,15 +30,15 @@ def neighbour_distance(points: Tensor, radius: float) -> Tensor:
 
 
 def local_orientation(points: Tensor) -> Tensor:
-    """Quaternions [N, 4] (wxyz) whose third axis is the normal of the plane through a point's neighbours.
+    """Quaternions [N, 4] (wxyz) whose third axis is the normal of the plane through a point's neighbors.
 
-    The normal is the direction in which a point and its 8 nearest neighbours vary least (principal components).
+    The normal is the direction in which a point and its 8 nearest neighbors vary least (principal components).
     """
     positions = points.detach().cpu().double().numpy()
-    count = min(PLANE_NEIGHBOURS + 1, len(positions))
+    count = min(PLANE_NEIGHBORS + 1, len(positions))
     around = positions[cKDTree(positions).query(positions, k=[*range(1, count + 1)], workers=-1)[1]]
-    centred = around - around.mean(axis=1, keepdims=True)
-    axes = np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)[1][:, :, ::-1].copy()
+    centered = around - around.mean(axis=1, keepdims=True)
+    axes = np.linalg.eigh(centered.transpose(0, 2, 1) @ centered)[1][:, :, ::-1].copy()
     axes[:, :, 2] *= np.linalg.det(axes)[:, None]  # a rotation, not a reflection
     return torch.from_numpy(Rotation.from_matrix(axes).as_quat(scalar_first=True)).to(points)
 
@@ -56,8 +56,8 @@ def initial_tensors(
 ) -> dict[str, Tensor]:
     """`GaussianParameters`' tensors for one primitive at each point.
 
-    Isotropic, with the neighbour distance as scale on its `axes` (2: surfels, 3: 3D Gaussians), one opacity, the
-    point's colour from every side, and, where `beta` is given, that blending weight. Orientations are random with a
+    Isotropic, with the neighbor distance as scale on its `axes` (2: surfels, 3: 3D Gaussians), one opacity, the
+    point's color from every side, and, where `beta` is given, that blending weight. Orientations are random with a
     generator; with None they follow the surface that the points lie on.
     """
     n = len(points)
@@ -65,7 +65,7 @@ def initial_tensors(
     tensors = {
         "means": points.clone(),
         "quaternions": torch.randn(n, 4, generator=generator).to(points) if generator else local_orientation(points),
-        "log_scales": neighbour_distance(points, radius).log()[:, None].repeat(1, axes),
+        "log_scales": neighbor_distance(points, radius).log()[:, None].repeat(1, axes),
         "opacity_logits": inverse_sigmoid(torch.full_like(points[:, 0], opacity)),
         "sh_dc": dc,
         "sh_rest": rest,
@@ -86,9 +86,9 @@ def quantile_box(points: Tensor, quantile: float) -> tuple[Tensor, Tensor]:
     low, high = np.quantile(positions, [tail, 1 - tail], axis=0)
     extent = (high - low).max()
     flat = (high - low) < 1e-3 * extent
-    centre = (low + high) / 2
-    low = np.where(flat, centre - 5e-4 * extent, low)
-    high = np.where(flat, centre + 5e-4 * extent, high)
+    center = (low + high) / 2
+    low = np.where(flat, center - 5e-4 * extent, low)
+    high = np.where(flat, center + 5e-4 * extent, high)
     return torch.from_numpy(low).to(points), torch.from_numpy(high).to(points)
 
 

@@ -41,9 +41,9 @@ def normal_distance(normal: Tensor, reference: Tensor, weight: Tensor | None = N
 
 
 def nearness(depth: Tensor) -> Tensor:
-    """clip(1 − normalised depth, 0, 1), [H, W]: 1 at the nearest hit, 0 at the farthest; 1 everywhere on a flat map.
+    """clip(1 − normalized depth, 0, 1), [H, W]: 1 at the nearest hit, 0 at the farthest; 1 everywhere on a flat map.
 
-    A weight for the normal losses that spares far surfaces. Depth is normalised to the range of the pixels with a hit.
+    A weight for the normal losses that spares far surfaces. Depth is normalized to the range of the pixels with a hit.
     """
     depth = depth.detach()
     hits = depth[depth > 0]

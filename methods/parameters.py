@@ -33,7 +33,7 @@ class GaussianParameters:
     | field | shape | activation |
     |---|---|---|
     | means | [N, 3] | none |
-    | quaternions | [N, 4] | none (the core normalises) |
+    | quaternions | [N, 4] | none (the core normalizes) |
     | log_scales | [N, 2] or [N, 3] | exp |
     | opacity_logits | [N] | sigmoid |
     | sh_dc, sh_rest | [N, 1, 3], [N, K − 1, 3] | none |
@@ -65,7 +65,7 @@ class GaussianParameters:
         return 4 * sum(value.numel() for value in self.tensors.values())
 
     def gaussians(self, sh_degree: int | None = None) -> GaussianSet:
-        """The activated set, differentiable; with `sh_degree` its colour is cut to that many SH bands."""
+        """The activated set, differentiable; with `sh_degree` its color is cut to that many SH bands."""
         t = self.tensors
         sh = torch.cat([t["sh_dc"], t["sh_rest"]], dim=1)
         if sh_degree is not None:

@@ -1,7 +1,7 @@
-"""ReflectiveMethod: what EnvGS and the environment map share, all but where the reflected colour comes from.
+"""ReflectiveMethod: what EnvGS and the environment map share, all but where the reflected color comes from.
 
-A rasterized base set gives each pixel's surface point, normal, base colour and blending weight β; the reflected ray's
-colour is blended over the base (EnvGS paper, Sec. 4.1).
+A rasterized base set gives each pixel's surface point, normal, base color and blending weight β; the reflected ray's
+color is blended over the base (EnvGS paper, Sec. 4.1).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .gaussian_method import GaussianMethod
 from .parameters import LearningRates, inverse_sigmoid
 from .settings import GaussianSettings
 
-SABOTAGE_BELOW = 0.05  # β up to which a base colour is disturbed
+SABOTAGE_BELOW = 0.05  # β up to which a base color is disturbed
 SABOTAGE_RANGE = 0.4
 PROPAGATE_ABOVE = 0.02  # β from which a primitive is enlarged
 PROPAGATE_SCALE = 1.5
@@ -45,7 +45,7 @@ class ReflectionSettings(GaussianSettings):
     beta_filter: float = 0.0  # share of an image's pixels, those of the smallest β, that are not traced either
     ray_offset: float = 1e-3  # a reflected ray starts this far above the surface, × scene radius
 
-    disturb_every: int = 1_000  # colour sabotage and normal propagation; 0: never
+    disturb_every: int = 1_000  # color sabotage and normal propagation; 0: never
     disturb_until: int = 18_000
     sabotage: bool = True
     propagate: bool = True
@@ -74,11 +74,11 @@ class ReflectiveMethod(GaussianMethod):
 
     @abstractmethod
     def _start_reflection(self) -> None:
-        """Make what the reflected colour comes from, at the end of the bootstrapping."""
+        """Make what the reflected color comes from, at the end of the bootstrapping."""
 
     @abstractmethod
     def _reflected_color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict]:
-        """Colour [H, W, 3] that the rays [H, W, 3], [H, W, 3] of `reflect` meet, and statistics by set."""
+        """Color [H, W, 3] that the rays [H, W, 3], [H, W, 3] of `reflect` meet, and statistics by set."""
 
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
@@ -153,14 +153,14 @@ class ReflectiveMethod(GaussianMethod):
             self._reset_beta()
 
     def _sabotage(self) -> None:
-        """Disturb the base colour where the base does not reflect (3DGS-DR), so that a reflection may explain it."""
+        """Disturb the base color where the base does not reflect (3DGS-DR), so that a reflection may explain it."""
         parameters = self.sets["base"].parameters
         dc = parameters.tensors["sh_dc"].detach()
         noise = (2 * torch.rand(dc.shape, generator=self.generator) - 1).to(dc) * SABOTAGE_RANGE
         parameters.replace("sh_dc", dc + noise * (self._beta() <= SABOTAGE_BELOW)[:, None])
 
     def _propagate(self, step: int) -> None:
-        """Grow primitives that reflect over their neighbours, so that good normals spread (3DGS-DR).
+        """Grow primitives that reflect over their neighbors, so that good normals spread (3DGS-DR).
 
         All become nearly opaque, and opacities then rest for a while.
         """

@@ -29,10 +29,10 @@ class Ball:
 def foreground_ball(cameras: Sequence[Camera]) -> Ball:
     """What the cameras stand around: the point nearest to all their axes, and their mean distance from it.
 
-    The point minimises Σ ‖(I − zzᵀ)(p − c)‖² over the cameras' centres c and viewing directions z. Means little where
-    cameras look outwards or all the same way.
+    The point minimizes Σ ‖(I − zzᵀ)(p − c)‖² over the cameras' centers c and viewing directions z. Means little where
+    cameras look outward or all the same way.
     """
-    centers = torch.stack([camera.centre for camera in cameras]).double()
+    centers = torch.stack([camera.center for camera in cameras]).double()
     axes = torch.stack([camera.world_to_camera[2, :3] for camera in cameras]).double()
     across = torch.eye(3, dtype=torch.float64) - axes[:, :, None] * axes[:, None, :]
     center = torch.linalg.lstsq(across.sum(0), (across @ centers[:, :, None]).sum(0)).solution[:, 0]
@@ -52,7 +52,7 @@ def reflecting(base: GaussianSet, ball: Ball, beta_min: float) -> Tensor:
 
 
 def in_box(base: GaussianSet, low: Tensor, high: Tensor) -> Tensor:
-    """Which primitives' centres [N] lie in the axis-aligned box with these corners [3]."""
+    """Which primitives' centers [N] lie in the axis-aligned box with these corners [3]."""
     return ((base.means >= low.to(base.means)) & (base.means <= high.to(base.means))).all(dim=1)
 
 

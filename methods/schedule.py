@@ -7,8 +7,8 @@ below a floor, because some things take a number of steps and not a share of the
 | interval | floor | why |
 |---|---|---|
 | densification | 30 steps | its criterion is a mean over views |
-| colour sabotage, normal propagation | 1,000 steps | what has grown over its neighbours has to shrink back |
-| opacity reset | 600 steps, 300 for the environment | opacities climb by 0.05 a step, then colours settle |
+| color sabotage, normal propagation | 1,000 steps | what has grown over its neighbors has to shrink back |
+| opacity reset | 600 steps, 300 for the environment | opacities climb by 0.05 a step, then colors settle |
 
 A run too short for an interval never does the thing: it could not recover. One of 2,000 steps has every phase, one of
 800 is never disturbed and resets no opacity of the base.
@@ -52,7 +52,7 @@ class Schedule:
 
     @property
     def rate_scale(self) -> float:
-        """What a short run multiplies the rates of positions, rotations, colours and β by: √(30,000 / steps), 1 to 10.
+        """What a short run multiplies the rates of positions, rotations, colors and β by: √(30,000 / steps), 1 to 10.
 
         Adam moves a parameter by about its learning rate a step, so fewer steps reach less far; the square root is
         between keeping the steps and keeping the reach. Scales and opacities, which run away, keep their rates. The
@@ -83,7 +83,7 @@ class Schedule:
         return 0 < since < RECOVERY and since < step and step - since < self.at(stop)
 
     def disturbs(self, step: int, *, start: int, stop: int, interval: int) -> bool:
-        """Whether colour sabotage and normal propagation, every `interval` in (start, stop], fall on `step`."""
+        """Whether color sabotage and normal propagation, every `interval` in (start, stop], fall on `step`."""
         in_time = self.at(start) < step <= self.at(stop)
         return in_time and self._falls_on(step, interval, DISTURB_FLOOR)
 

@@ -14,7 +14,7 @@ class GaussianSettings:
 
     backend: str = "auto"  # of the core: auto, cpu, cuda, torch
     near: float = 0.2  # hits nearer to the camera are not drawn, world units
-    sh_degree: int = 2  # of the view-dependent colour, 0 to 3
+    sh_degree: int = 2  # of the view-dependent color, 0 to 3
     sh_every: int = 0  # steps after which another SH degree is added; 0: all from the start
 
     position_lr: float = 1.6e-4  # × scene radius, at the start; log-linear to
@@ -29,7 +29,7 @@ class GaussianSettings:
     densify_from: int = 500
     densify_until: int = 15_000
     densify_every: int = 100
-    densify_threshold: float = 2e-4  # gradient of the projected centre, in half images
+    densify_threshold: float = 2e-4  # gradient of the projected center, in half images
     min_coverage: float = 1.0  # pixels that a primitive must fill, on average over its views, to be cloned or split
     min_views: float = 3.0  # steps since the last densification that must have shown it for that, by its weights
     min_opacity: float = 0.05  # pruned below

@@ -13,7 +13,7 @@ from .reflection import ReflectionSettings, ReflectiveMethod
 
 
 class TracedReflection(ReflectiveMethod):
-    """A reflective method whose reflected colour is traced through one of its own sets (paper, Sec. 4.2)."""
+    """A reflective method whose reflected color is traced through one of its own sets (paper, Sec. 4.2)."""
 
     traced: ClassVar[str]  # the set that reflected rays meet
 

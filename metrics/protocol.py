@@ -5,7 +5,7 @@
 | prediction | floats as rendered | 8 bits, rounded | 8 bits, rounded | 8 bits, truncated |
 | SSIM's border | zero padding | valid interior | zero padding | valid interior |
 | LPIPS-VGG's input | [0, 1] | [−1, 1] | [0, 1] | [−1, 1] |
-| masked | composited on white | normalised by the mask | composited on white | composited on white |
+| masked | composited on white | normalized by the mask | composited on white | composited on white |
 
 `inria` follows the metrics.py of 3D Gaussian Splatting, which reads the PNGs that its render.py wrote; `nerfbaselines`
 follows NerfBaselines' protocol "nerf" (its LPIPS of the default protocol is AlexNet's, which is not offered here).
@@ -38,7 +38,7 @@ _IN_WORDS = {
     "zero": "zero padding",
     "valid": "on the valid interior",
     "white": "masked metrics of the region composited on white",
-    "normalised": "masked metrics normalised by the mask",
+    "normalized": "masked metrics normalized by the mask",
 }
 
 
@@ -50,7 +50,7 @@ class Protocol:
     quantization: str  # of the prediction: "none", "round" or "truncate" to 8 bits; the last two clamp first
     ssim_padding: str  # "zero" or "valid"
     lpips_input: str  # "[0, 1]" or "[-1, 1]"
-    masking: str  # "white": composite, then score the whole image; "normalised": average over the mask
+    masking: str  # "white": composite, then score the whole image; "normalized": average over the mask
 
     @property
     def hash(self) -> str:
@@ -133,7 +133,7 @@ PROTOCOLS = {
     name: Protocol(name, quantization, ssim_padding, lpips_input, masking)
     for name, quantization, ssim_padding, lpips_input, masking in (
         ("envgs", "none", "zero", "[0, 1]", "white"),
-        ("strict", "round", "valid", "[-1, 1]", "normalised"),
+        ("strict", "round", "valid", "[-1, 1]", "normalized"),
         ("inria", "round", "zero", "[0, 1]", "white"),
         ("nerfbaselines", "truncate", "valid", "[-1, 1]", "white"),
     )

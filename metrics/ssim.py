@@ -13,10 +13,10 @@ def ssim(prediction: Tensor, target: Tensor, padding: str, mask: Tensor | None =
     Args:
         prediction, target: [H, W, 3] in [0, 1].
         padding: "zero" or "valid", see `ssim_map`.
-        mask: [H, W] bool; the map is averaged where the mask holds the window's centre. Windows reach beyond the mask.
+        mask: [H, W] bool; the map is averaged where the mask holds the window's center. Windows reach beyond the mask.
 
     Returns:
-        A value in [−1, 1]; None where the mask holds no window's centre.
+        A value in [−1, 1]; None where the mask holds no window's center.
     """
     similarity = ssim_map(prediction.double(), target.double(), padding)
     if mask is None:

@@ -6,17 +6,17 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from .error_maps import draw_error_maps
-from .latex import latex
-from .markdown import markdown
+from .charts.pareto_chart import draw_charts
+from .numbers.runs import BrokenRecord, read_runs
 from .outputs import files_below, forget, remember
-from .page import write_page
-from .pareto_chart import draw_charts
-from .pictures import Gallery, copy_pictures, galleries, slug
-from .runs import BrokenRecord, read_runs
-from .sections import Section, split_sections
-from .sheets import draw_sheets
-from .structured import structured
+from .page.page import write_page
+from .pictures.error_maps import draw_error_maps
+from .pictures.gallery import Gallery, copy_pictures, galleries, slug
+from .pictures.sheets import draw_sheets
+from .tables.latex import latex
+from .tables.markdown import markdown
+from .tables.sections import Section, split_sections
+from .tables.structured import structured
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,9 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
 import pytest
+from backends import EMULATED, usable
 from core_scenes import Backend
 from cuda_emulator.emulator import emulated, find_compiler
-
-EMULATED = pytest.param("emulated", marks=pytest.mark.slow)  # the CUDA backend's kernels, without a GPU
 
 
 @pytest.fixture
@@ -20,17 +19,6 @@ def emulate(request: pytest.FixtureRequest) -> Iterator[Callable[[str], Backend]
     builds = request.config.cache.mkdir("cuda_emulator")
     with ExitStack() as stack:
         yield lambda order: stack.enter_context(emulated(builds, order))
-
-
-def usable(request: pytest.FixtureRequest) -> Backend:
-    """The backend that a fixture's parameter names, or a skip that says why it does not work here."""
-    if request.param == "emulated":
-        return request.getfixturevalue("emulate")("shuffled")
-    backend = Backend.named(request.param)
-    reason = backend.why_unavailable()
-    if reason:
-        pytest.skip(f"backend {request.param}: {reason}")
-    return backend
 
 
 @pytest.fixture(params=["cpu", "cuda", "torch", EMULATED])

@@ -13,7 +13,7 @@ from plyfile import PlyData, PlyElement
 from envgs_bench.core import Camera, Scene, View
 
 from ..blender import POINTS
-from ..frames import OPENGL_TO_OPENCV
+from ..formats.transforms_json import OPENGL_TO_OPENCV
 from ..settings import DatasetError
 from .files import ViewFiles, write_views
 
@@ -75,7 +75,7 @@ def _angle(camera: Camera) -> float | None:
 
 
 def _write_points(path: Path, scene: Scene) -> None:
-    """Positions as float32; colours as bytes where that loses nothing, as floats otherwise."""
+    """Positions as float32; colors as bytes where that loses nothing, as floats otherwise."""
     points, colors = scene.points.float().numpy(), scene.point_colors.float().numpy()
     as_bytes = np.round(255 * colors.astype(np.float64)).astype(np.uint8)
     if np.array_equal((as_bytes / 255).astype(np.float32), colors):

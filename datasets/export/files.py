@@ -13,7 +13,7 @@ from torch import Tensor
 
 from envgs_bench.core import View
 
-from ..progress import mapped
+from ..store.progress import mapped
 
 
 @dataclass(frozen=True)

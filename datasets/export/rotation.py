@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 Floats = NDArray[np.float64]
 
-ROUNDS = 3  # each solves a linearised problem; the second already moves by rounding errors only
+ROUNDS = 3  # each solves a linearized problem; the second already moves by rounding errors only
 UNIT = 2.0**-24  # half the spacing of float32 just below 1: the solver's unit of length
 
 
@@ -37,7 +37,7 @@ def exact_rotation(matrix: NDArray[np.float32]) -> Floats:
 
 
 def _best_turn(rotation: Floats, target: Floats, matrix: NDArray[np.float32]) -> Floats:
-    """The rotation vector ω [3] of the linear programme."""
+    """The rotation vector ω [3] of the linear program."""
     # column k of `change` is what a turn about axis k does to the nine elements
     change = np.stack([(np.cross(axis, rotation.T).T).reshape(-1) for axis in np.eye(3)], axis=1)
     missing = (target - rotation).reshape(-1)

@@ -11,7 +11,7 @@ Array = NDArray[np.floating[Any]]
 
 
 def fresnel(cosine: Array, ratio: Array) -> Array:
-    """Share of unpolarised light that is reflected, [R] in [0, 1]; 1 where it is reflected totally.
+    """Share of unpolarized light that is reflected, [R] in [0, 1]; 1 where it is reflected totally.
 
     Args:
         cosine: [R] between the ray and the normal that faces it, in [0, 1].

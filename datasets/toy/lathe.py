@@ -15,7 +15,7 @@ class Lathe:
     """A cubic spline through (radius, height) points, from v = 0 to v = 1, turned about +z through `base`.
 
     Normals point to the left of the way along the profile, radius drawn to the right and height up: on a profile that
-    runs from the top middle outwards and down they point outwards.
+    runs from the top middle outward and down they point outward.
     """
 
     base: tuple[float, float, float]

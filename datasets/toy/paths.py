@@ -37,7 +37,7 @@ def radiance(world: World, origins: Array, directions: Array, rng: np.random.Gen
 
     At a surface of reflectance k it is (1 − k)·diffuse + k·(radiance of the reflected ray); at a clear solid
     F·(radiance of the reflected ray) + (1 − F)·(radiance of the refracted ray), F by Fresnel's equations. The last
-    mirror on a path shows its diffuse colour alone, the last glass is black.
+    mirror on a path shows its diffuse color alone, the last glass is black.
     """
     color = np.zeros((len(origins), 3))
     rays = Rays(np.arange(len(origins)), np.ones(len(origins), dtype=np.float32), origins, directions)

@@ -21,10 +21,10 @@ VISIBILITY = 0.02  # relative depth difference up to which a point counts as see
 
 
 def sfm_points(views: list[View], noise: float, far_points: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Points [P, 3], world frame, and their colours [P, 3] in [0, 1], sRGB.
+    """Points [P, 3], world frame, and their colors [P, 3] in [0, 1], sRGB.
 
     Most lie on surfaces without reflection, drawn where the pictures have strong gradients, kept if another view sees
-    them too, coloured by the mean over the views that do, and displaced by Gaussian noise of standard deviation
+    them too, colored by the mean over the views that do, and displaced by Gaussian noise of standard deviation
     `noise` (world units). The rest is what real reconstructions also hold: ghosts behind mirrors, and `far_points`
     on the sky, matched at whatever distance; and what little is fixed to a mirror, its dust and smudges.
     """
@@ -50,7 +50,7 @@ def _shares(total: int, parts: int) -> list[int]:
 
 
 def _on_surfaces(view: View, count: int, rng: np.random.Generator) -> Array:
-    """Points at pixel centres of matt surfaces, the likelier the stronger the picture's gradient."""
+    """Points at pixel centers of matt surfaces, the likelier the stronger the picture's gradient."""
     picture = view.image.double().numpy().mean(-1) / 255
     gradient = np.hypot(*np.gradient(picture))
     likelihood = np.where(_matt(view), gradient.reshape(-1) + 0.005, 0.0)
@@ -62,7 +62,7 @@ def _on_surfaces(view: View, count: int, rng: np.random.Generator) -> Array:
 
 
 def _on_mirrors(view: View, count: int, behind: float, noise: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Points on mirrors or up to `behind` world units behind them on the line of sight, in the pictures' colours."""
+    """Points on mirrors or up to `behind` world units behind them on the line of sight, in the pictures' colors."""
     pixels = np.flatnonzero(view.masks["reflective"].numpy())
     chosen = rng.choice(pixels, min(count, pixels.size), replace=False)
     points = _unprojected(view, chosen, _depth(view)[chosen] + behind * rng.uniform(size=chosen.size))
@@ -78,7 +78,7 @@ def _far(view: View, count: int, rng: np.random.Generator) -> tuple[Array, Array
 
 
 def _mean_colors(points: Array, views: list[View]) -> tuple[Array, Array]:
-    """Mean colour [P, 3] over the views that see each point, and how many do, [P]."""
+    """Mean color [P, 3] over the views that see each point, and how many do, [P]."""
     total, seen_by = np.zeros_like(points), np.zeros(len(points))
     for view in views:
         pixels, depth = (values.numpy() for values in view.camera.project(torch.from_numpy(points).float()))

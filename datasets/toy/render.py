@@ -19,7 +19,7 @@ Array = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class Geometry:
-    """What the rays through the pixel centres meet first."""
+    """What the rays through the pixel centers meet first."""
 
     depth: Array  # [H, W] camera-frame z; 0 where nothing is hit
     normal: Array  # [H, W, 3] world frame, unit, facing the camera; 0 where nothing is hit
@@ -47,7 +47,7 @@ def picture(world: World, camera: Camera, supersampling: int, rng: np.random.Gen
 
 
 def geometry(world: World, camera: Camera) -> Geometry:
-    """Depth, normals and regions at the pixel centres, without any averaging."""
+    """Depth, normals and regions at the pixel centers, without any averaging."""
     origin, to_direction = _frame(camera)
     y, x = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
     pixels = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
@@ -73,7 +73,7 @@ def _transformed(vectors: NDArray[np.float64], matrix: NDArray[np.float64]) -> A
 
 
 def _frame(camera: Camera) -> tuple[Array, NDArray[np.float64]]:
-    """The camera's centre [3], and the [3, 3] matrix from (x, y, 1) to world directions of camera z = 1."""
+    """The camera's center [3], and the [3, 3] matrix from (x, y, 1) to world directions of camera z = 1."""
     pose, intrinsics = camera.world_to_camera.double().numpy(), camera.intrinsics.double().numpy()
-    centre = -pose[:3, :3].T @ pose[:3, 3]
-    return centre.astype(np.float32), pose[:3, :3].T @ np.linalg.inv(intrinsics)
+    center = -pose[:3, :3].T @ pose[:3, 3]
+    return center.astype(np.float32), pose[:3, :3].T @ np.linalg.inv(intrinsics)

@@ -78,9 +78,9 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class Sphere:
-    """Around `centre`; v = 0 is the pole at +z. `top` < 1 leaves out what lies below latitude 90° − 180°·top."""
+    """Around `center`; v = 0 is the pole at +z. `top` < 1 leaves out what lies below latitude 90° − 180°·top."""
 
-    centre: tuple[float, float, float]
+    center: tuple[float, float, float]
     radius: float
     top: float = 1.0
 
@@ -96,7 +96,7 @@ class Sphere:
         longitude, colatitude = 2 * np.pi * u, np.pi * self.top * v
         flat = np.sin(colatitude)
         normals = np.stack([flat * np.cos(longitude), flat * np.sin(longitude), np.cos(colatitude)], axis=-1)
-        return np.array(self.centre) + self.radius * normals, normals
+        return np.array(self.center) + self.radius * normals, normals
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class Cone:
 class Disc:
     """A horizontal ring facing +z, between two radii; v = 0 is its inner edge."""
 
-    centre: tuple[float, float, float]
+    center: tuple[float, float, float]
     radius: float
     inner: float = 0.0
 
@@ -148,14 +148,14 @@ class Disc:
     def evaluate(self, u: Array, v: Array) -> tuple[Array, Array]:
         angle, radius = 2 * np.pi * u, self.inner + v * (self.radius - self.inner)
         offset = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros_like(angle)], axis=-1)
-        return np.array(self.centre) + offset, np.broadcast_to([0.0, 0.0, 1.0], offset.shape)
+        return np.array(self.center) + offset, np.broadcast_to([0.0, 0.0, 1.0], offset.shape)
 
 
 @dataclass(frozen=True)
 class Torus:
-    """A ring of radius `ring` around the axis +z through `centre`, its tube of radius `tube`."""
+    """A ring of radius `ring` around the axis +z through `center`, its tube of radius `tube`."""
 
-    centre: tuple[float, float, float]
+    center: tuple[float, float, float]
     ring: float
     tube: float
 
@@ -172,13 +172,13 @@ class Torus:
         flat = np.sin(across)
         normals = np.stack([flat * np.cos(around), flat * np.sin(around), np.cos(across)], axis=-1)
         axis = np.stack([np.cos(around), np.sin(around), np.zeros_like(around)], axis=-1)
-        return np.array(self.centre) + self.ring * axis + self.tube * normals, normals
+        return np.array(self.center) + self.ring * axis + self.tube * normals, normals
 
 
 def box(base: tuple[float, float, float], size: tuple[float, float, float], turn_degrees: float) -> list[Rectangle]:
     """Five faces of a box that stands on its bottom: four sides, then the top, turned about its own vertical axis.
 
-    `base` is the centre of its bottom, `size` its lengths along x, y and z before the turn.
+    `base` is the center of its bottom, `size` its lengths along x, y and z before the turn.
     """
     angle = np.radians(turn_degrees)
     x_axis = np.array([np.cos(angle), np.sin(angle), 0.0])

@@ -13,10 +13,10 @@ from pydantic import Field
 
 from envgs_bench.core import Camera, Scene, View
 
-from ..cache import cached_scene
-from ..progress import mapped
 from ..settings import SourceSettings, parse_settings
 from ..split import split_views
+from ..store.cache import cached_scene
+from ..store.progress import mapped
 from .cameras import cameras_around
 from .lighting import bake
 from .normal_noise import noisy_normals
@@ -45,7 +45,7 @@ class ToySettings(SourceSettings):
     width: Annotated[int, Field(ge=8)] = 160  # pixels
     height: Annotated[int, Field(ge=8)] = 120
     views: Annotated[int, Field(ge=2)] = 48  # training and test views together
-    noise: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.01  # of the points, standard deviation in metres
+    noise: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.01  # of the points, standard deviation in meters
     normal_noise: Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)] = 0.0  # of training views, mean, degrees
     seed: Annotated[int, Field(ge=0)] = 0  # of textures, sky, light, pixels, points and normals
     supersampling: Annotated[int, Field(ge=1)] = 3  # rays along each side of a pixel
@@ -83,7 +83,7 @@ def _make(choice: ToySettings, name: str) -> Scene:
     points, colors = sfm_points(train, choice.noise, description.far_points, for_points)
     if choice.normal_noise:
         train = [_with_estimated_normals(view, choice.normal_noise, for_normals) for view in train]
-    as_bytes = np.round(255 * colors) / 255  # a point's colour has 8 bits wherever structure from motion stores it
+    as_bytes = np.round(255 * colors) / 255  # a point's color has 8 bits wherever structure from motion stores it
     return Scene(name, train, test, torch.from_numpy(points).float(), torch.from_numpy(as_bytes).float())
 
 

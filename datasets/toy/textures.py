@@ -30,14 +30,14 @@ VIVID = (VERMILION, MUSTARD, TEAL, SKY, GREEN, PLUM, CREAM, INK)
 
 
 def grid(width: float, height: float) -> tuple[Array, Array]:
-    """x to the right and y down, in world units, at the texel centres of a width × height picture: [H, W] each."""
+    """x to the right and y down, in world units, at the texel centers of a width × height picture: [H, W] each."""
     columns, rows = max(1, round(width * PER_METRE)), max(1, round(height * PER_METRE))
     y, x = np.meshgrid((np.arange(rows) + 0.5) / PER_METRE, (np.arange(columns) + 0.5) / PER_METRE, indexing="ij")
     return x, y
 
 
 def paint(picture: Array, where: NDArray[np.bool_], color: Color | Array) -> None:
-    """Colours the texels inside the [H, W] bool mask."""
+    """Colors the texels inside the [H, W] bool mask."""
     picture[where] = color
 
 
@@ -46,7 +46,7 @@ def plain(x: Array, color: Color) -> Array:
 
 
 def choose(index: NDArray[np.int64], palette: tuple[Color, ...]) -> Array:
-    """The palette's colour for each integer of [H, W], repeating."""
+    """The palette's color for each integer of [H, W], repeating."""
     return np.array(palette)[index % len(palette)]
 
 
@@ -77,7 +77,7 @@ def linear_weights(positions: Array, count: int, wrap: bool = False) -> Array:
 
 
 def weathered(picture: Array, rng: np.random.Generator, amount: float = 0.12) -> Array:
-    """The picture with grain and stains, which give even a plain colour something to match."""
+    """The picture with grain and stains, which give even a plain color something to match."""
     stain = noise(picture.shape[:2], 0.5 * PER_METRE, rng, octaves=5)
     grain = rng.uniform(-0.2, 0.2, picture.shape[:2])
     return np.clip(picture * (1 + amount * (stain + grain))[..., None], 0, 1)
@@ -94,18 +94,18 @@ def stripes(x: Array, y: Array, angle_degrees: float, period: float, palette: tu
 
 
 def harlequin(x: Array, y: Array, width: float, height: float, palette: tuple[Color, ...]) -> Array:
-    """Diamonds, `width` by `height` each; takes three colours or more."""
+    """Diamonds, `width` by `height` each; takes three colors or more."""
     a, b = x / width + y / height, x / width - y / height
     return choose(np.floor(a).astype(np.int64) + 2 * np.floor(b).astype(np.int64), palette)
 
 
-def rings(x: Array, y: Array, centre: tuple[float, float], period: float, palette: tuple[Color, ...]) -> Array:
-    radius = np.hypot(x - centre[0], y - centre[1])
+def rings(x: Array, y: Array, center: tuple[float, float], period: float, palette: tuple[Color, ...]) -> Array:
+    radius = np.hypot(x - center[0], y - center[1])
     return choose(np.floor(radius / period).astype(np.int64), palette)
 
 
-def sunburst(x: Array, y: Array, centre: tuple[float, float], rays: int, palette: tuple[Color, ...]) -> Array:
-    angle = np.arctan2(y - centre[1], x - centre[0]) / (2 * np.pi)
+def sunburst(x: Array, y: Array, center: tuple[float, float], rays: int, palette: tuple[Color, ...]) -> Array:
+    angle = np.arctan2(y - center[1], x - center[0]) / (2 * np.pi)
     return choose(np.floor(angle * rays).astype(np.int64), palette)
 
 
@@ -131,9 +131,9 @@ def planks(x: Array, y: Array, width: float, rng: np.random.Generator) -> Array:
     row = np.floor(y / width).astype(np.int64)
     shade = rng.uniform(0.7, 1.25, row.max() + 1)[row]
     grain = noise(x.shape, 0.12 * PER_METRE, rng, octaves=3)
-    fibres = np.sin(2 * np.pi * (y / width * 6 + 0.8 * grain))
+    fibers = np.sin(2 * np.pi * (y / width * 6 + 0.8 * grain))
     seam = np.where(np.abs(y / width - row - 0.5) > 0.47, 0.45, 1.0)
-    return np.clip(np.array(OAK) * (shade * seam * (1 + 0.14 * fibres))[..., None], 0, 1)
+    return np.clip(np.array(OAK) * (shade * seam * (1 + 0.14 * fibers))[..., None], 0, 1)
 
 
 def glyphs(x: Array, y: Array, size: float, ink: tuple[Color, ...], paper: Color, rng: np.random.Generator) -> Array:

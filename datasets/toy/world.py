@@ -31,7 +31,7 @@ class Part:
     reflectance: float = 0.0  # share of the light that is reflected, in [0, 1]
     roughness: float = 0.0  # of the reflecting microfacets (GGX, alpha = roughness²); 0 is a mirror
     ior: float = 0.0  # index of refraction of the clear solid behind; 0: opaque
-    emission: float = 0.0  # radiance added to the diffuse colour, in units of the albedo
+    emission: float = 0.0  # radiance added to the diffuse color, in units of the albedo
 
 
 @dataclass(frozen=True)

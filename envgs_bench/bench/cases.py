@@ -10,7 +10,8 @@ from itertools import product
 import torch
 from torch import Tensor
 
-from ..core import GaussianSet, Rendering, build_bvh, rasterize, trace
+from envgs_bench.core import GaussianSet, Rendering, build_bvh, rasterize, trace
+
 from .frame import envgs_work
 from .peers import PEERS, PeerImage, peer_drawing
 from .room import reflected_rays, room_camera, room_gaussians

@@ -27,7 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from rich.console import Console
     from rich.progress import track
 
-    from ..core import available_backends
+    from envgs_bench.core import available_backends
+
     from .cases import chosen_cases, peer_cases, sweep_cases, time_case
     from .peers import why_unavailable
     from .table import ratios, table

@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ..core import Rendering, View
-from ..methods.envgs import EnvGS, EnvGSSettings
-from ..methods.schedule import Schedule
+from envgs_bench.core import Rendering, View
+from envgs_bench.methods.envgs import EnvGS, EnvGSSettings
+from envgs_bench.methods.schedule import Schedule
+
 from .room import EYE, TARGET, room_camera, room_gaussians
 
 BASE_SHARE = 5  # base surfels for each of the environment's, as in the paper's scenes

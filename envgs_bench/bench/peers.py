@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from torch import Tensor
 from torch.nn.functional import pad
 
-from ..core import Camera, GaussianSet
+from envgs_bench.core import Camera, GaussianSet
 
 PEERS = ("gsplat",)
 NEAR = 0.2
@@ -16,7 +16,7 @@ NEAR = 0.2
 
 @dataclass
 class PeerImage:
-    """What a peer draws in its cheapest mode that yields a colour; None for what that mode leaves out."""
+    """What a peer draws in its cheapest mode that yields a color; None for what that mode leaves out."""
 
     color: Tensor  # [H, W, 3]
     alpha: Tensor  # [H, W]

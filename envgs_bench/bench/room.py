@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ..core import Camera, GaussianSet
+from envgs_bench.core import Camera, GaussianSet
 
 LOWER, UPPER = torch.tensor([-4.0, 0.0, -4.0]), torch.tensor([4.0, 4.0, 4.0])  # the room, y up
 BALLS = torch.tensor(  # x, y, z, radius

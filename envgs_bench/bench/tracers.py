@@ -12,7 +12,8 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
-from ..core import Camera, GaussianSet, available_backends, build_bvh, rasterize, trace
+from envgs_bench.core import Camera, GaussianSet, available_backends, build_bvh, rasterize, trace
+
 from .arguments import positive, size
 from .room import reflected_rays, room_gaussians
 from .stopwatch import time_work
@@ -20,14 +21,14 @@ from .stopwatch import time_work
 DESCRIPTION = """\
 Time one frame of reflected rays through a room of surfels, without gradients: by the tracer; by testing every ray
 against every surfel in PyTorch; and by rasterizing a picture of one pixel for each ray. The slow ways draw a sample of
-the frame's rays, evenly spread, and their time is scaled to all of them. The first two draw the same colours; a
-rasterizer blends in the order of centres, not of hits, and so differs where surfels overlap.
+the frame's rays, evenly spread, and their time is scaled to all of them. The first two draw the same colors; a
+rasterizer blends in the order of centers, not of hits, and so differs where surfels overlap.
 """
 WAYS = ("tracer", "PyTorch", "1×1 rasterizer")
 NEAR = 1e-3  # world units: rays start 0.02 off their surface
 SECONDS_PER_WAY = 60.0
 
-Draw = Callable[[Tensor, Tensor], Tensor]  # origins and directions [R, 3] to colours [R, 3]
+Draw = Callable[[Tensor, Tensor], Tensor]  # origins and directions [R, 3] to colors [R, 3]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -38,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"envgs-bench bench tracers: backend {options.backend!r} does not work here: {reason}", file=sys.stderr)
         return 1
     table = Table(title=f"{options.primitives:,} surfels, {options.size[0]}×{options.size[1]}, {options.backend}")
-    for name in ("way", "seconds a frame", "frames a second", "rays timed", "mean colour difference"):
+    for name in ("way", "seconds a frame", "frames a second", "rays timed", "mean color difference"):
         table.add_column(name, justify="left" if name == "way" else "right")
     for row in compare(options.primitives, options.size, options.backend, options.rays):
         seconds = row["seconds"]
@@ -50,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 @torch.no_grad()
 def compare(primitives: int, frame: tuple[int, int], backend: str, rays: int) -> list[dict]:
-    """Seconds that each of `WAYS` takes for a frame (width, height), and its mean distance from the tracer's colours.
+    """Seconds that each of `WAYS` takes for a frame (width, height), and its mean distance from the tracer's colors.
 
     Args:
         backend: of the tracer and the rasterizer, "cpu" or "cuda"; PyTorch works on the same device.

@@ -1,4 +1,4 @@
-"""Camera: a pinhole view, OpenCV axes (x right, y down, z forward), pixel centres at +0.5."""
+"""Camera: a pinhole view, OpenCV axes (x right, y down, z forward), pixel centers at +0.5."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Camera:
     """A pinhole camera with full intrinsics.
 
     A world point p is seen at pixel (x, y) = (h₀/h₂, h₁/h₂) with h = K·(R·p + t), where [R|t] are the first three rows
-    of `world_to_camera`; the centre of the pixel in column c and row r is (c + 0.5, r + 0.5).
+    of `world_to_camera`; the center of the pixel in column c and row r is (c + 0.5, r + 0.5).
 
     Raises:
         ValueError: a shape is wrong, a value not finite, the size not positive, the rotation not a rotation,
@@ -50,8 +50,8 @@ class Camera:
         return self.world_to_camera.device
 
     @property
-    def centre(self) -> Tensor:
-        """The camera's centre in the world frame, [3]."""
+    def center(self) -> Tensor:
+        """The camera's center in the world frame, [3]."""
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
 
     def pixel_to_direction(self) -> Tensor:
@@ -60,7 +60,7 @@ class Camera:
         return (self.world_to_camera[:3, :3].double().T @ inverse).to(self.intrinsics.dtype)
 
     def rays(self) -> tuple[Tensor, Tensor]:
-        """Origins and directions of the rays through all pixel centres, each [H, W, 3], world frame.
+        """Origins and directions of the rays through all pixel centers, each [H, W, 3], world frame.
 
         Directions have camera z = 1 and not unit length, so the distance t along a ray is the camera-frame depth.
         """
@@ -70,7 +70,7 @@ class Camera:
         rows, columns = torch.meshgrid(y, x, indexing="ij")
         pixels = torch.stack([columns, rows, torch.ones_like(rows)], dim=-1)
         directions = pixels @ self.pixel_to_direction().T
-        return self.centre.expand_as(directions), directions
+        return self.center.expand_as(directions), directions
 
     def project(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Pixel positions [..., 2] and camera-frame depths [...] of world points [..., 3]."""

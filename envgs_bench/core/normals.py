@@ -20,7 +20,7 @@ def depth_normals(depth: Tensor, camera: Camera, *, backend: str = "auto") -> Te
         backend: "auto" (by device) or a name, as for `trace`.
 
     Returns:
-        [H, W, 3] unit normals, world frame, facing the camera; 0 on the border and wherever one of the four neighbours
+        [H, W, 3] unit normals, world frame, facing the camera; 0 on the border and wherever one of the four neighbors
         has no depth.
 
     Raises:
@@ -31,7 +31,7 @@ def depth_normals(depth: Tensor, camera: Camera, *, backend: str = "auto") -> Te
     module = load_backend(backend, depth.device, depth.dtype)
     if hasattr(module, "depth_normals"):
         return module.depth_normals(depth, camera)
-    points = depth[..., None] * camera.rays()[1]  # relative to the camera's centre, which differences do not see
+    points = depth[..., None] * camera.rays()[1]  # relative to the camera's center, which differences do not see
     down = points[2:, 1:-1] - points[:-2, 1:-1]
     right = points[1:-1, 2:] - points[1:-1, :-2]
     hit = depth.detach() > 0

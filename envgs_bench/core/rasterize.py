@@ -23,15 +23,15 @@ def rasterize(
 ) -> Rendering:
     """Draw surfels or 3D Gaussians as `camera` sees them, differentiable in every field of the set.
 
-    Primitives are blended in the order of their centres' camera-frame depth (ties by index). Colour is the primitive's
-    SH towards its centre. A surfel is met where the pixel's ray crosses its plane (2D Gaussian Splatting, exact); a 3D
-    Gaussian is projected with the local affine approximation (EWA, 3D Gaussian Splatting), its depth is its centre's
+    Primitives are blended in the order of their centers' camera-frame depth (ties by index). Color is the primitive's
+    SH toward its center. A surfel is met where the pixel's ray crosses its plane (2D Gaussian Splatting, exact); a 3D
+    Gaussian is projected with the local affine approximation (EWA, 3D Gaussian Splatting), its depth is its center's
     and its normal its shortest axis.
 
     Args:
         gaussians: N primitives, world frame.
         camera: the view, on the same device.
-        background: [3] colour behind everything, in [0, 1]; black where None. Receives no gradient.
+        background: [3] color behind everything, in [0, 1]; black where None. Receives no gradient.
         near: hits nearer than this camera-frame depth are not drawn, world units.
         low_pass: anti-aliasing as in the originals: a surfel's squared distance is the smaller of its own and of a
             screen-space Gaussian of √2/2 px; a 3D Gaussian's projected covariance grows by 0.3 px².

@@ -22,7 +22,7 @@ def reflect(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """A ray a pixel, the camera's mirrored at the pixel's surface (EnvGS paper, Eqs. 3 and 4).
 
-    d_ref = d − 2(d·n)n of the unit camera ray d at the normalised blended normal n, from the camera ray's point at the
+    d_ref = d − 2(d·n)n of the unit camera ray d at the normalized blended normal n, from the camera ray's point at the
     expected depth, moved by `offset` along n. Differentiable in the image's depth, normal and extras. A pixel that does
     not reflect has a ray without a direction: `trace` meets nothing with it, at no cost, so that nobody needs to know
     how many there are.
@@ -46,7 +46,7 @@ def reflect(
     reflects = (image.alpha > alpha_min) & (normal.square().sum(-1) > alpha_min**2) & (beta > beta_min)
     rays = camera.rays()[1]
     normal = unit(normal)
-    origins = torch.addcmul(camera.centre + offset * normal, depth[..., None], rays)
+    origins = torch.addcmul(camera.center + offset * normal, depth[..., None], rays)
     incoming = unit(rays)
     mirrored = incoming - 2 * (incoming * normal).sum(-1, keepdim=True) * normal
     return origins, torch.where(reflects[..., None], mirrored, 0.0), torch.where(reflects, beta, 0.0)

@@ -15,7 +15,7 @@ class Statistics:
 
     `position_gradients` is filled by the backward pass (None before): Σ over hits of t·∂L/∂mean, world frame, where t
     is the hit's distance along its ray. A methods' densification criterion is its norm times a constant: W/(2·f) gives
-    3DGS's gradient of the projected centre, ½ gives the EnvGS paper's (Sec. 5.1).
+    3DGS's gradient of the projected center, ½ gives the EnvGS paper's (Sec. 5.1).
     """
 
     weights: Tensor  # [N] Σ over hits of the blending weight T·α; > 0 where the primitive was seen
@@ -28,7 +28,7 @@ class Rendering:
 
     With weights wᵢ = αᵢ·Πⱼ<ᵢ(1 − αⱼ): color = Σ wᵢcᵢ + (1 − Σ wᵢ)·background; alpha = Σ wᵢ; depth = Σ wᵢtᵢ / Σ wᵢ
     (0 where nothing is hit), t along the ray, so camera-frame z for an image; normal = Σ wᵢnᵢ, world frame, each nᵢ
-    facing the ray's origin, the sum not normalised; extras = Σ wᵢeᵢ.
+    facing the ray's origin, the sum not normalized; extras = Σ wᵢeᵢ.
     """
 
     color: Tensor  # [..., 3]

@@ -41,6 +41,6 @@ class Scene:
 
     @property
     def radius(self) -> float:
-        """1.1 × the largest distance of a training camera from their mean centre (3DGS's scene scale), world units."""
-        centres = torch.stack([view.camera.centre for view in self.train])
-        return 1.1 * float((centres - centres.mean(0)).norm(dim=1).max())
+        """1.1 × the largest distance of a training camera from their mean center (3DGS's scene scale), world units."""
+        centers = torch.stack([view.camera.center for view in self.train])
+        return 1.1 * float((centers - centers.mean(0)).norm(dim=1).max())

@@ -45,12 +45,12 @@ def trace(
     Differentiable in every field of the set and in the rays' origins and directions. A ray is o + t·d, t > 0, and d
     need not have unit length: distances are in units of |d|. Where d is zero, nothing is met. Hits at equal t are
     blended in the order of their index. Tracing `camera.rays()` with t_min = near gives what
-    `rasterize(..., low_pass=False)` draws wherever hits and centres sort alike.
+    `rasterize(..., low_pass=False)` draws wherever hits and centers sort alike.
 
     Args:
         gaussians: N surfels, world frame.
         origins, directions: rays, world frame, any leading shape.
-        background: [3] colour behind everything, in [0, 1]; black where None. Receives no gradient.
+        background: [3] color behind everything, in [0, 1]; black where None. Receives no gradient.
         t_min: hits at smaller t are not drawn.
         transmittance_min: a ray ends with the hit that takes its transmittance below this.
         bvh: from `build_bvh` over the very same values; built here where None.

@@ -30,7 +30,7 @@ class Orbit:
 
 @dataclass(frozen=True)
 class Description:
-    """All there is to know of a toy scene. World units are metres, z is up."""
+    """All there is to know of a toy scene. World units are meters, z is up."""
 
     parts: list[Part]
     sky: Array  # [H, W, 3] linear radiance

@@ -1,4 +1,4 @@
-"""`glass`: clear solids, whose colour is refracted rather than reflected."""
+"""`glass`: clear solids, whose color is refracted rather than reflected."""
 
 from __future__ import annotations
 

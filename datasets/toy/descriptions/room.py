@@ -67,7 +67,7 @@ def _poster_wall(x: Array, y: Array, rng: np.random.Generator) -> Array:
 
 
 def _wave_wall(x: Array, y: Array, rng: np.random.Generator) -> Array:
-    """Wavy bands of colour under a line of writing."""
+    """Wavy bands of color under a line of writing."""
     colors = (tex.PLUM, tex.VERMILION, tex.CREAM, tex.MUSTARD, tex.GREEN, tex.INK, tex.SKY)
     height = y + 0.22 * np.sin(2 * np.pi * x / 2.0) + 0.06 * np.sin(2 * np.pi * x / 0.66)
     wall = tex.stripes(x, height, 90, 2.4, colors)
@@ -125,7 +125,7 @@ def blocks(which: tuple[Block, ...], rng: np.random.Generator) -> list[Part]:
 
 
 def drum(rng: np.random.Generator) -> list[Part]:
-    """A striped plinth in the middle, half a metre high."""
+    """A striped plinth in the middle, half a meter high."""
     x, y = tex.grid(2 * np.pi * 0.5, 0.5)
     side = tex.stripes(x, y, 60, 2 * np.pi * 0.5 / 6, (tex.INK, tex.CREAM, tex.VERMILION, tex.CREAM))
     x, y = tex.grid(2 * np.pi * 0.5, 0.5)

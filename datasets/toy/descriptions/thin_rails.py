@@ -16,11 +16,11 @@ from .room import walls
 SIDE, FOOT, TOP = 1.05, 0.1, 1.35
 TURN = 45  # degrees
 FENCE, HIGH = 0.92, 0.74  # from the middle to each side of the fence; height of its upper rail
-BARS = ((0.022, tex.MUSTARD), (0.010, tex.VERMILION), (0.014, tex.INK), (0.010, tex.CREAM))  # radius, colour; in turn
+BARS = ((0.022, tex.MUSTARD), (0.010, tex.VERMILION), (0.014, tex.INK), (0.010, tex.CREAM))  # radius, color; in turn
 
 
 def thin_rails(rng: np.random.Generator) -> Description:
-    """A mirrored pillar behind a fence of bars and wires one to four centimetres thick, with balls on the floor."""
+    """A mirrored pillar behind a fence of bars and wires one to four centimeters thick, with balls on the floor."""
     parts = [*walls(rng), *_pillar(rng), *_fence(rng), *_balls(rng)]
     return Description(parts, panorama(rng), Orbit((0, 0, 0.72), 2.25, 0.1, 1.25, 0.3, 64), far_points=12)
 

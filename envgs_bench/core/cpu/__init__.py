@@ -54,7 +54,7 @@ class _RasterPass:
             camera.world_to_camera.contiguous(),
             camera.intrinsics.contiguous(),
             camera.pixel_to_direction().contiguous(),
-            camera.centre.contiguous(),
+            camera.center.contiguous(),
             camera.width,
             camera.height,
             options.near,

@@ -54,11 +54,11 @@ Planes<const float> planes_of(const GradientPlanes& p) {
             data(std::get<4>(p))};
 }
 
-View view_of(const In& world_to_camera, const In& intrinsics, const In& pixel_to_direction, const In& centre, int width,
+View view_of(const In& world_to_camera, const In& intrinsics, const In& pixel_to_direction, const In& center, int width,
              int height, float near, bool low_pass) {
     const float* m = world_to_camera.data();
     return {{load3(m), load3(m + 4), load3(m + 8)}, {m[3], m[7], m[11]}, load_mat3(intrinsics.data()),
-            load_mat3(pixel_to_direction.data()), load3(centre.data()), width, height, near, low_pass};
+            load_mat3(pixel_to_direction.data()), load3(center.data()), width, height, near, low_pass};
 }
 
 }  // namespace
@@ -77,11 +77,11 @@ NB_MODULE(_native, m) {
             nb::gil_scoped_release unlocked;
             self.backward(planes_of(out), planes_of(gradient), gradients_of(result));
         });
-    m.def("raster_pass", [](const InSet& set, In world_to_camera, In intrinsics, In pixel_to_direction, In centre,
+    m.def("raster_pass", [](const InSet& set, In world_to_camera, In intrinsics, In pixel_to_direction, In center,
                             int width, int height, float near, bool low_pass, In background, float transmittance_min,
                             int threads) {
         bool surfels = std::get<2>(set).shape(1) == 2;
-        View view = view_of(world_to_camera, intrinsics, pixel_to_direction, centre, width, height, near, low_pass);
+        View view = view_of(world_to_camera, intrinsics, pixel_to_direction, center, width, height, near, low_pass);
         return make_raster_pass(gaussians_of(set), surfels, view, load3(background.data()), transmittance_min, threads);
     });
 

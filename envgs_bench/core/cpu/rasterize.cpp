@@ -147,7 +147,7 @@ void TileRasterizer<Kind>::prepare_primitives() {
             Drawn<Splat> d;
             typename Kind::Input input = Kind::input(g_, i);
             PixelBox box = prepare(view_, input, g_.opacities[i], d.splat);
-            // Columns whose centres c + 0.5 lie in the box; the comparison also drops boxes that are not finite.
+            // Columns whose centers c + 0.5 lie in the box; the comparison also drops boxes that are not finite.
             if (!(box.x1 >= 0.5f && box.y1 >= 0.5f && box.x0 <= view_.width - 0.5f && box.y0 <= view_.height - 0.5f &&
                   box.x0 <= box.x1))
                 continue;
@@ -157,7 +157,7 @@ void TileRasterizer<Kind>::prepare_primitives() {
             d.row1 = int(std::floor(std::min(box.y1, view_.height - 0.5f) - 0.5f));
             if (d.column0 > d.column1 || d.row0 > d.row1) continue;
             d.index = i;
-            d.color = color_at(g_, i, input.mean - view_.centre);
+            d.color = color_at(g_, i, input.mean - view_.center);
             d.normal = Kind::normal(input);
             found[worker].push_back(d);
         }
@@ -368,7 +368,7 @@ void TileRasterizer<Kind>::finish_primitive(int drawn, const std::vector<std::ve
     long i = p.index;
     typename Kind::Input input = Kind::input(g_, p.index);
     SplatGradient g = finish(view_, input, sum.geometry, sum.normal);
-    Vec3<float> through_color = color_backward_at(g_, p.index, input.mean - view_.centre, p.color, sum.color,
+    Vec3<float> through_color = color_backward_at(g_, p.index, input.mean - view_.center, p.color, sum.color,
                                                   result.sh + 3 * g_.sh_coefficients * i);
     store3(result.means + 3 * i, g.mean + through_color);
     store3(result.position_gradients + 3 * i, g.position_statistic);

@@ -21,7 +21,7 @@ struct TracePass::SurfelSums {
     SurfelMoments<float> moments;
     Vec3<float> normal;
     float opacity;
-    Vec3<float> color_direction;  // dL/dmean by way of the direction that the colour is seen from
+    Vec3<float> color_direction;  // dL/dmean by way of the direction that the color is seen from
 };
 
 struct TracePass::Worker {
@@ -117,7 +117,7 @@ void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<co
         PlaneHit<Float8> hit = intersect(frame, from_mean, d);
         Float8 alpha = response_alpha(opacity, hit.u * hit.u + hit.v * hit.v);
 
-        // Along the ray, hit after hit: colours, transmittance, dL/dα.
+        // Along the ray, hit after hit: colors, transmittance, dL/dα.
         alignas(32) float weight[kGroup] = {}, g_alpha[kGroup] = {};
         for (int lane = 0; lane < group; ++lane) {
             int i = hits[begin + lane];

@@ -1,5 +1,5 @@
-// Builds the tree: where the centres lie, keys along the curve, (a sort), surfels packed in that order with their
-// boxes, 32 neighbours at a time arranged into good leaves, and the levels above. Refitting to changed surfels repeats
+// Builds the tree: where the centers lie, keys along the curve, (a sort), surfels packed in that order with their
+// boxes, 32 neighbors at a time arranged into good leaves, and the levels above. Refitting to changed surfels repeats
 // only the last two, and keeps the leaves.
 #include "bvh.cuh"
 
@@ -7,7 +7,7 @@ using namespace envgs;
 
 // statistics: `low` preset to all ones, the rest to zero.
 extern "C" __global__ void __launch_bounds__(256)
-    centre_statistics(const float* means, int count, CentreStatistics* statistics) {
+    center_statistics(const float* means, int count, CenterStatistics* statistics) {
     float low[3], high[3], sum[3] = {}, squares[3] = {}, finite = 0.0f;
     for (int k = 0; k < 3; ++k) low[k] = kInfinity, high[k] = -kInfinity;
     for (int i = blockIdx.x * blockDim.x + threadIdx.x; i < count; i += gridDim.x * blockDim.x) {
@@ -20,7 +20,7 @@ extern "C" __global__ void __launch_bounds__(256)
             sum[k] += p[k], squares[k] += p[k] * p[k];
         }
     }
-    __shared__ CentreStatistics block;
+    __shared__ CenterStatistics block;
     for (int i = threadIdx.x; i < sizeof(block) / 4; i += blockDim.x) reinterpret_cast<u32*>(&block)[i] = i < 3 ? ~0u : 0;
     __syncthreads();
     for (int k = 0; k < 3; ++k) {
@@ -39,11 +39,11 @@ extern "C" __global__ void __launch_bounds__(256)
 }
 
 extern "C" __global__ void hilbert_keys(const float* means, const float* opacities, int count,
-                                        const CentreStatistics* statistics, u32* keys) {
+                                        const CenterStatistics* statistics, u32* keys) {
     int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i >= count) return;
     u32 cell[3];
-    Extent(*statistics).quantise(load3(means + 3l * i), 10, cell);
+    Extent(*statistics).quantize(load3(means + 3l * i), 10, cell);
     keys[i] = support_of(opacities[i]) > 0.0f ? hilbert_position(cell, 10) : 0xffffffffu;
 }
 
@@ -105,7 +105,7 @@ struct Scratch {
     int threads[32];
 };
 
-// Halves runs of `Lanes` boxes, a thread each: along that of four orders (the centres' coordinates, and size) whose
+// Halves runs of `Lanes` boxes, a thread each: along that of four orders (the centers' coordinates, and size) whose
 // halves have the least area together. `from` is the thread that a box came from; those from `present` on pad.
 template <int Lanes>
 __device__ __forceinline__ void halve(Box& box, int& from, int present, Scratch& scratch) {
@@ -136,7 +136,7 @@ __device__ __forceinline__ void halve(Box& box, int& from, int present, Scratch&
 }
 
 // order [count]: the primitives along the curve. A thread a surfel; further threads pad leaves and the two lowest levels.
-// Where `arrange` is set, each 32 neighbours in `order` are put in the order that makes good leaves.
+// Where `arrange` is set, each 32 neighbors in `order` are put in the order that makes good leaves.
 extern "C" __global__ void __launch_bounds__(256)
     pack_surfels(const float* means, const float* quaternions, const float* scales, const float* opacities, int count,
                  bool arrange, u32* order, float4* surfels, float2* boxes) {

@@ -1,4 +1,4 @@
-// The tree: surfels along a Hilbert curve through their centres, 4 to a leaf, and 32 boxes to a node. Children follow
+// The tree: surfels along a Hilbert curve through their centers, 4 to a leaf, and 32 boxes to a node. Children follow
 // from positions, so there are no pointers to build; a warp tests a node's 32 boxes at once, a thread each, from three
 // coalesced loads.
 #pragma once
@@ -61,19 +61,19 @@ struct Levels {
     __device__ int total() const { return offset[count]; }
 };
 
-// Where the centres are: least, largest, sum and sum of squares of each axis, how many; the extremes as sortable bits.
-struct CentreStatistics {
+// Where the centers are: least, largest, sum and sum of squares of each axis, how many; the extremes as sortable bits.
+struct CenterStatistics {
     u32 low[3], high[3];
     float sum[3], squares[3];
     float count;
 };
 
-// The box that positions are quantised in: three standard deviations about the centres' mean, so that a few stray
+// The box that positions are quantized in: three standard deviations about the centers' mean, so that a few stray
 // primitives do not take the curve's resolution from all others.
 struct Extent {
     Vec3<float> low, size;
 
-    ENVGS_FN explicit Extent(const CentreStatistics& s) {
+    ENVGS_FN explicit Extent(const CenterStatistics& s) {
         float l[3], h[3];
         for (int k = 0; k < 3; ++k) {
             float n = maximum(s.count, 1.0f), mean = s.sum[k] / n;
@@ -85,7 +85,7 @@ struct Extent {
         size = {maximum(h[0] - l[0], 1e-20f), maximum(h[1] - l[1], 1e-20f), maximum(h[2] - l[2], 1e-20f)};
     }
     // `point` as whole numbers below 2^bits, clamped.
-    ENVGS_FN void quantise(Vec3<float> point, int bits, u32 (&cell)[3]) const {
+    ENVGS_FN void quantize(Vec3<float> point, int bits, u32 (&cell)[3]) const {
         float cells = float(1 << bits);
         Vec3<float> p = point - low;
         cell[0] = u32(minimum(maximum(p.x / size.x * cells, 0.0f), cells - 1.0f));

@@ -41,7 +41,7 @@ class SurfelTree:
         if count == 0:
             return torch.empty(0, dtype=torch.int32, device=means.device)
         launch = self._kernels
-        launch("centre_statistics", min(blocks_for(count, 1024), 264), 256, means, count, self.statistics)
+        launch("center_statistics", min(blocks_for(count, 1024), 264), 256, means, count, self.statistics)
         keys = torch.empty(count, dtype=torch.int32, device=means.device)
         launch("hilbert_keys", blocks_for(count, 256), 256, means, opacities, count, self.statistics, keys)
         whole = torch.full((1,), count, dtype=torch.int32, device=means.device)

@@ -3,9 +3,9 @@
 
 using namespace envgs;
 
-// The surface around a pixel, by its four neighbours.
+// The surface around a pixel, by its four neighbors.
 struct Stencil {
-    Vec3<float> down, right;  // from the upper to the lower neighbour, from the left to the right one
+    Vec3<float> down, right;  // from the upper to the lower neighbor, from the left to the right one
     bool complete;            // inside the border, and all four have a depth
 
     __device__ Stencil(const View& view, const float* depth, int column, int row) {
@@ -33,7 +33,7 @@ extern "C" __global__ void __launch_bounds__(256)
     normals[i] = n.x, normals[pixels + i] = n.y, normals[2 * pixels + i] = n.z;
 }
 
-// From the gradient of `normals`, as planes too, to that of `depth`: a pixel is a neighbour in four stencils.
+// From the gradient of `normals`, as planes too, to that of `depth`: a pixel is a neighbor in four stencils.
 extern "C" __global__ void __launch_bounds__(256)
     differentiate_depth_normals(const View* view, const float* depth, const float* g_normals, float* g_depth) {
     int i = blockIdx.x * blockDim.x + threadIdx.x, pixels = view->width * view->height;
@@ -41,7 +41,7 @@ extern "C" __global__ void __launch_bounds__(256)
     int column = i % view->width, row = i / view->width;
     Vec3<float> g_point = {0.0f, 0.0f, 0.0f};
     for (int side = 0; side < 4; ++side) {
-        bool vertical = side < 2, ahead = side % 2;  // the stencil's centre lies behind this pixel, or ahead of it
+        bool vertical = side < 2, ahead = side % 2;  // the stencil's center lies behind this pixel, or ahead of it
         int step = ahead ? 1 : -1, x = vertical ? column : column + step, y = vertical ? row + step : row;
         Stencil stencil(*view, depth, x, y);
         if (!stencil.complete) continue;

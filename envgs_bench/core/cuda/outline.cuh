@@ -26,7 +26,7 @@ struct Columns {
 
 struct alignas(16) Outline {
     Ellipse ellipse;
-    float x, y, radius;  // the low-pass's disc about the projected centre; radius < 0 where there is none
+    float x, y, radius;  // the low-pass's disc about the projected center; radius < 0 where there is none
     PixelRect box;
 };
 
@@ -79,22 +79,22 @@ ENVGS_FN int count_tiles(const Outline& o) {
 }
 
 // The outline of the disc ρ ≤ r² of a surfel with semi-axes axis_u, axis_v: the dual conic of disc_box, inverted about
-// the projected centre. Unknown where the disc comes near the camera plane.
-ENVGS_FN Ellipse disc_ellipse(const View& view, const Projection& centre, Vec3<float> axis_u, Vec3<float> axis_v,
+// the projected center. Unknown where the disc comes near the camera plane.
+ENVGS_FN Ellipse disc_ellipse(const View& view, const Projection& center, Vec3<float> axis_u, Vec3<float> axis_v,
                               float r2) {
-    Vec3<float> hu = centre.world_to_pixel * axis_u, hv = centre.world_to_pixel * axis_v;
-    float zc = centre.in_camera.z;
+    Vec3<float> hu = center.world_to_pixel * axis_u, hv = center.world_to_pixel * axis_v;
+    float zc = center.in_camera.z;
     float reach2 = r2 * (hu.z * hu.z + hv.z * hv.z);
     if (!(zc - square_root(reach2) > 0.5f * view.near)) return {0.0f, 0.0f, 0.0f, 0.0f, -1.0f};
-    float ux = hu.x - centre.x * hu.z, uy = hu.y - centre.y * hu.z;
-    float vx = hv.x - centre.x * hv.z, vy = hv.y - centre.y * hv.z;
+    float ux = hu.x - center.x * hu.z, uy = hu.y - center.y * hu.z;
+    float vx = hv.x - center.x * hv.z, vy = hv.y - center.y * hv.z;
     float inverse = 1.0f / (reach2 - zc * zc);
     float x = r2 * (ux * hu.z + vx * hv.z) * inverse, y = r2 * (uy * hu.z + vy * hv.z) * inverse;
     // Grown by as much as disc_box grows the box, for the rounding of large discs.
     float xx = x * x - r2 * (ux * ux + vx * vx) * inverse, xy = x * y - r2 * (ux * uy + vx * vy) * inverse;
     float yy = y * y - r2 * (uy * uy + vy * vy) * inverse;
     constexpr float grown = 1.0004f;
-    return {centre.x + x, centre.y + y, grown * xx, grown * xy, grown * yy};
+    return {center.x + x, center.y + y, grown * xx, grown * xy, grown * yy};
 }
 
 }  // namespace envgs

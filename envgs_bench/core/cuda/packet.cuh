@@ -1,4 +1,4 @@
-// Finding the hits of a packet: a few neighbouring rays, one warp.
+// Finding the hits of a packet: a few neighboring rays, one warp.
 //
 // The rays walk the tree together, inside a shaft: along the axis that they advance most on, their positions on the
 // other two lie between straight lines. The warp holds a node's 32 boxes against the shaft at once, a thread each.

@@ -106,7 +106,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) radix_pass(const u32* key
         sorted[ranks[i]] = keys[i];
     }
     __syncthreads();
-    // Neighbouring threads now hold neighbouring keys, so that writes coalesce; values follow by the same way.
+    // Neighboring threads now hold neighboring keys, so that writes coalesce; values follow by the same way.
     u32 to[kItems];
 #pragma unroll
     for (int i = 0; i < kItems; ++i) {

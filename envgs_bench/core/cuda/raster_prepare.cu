@@ -3,7 +3,7 @@
 
 using namespace envgs;
 
-// Pixels whose centres lie in the box; false where there are none, or the box is not finite.
+// Pixels whose centers lie in the box; false where there are none, or the box is not finite.
 ENVGS_FN bool pixels_of(const View& view, PixelBox box, PixelRect& rect) {
     if (!(box.x1 >= 0.5f && box.y1 >= 0.5f && box.x0 <= view.width - 0.5f && box.y0 <= view.height - 0.5f &&
           box.x0 <= box.x1))
@@ -33,7 +33,7 @@ extern "C" __global__ void __launch_bounds__(256)
     Record record;
     Outline outline;
     u32 tiles = 0;
-    Vec3<float> to_centre;
+    Vec3<float> to_center;
     if (i < count) {
         Kind::Input input = Kind::input(g, i);
         PixelBox box = prepare(view, input, opacities[i], record.splat);
@@ -43,7 +43,7 @@ extern "C" __global__ void __launch_bounds__(256)
             outline.radius = Kind::low_pass_radius(record.splat);
             tiles = count_tiles(outline);
             record.normal = Kind::normal(input);
-            to_centre = input.mean - view.centre;
+            to_center = input.mean - view.center;
         }
     }
     u32 total, before = block_exclusive_sum(tiles > 0, total);
@@ -61,7 +61,7 @@ extern "C" __global__ void __launch_bounds__(256)
         return;
     }
     u32 slot = first_slot + before;
-    record.color = sh_color<kShDegree>(sh + long(kShFloats) * i, to_centre);
+    record.color = sh_color<kShDegree>(sh + long(kShFloats) * i, to_center);
 #pragma unroll
     for (int k = 0; k < kExtras; ++k) record.extras[k] = extras[long(kExtras) * i + k];
     slots[i] = slot;
@@ -79,7 +79,7 @@ extern "C" __global__ void __launch_bounds__(128)
                       const float* sh, const float* extras, int count, const View* view_at, const Record* records,
                       const int* slots, const float* sums, float* g_means, float* g_quaternions, float* g_scales,
                       float* g_opacities, float* g_sh, float* g_extras, float* position_gradients) {
-    constexpr int row = kShFloats | 1;  // odd: neighbouring threads fall on neighbouring banks
+    constexpr int row = kShFloats | 1;  // odd: neighboring threads fall on neighboring banks
     __shared__ float staged[128 * row];
     __shared__ View view;
     for (int i = threadIdx.x; i < sizeof(View) / 4; i += blockDim.x)
@@ -106,7 +106,7 @@ extern "C" __global__ void __launch_bounds__(128)
             for (int k = 0; k < kSums; ++k) reinterpret_cast<float*>(&sum)[k] = values[k];
             Kind::Input input = Kind::input(g, i);
             own = finish(view, input, sum.geometry, sum.normal);
-            own.mean = own.mean + sh_color_backward<kShDegree>(sh + kShFloats * i, input.mean - view.centre,
+            own.mean = own.mean + sh_color_backward<kShDegree>(sh + kShFloats * i, input.mean - view.center,
                                                                records[slot].color, sum.color, g_own_sh);
         }
         store3(g_means + 3 * i, own.mean);

@@ -17,7 +17,7 @@ extern "C" __global__ void __launch_bounds__(256)
     bool reflects = alpha[i] > alpha_min && squared > alpha_min * alpha_min && weight > beta_min;
     n = rsqrtf(maximum(squared, 1e-24f)) * n;
     Vec3<float> d = ray_through(*view, i % view->width, i / view->width);
-    store3(origins + 3l * i, view->centre + offset * n + depth[i] * d);
+    store3(origins + 3l * i, view->center + offset * n + depth[i] * d);
     d = inverse_length(d) * d;
     d = d - 2.0f * dot(d, n) * n;
     store3(directions + 3l * i, reflects ? d : Vec3<float>{0.0f, 0.0f, 0.0f});

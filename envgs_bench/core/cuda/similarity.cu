@@ -16,7 +16,7 @@ struct Channel {
     }
 };
 
-// Which tile is the block's: they are counted from left to right, then downwards, then by channel.
+// Which tile is the block's: they are counted from left to right, then downward, then by channel.
 struct Tile {
     int channel, top, left;
 

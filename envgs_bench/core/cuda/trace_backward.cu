@@ -13,7 +13,7 @@ ENVGS_FN void add_four(float* to, float4 four) {
 #endif
 }
 
-// What one hit of each of a warp's rays adds: a row a thread, in shared memory. Neighbouring rays hit the same surfels,
+// What one hit of each of a warp's rays adds: a row a thread, in shared memory. Neighboring rays hit the same surfels,
 // whose rows are added up here and leave in one piece: a team of threads takes a surfel, a thread four columns.
 struct WarpRows {
     static constexpr int kFours = kTraceSums / 4;

@@ -50,7 +50,7 @@ struct PageWriter {
 
 extern "C" __global__ void __launch_bounds__(32, kBlocks)
     trace_rays(const float* origins, const float* directions, const u32* order, int rays, float4* quarters,
-               const Appearance* appearances, const float2* boxes, int surfel_count, const CentreStatistics* statistics,
+               const Appearance* appearances, const float2* boxes, int surfel_count, const CenterStatistics* statistics,
                float t_min, float transmittance_min, const float* background, float* color, float* alpha, float* depth,
                float* normal, float* extras, int* hit_counts, float* weights, u32* page_slots, int* page_next,
                int2* page_heads, u32* pages_used, u32 page_capacity) {

@@ -3,12 +3,12 @@
 
 using namespace envgs;
 
-// Rays whose two ends are alike get neighbouring keys: the origin, and the point where the ray leaves the box of the
+// Rays whose two ends are alike get neighboring keys: the origin, and the point where the ray leaves the box of the
 // surfels, which is near to what it hits. Both lie on Hilbert curves, and the key takes three bits of either in turn.
 // The tracer's packets are rays along this order, whatever order the caller's rays come in. Rays without a direction
 // meet nothing and come last.
 extern "C" __global__ void ray_keys(const float* origins, const float* directions, int count,
-                                    const CentreStatistics* statistics, u32* keys) {
+                                    const CenterStatistics* statistics, u32* keys) {
     int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i >= count) return;
     Extent extent(*statistics);
@@ -21,8 +21,8 @@ extern "C" __global__ void ray_keys(const float* origins, const float* direction
     if (y > 0.0f) leaves = minimum(leaves, y);
     if (z > 0.0f) leaves = minimum(leaves, z);
     u32 first[3], last[3];
-    extent.quantise(o, 5, first);
-    extent.quantise(o + leaves * d, 6, last);
+    extent.quantize(o, 5, first);
+    extent.quantize(o + leaves * d, 6, last);
     u64 from = hilbert_position(first, 5), to = hilbert_position(last, 6), key = to >> 15;
     for (int bit = 12; bit >= 0; bit -= 3) key = (key << 3 | (from >> bit & 7)) << 3 | (to >> bit & 7);
     bool flies = d.x != 0.0f || d.y != 0.0f || d.z != 0.0f;
@@ -48,7 +48,7 @@ extern "C" __global__ void __launch_bounds__(128)
     finish_surfels(const float* quaternions, const float* scales, int count, const float* weights, const float* sums,
                    float* g_means, float* g_quaternions, float* g_scales, float* g_opacities, float* g_sh,
                    float* g_extras, float* position_gradients) {
-    constexpr int row = kTraceSums + 1;  // odd: neighbouring threads fall on neighbouring banks
+    constexpr int row = kTraceSums + 1;  // odd: neighboring threads fall on neighboring banks
     __shared__ float staged[128 * row];
     __shared__ bool seen[128];
     long first = long(blockIdx.x) * 128, i = first + threadIdx.x;

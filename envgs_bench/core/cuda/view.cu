@@ -11,7 +11,7 @@ extern "C" __global__ void make_view(const float* world_to_camera, const float* 
     v.rotation = {load3(m), load3(m + 4), load3(m + 8)};
     v.translation = {m[3], m[7], m[11]};
     v.intrinsics = load_mat3(intrinsics);
-    v.centre = -transposed_times(v.rotation, v.translation);
+    v.center = -transposed_times(v.rotation, v.translation);
     // K is upper triangular with a last row of (0, 0, 1).
     double fx = intrinsics[0], skew = intrinsics[1], cx = intrinsics[2], fy = intrinsics[4], cy = intrinsics[5];
     Mat3<float> inverse = {{float(1 / fx), float(-skew / (fx * fy)), float((skew * cy - cx * fy) / (fx * fy))},

@@ -73,8 +73,8 @@ def hit_any(device: EmbreeDevice, triangles: np.ndarray, origins: np.ndarray, di
 
 
 def halves(members: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A set of triangles in two, cut where its centres spread the most, so that most rays hit but one half."""
-    centres = triangles[members].mean(axis=1)
-    along = centres[:, np.ptp(centres, axis=0).argmax()]
+    """A set of triangles in two, cut where its centers spread the most, so that most rays hit but one half."""
+    centers = triangles[members].mean(axis=1)
+    along = centers[:, np.ptp(centers, axis=0).argmax()]
     order = members[along.argsort(kind="stable")]
     return order[: len(order) // 2], order[len(order) // 2 :]

@@ -10,7 +10,7 @@ constexpr float kFrustumMargin = 0.3f;   // the affine approximation is taken at
                                          // as a share of its half size
 
 struct GaussianSplat {
-    float x, y, depth;       // the projected centre
+    float x, y, depth;       // the projected center
     float xx, xy, yy;        // V⁻¹
     float side;              // +1 where the shortest axis faces the camera, else −1
     float support, opacity;
@@ -67,7 +67,7 @@ ENVGS_FN int shortest_axis(Vec3<float> scales) {
     return scales.z < (k ? scales.y : scales.x) ? 2 : k;
 }
 
-// The world-frame normal: the shortest axis, as it lies; `side` turns it towards the camera.
+// The world-frame normal: the shortest axis, as it lies; `side` turns it toward the camera.
 ENVGS_FN Vec3<float> shortest_axis_of(Axes<float> axes, Vec3<float> scales) {
     int k = shortest_axis(scales);
     return k == 0 ? axes.u : k == 1 ? axes.v : axes.n;
@@ -90,17 +90,17 @@ ENVGS_FN PixelBox prepare(const View& view, const GaussianInput& in, float opaci
     splat.support = support_of(opacity);
     splat.opacity = opacity;
     if (!(splat.support > 0.0f)) return empty;
-    Projection centre = project(view, in.mean);
-    splat.x = centre.x, splat.y = centre.y, splat.depth = centre.in_camera.z;
+    Projection center = project(view, in.mean);
+    splat.x = center.x, splat.y = center.y, splat.depth = center.in_camera.z;
     if (!(splat.depth >= view.near)) return empty;
     float inverse_norm;
     Axes<float> axes = axes_of(normalized(in.quaternion, inverse_norm));
-    Covariance2d v = covariance(view, affine_projection(view, centre.in_camera), axes, in.scales);
+    Covariance2d v = covariance(view, affine_projection(view, center.in_camera), axes, in.scales);
     float determinant = v.xx * v.yy - v.xy * v.xy;
     if (!(determinant > 0.0f)) return empty;
     float inverse = 1.0f / determinant;
     splat.xx = v.yy * inverse, splat.xy = -v.xy * inverse, splat.yy = v.xx * inverse;
-    splat.side = dot(shortest_axis_of(axes, in.scales), in.mean - view.centre) < 0.0f ? 1.0f : -1.0f;
+    splat.side = dot(shortest_axis_of(axes, in.scales), in.mean - view.center) < 0.0f ? 1.0f : -1.0f;
     float half_x = square_root(splat.support * v.xx) + 0.01f, half_y = square_root(splat.support * v.yy) + 0.01f;
     return {splat.x - half_x, splat.y - half_y, splat.x + half_x, splat.y + half_y};
 }
@@ -129,8 +129,8 @@ ENVGS_FN SplatGradient finish(const View& view, const GaussianInput& in, const G
     float inverse_norm;
     Quaternion<float> q = normalized(in.quaternion, inverse_norm);
     Axes<float> axes = axes_of(q);
-    Projection centre = project(view, in.mean);
-    AffineProjection a = affine_projection(view, centre.in_camera);
+    Projection center = project(view, in.mean);
+    AffineProjection a = affine_projection(view, center.in_camera);
     Covariance2d v = covariance(view, a, axes, in.scales);
     float inverse_det = 1.0f / (v.xx * v.yy - v.xy * v.xy);
     float cxx = v.yy * inverse_det, cxy = -v.xy * inverse_det, cyy = v.xx * inverse_det;
@@ -151,13 +151,13 @@ ENVGS_FN SplatGradient finish(const View& view, const GaussianInput& in, const G
     int k = shortest_axis(s);
     Vec3<float> axis = {k == 0 ? 1.0f : 0.0f, k == 1 ? 1.0f : 0.0f, k == 2 ? 1.0f : 0.0f};
     torque = torque + cross(axis, g_local);
-    // dL/dT = 2·dL/dV·T·Σ, rows; then J's dependence on the centre.
+    // dL/dT = 2·dL/dV·T·Σ, rows; then J's dependence on the center.
     Vec3<float> r0 = {2.0f * s2.x * w0.x, 2.0f * s2.y * w0.y, 2.0f * s2.z * w0.z};
     Vec3<float> r1 = {2.0f * s2.x * w1.x, 2.0f * s2.y * w1.y, 2.0f * s2.z * w1.z};
     Vec3<float> g_j0 = view.rotation * (r0.x * axes.u + r0.y * axes.v + r0.z * axes.n);
     Vec3<float> g_j1 = view.rotation * (r1.x * axes.u + r1.y * axes.v + r1.z * axes.n);
     float fx = view.intrinsics.row0.x, skew = view.intrinsics.row0.y, fy = view.intrinsics.row1.y;
-    float inverse = 1.0f / centre.in_camera.z;
+    float inverse = 1.0f / center.in_camera.z;
     float g_tx = a.free_x ? -fx * inverse * g_j0.z : 0.0f;
     float g_ty = a.free_y ? -inverse * (skew * g_j0.z + fy * g_j1.z) : 0.0f;
     float g_z = -inverse * inverse * (fx * g_j0.x + skew * g_j0.y + fy * g_j1.y) +
@@ -165,8 +165,8 @@ ENVGS_FN SplatGradient finish(const View& view, const GaussianInput& in, const G
                 inverse * (g_tx * a.tx + g_ty * a.ty);
     Vec3<float> through_j = transposed_times(view.rotation, {inverse * g_tx, inverse * g_ty, g_z});
     float g_x = -2.0f * (cxx * sum.x + cxy * sum.y), g_y = -2.0f * (cxy * sum.x + cyy * sum.y);
-    Vec3<float> mean = project_backward(centre, g_x, g_y, sum.depth) + through_j;
-    return {mean, centre.in_camera.z * mean, quaternion_gradient(q, inverse_norm, torque), g_scales};
+    Vec3<float> mean = project_backward(center, g_x, g_y, sum.depth) + through_j;
+    return {mean, center.in_camera.z * mean, quaternion_gradient(q, inverse_norm, torque), g_scales};
 }
 
 }  // namespace envgs

@@ -31,7 +31,7 @@ ENVGS_FN Axes<R> axes_of(Quaternion<R> q) {
             {2.0f * (xz + wy), 2.0f * (yz - wx), 1.0f - 2.0f * (xx + yy)}};
 }
 
-// dL/dq of an unnormalised q, where dL = torque · ω for a small rotation ω about the local axes: dR = R·[ω]×.
+// dL/dq of an unnormalized q, where dL = torque · ω for a small rotation ω about the local axes: dR = R·[ω]×.
 // With q unit, ω = 2·Im(q* ⊗ dq), so dL/dq = 2·q ⊗ (0, torque): orthogonal to q, hence right for any norm.
 template <class R>
 ENVGS_FN Quaternion<R> quaternion_gradient(Quaternion<R> q, R inverse_norm, Vec3<R> torque) {

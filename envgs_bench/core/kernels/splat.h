@@ -1,5 +1,5 @@
 // What rasterizing a surfel and rasterizing a 3D Gaussian have in common: the view, the pixels that a primitive may
-// touch, and the colour that it shows to the camera.
+// touch, and the color that it shows to the camera.
 #pragma once
 #include "blend.h"
 #include "sh.h"
@@ -11,7 +11,7 @@ struct View {
     Vec3<float> translation;
     Mat3<float> intrinsics;
     Mat3<float> pixel_to_direction;  // (x, y, 1) -> world direction with camera z = 1
-    Vec3<float> centre;              // world
+    Vec3<float> center;              // world
     int width, height;
     float near;
     bool low_pass;
@@ -57,7 +57,7 @@ ENVGS_FN float inverse_length(Vec3<float> v) {
     return l > 0.0f ? 1.0f / l : 0.0f;
 }
 
-// The colour of SH coefficients seen along v = mean − origin. `sh` is [K][3].
+// The color of SH coefficients seen along v = mean − origin. `sh` is [K][3].
 template <int Degree>
 ENVGS_FN Vec3<float> sh_color(const float* sh, Vec3<float> v) {
     constexpr int K = (Degree + 1) * (Degree + 1);

@@ -29,7 +29,7 @@ struct PlaneHit {
     R d_z, inverse_d_z;  // n·d and its inverse: negative where the ray meets the surfel's front
 };
 
-// The hit of a ray given relative to the surfel's centre (o − p) and in world axes.
+// The hit of a ray given relative to the surfel's center (o − p) and in world axes.
 template <class R>
 ENVGS_FN PlaneHit<R> intersect(SurfelFrame<R> frame, Vec3<R> origin, Vec3<R> direction) {
     PlaneHit<R> hit;
@@ -75,7 +75,7 @@ struct SurfelGradient {
     Vec3<R> position_statistic;  // Σ t·dL/dmean
 };
 
-// g_normal: dL/dn summed over the hits, each with the sign that turned n towards its viewer; world frame.
+// g_normal: dL/dn summed over the hits, each with the sign that turned n toward its viewer; world frame.
 template <class R>
 ENVGS_FN SurfelGradient<R> surfel_backward(Axes<R> axes, R scale_u, R scale_v, SurfelMoments<R> sum, Vec3<R> g_normal) {
     SurfelGradient<R> out;

@@ -9,18 +9,18 @@ namespace envgs {
 // R is float for one surfel a thread. Where several pixels are evaluated at once, R is the pixels' type and the splat
 // stays scalar.
 struct SurfelSplat {
-    Vec3<float> origin;     // o' = A(camera centre − p)
+    Vec3<float> origin;     // o' = A(camera center − p)
     Mat3<float> direction;  // d' = direction · (x, y, 1)
-    float x, y, depth;      // the projected centre
+    float x, y, depth;      // the projected center
     float support, opacity;
-    float screen_support;   // as `support`, for the low-pass; negative where that is off or the centre nearer than near
+    float screen_support;   // as `support`, for the low-pass; negative where that is off or the center nearer than near
 };
 
 template <class R>
 struct SurfelPixel {
     PlaneHit<R> plane;
     R d_x, d_y;     // d'_x, d'_y
-    R dx, dy;       // pixel − projected centre
+    R dx, dy;       // pixel − projected center
     R rho, t, side; // side: +1 where the ray meets the front of the surfel (n·d < 0), else −1
     R screen;       // 1 where the low-pass answers instead of the surfel itself, else 0
 };
@@ -39,28 +39,28 @@ struct SurfelInput {
 };
 
 // The box of the disc ρ ≤ r² in pixels. Where it lies before the camera its outline is an ellipse, whose extent follows
-// from the dual conic r²(h_u h_uᵀ + h_v h_vᵀ) − h_c h_cᵀ, taken about the projected centre to keep float accuracy; where
+// from the dual conic r²(h_u h_uᵀ + h_v h_vᵀ) − h_c h_cᵀ, taken about the projected center to keep float accuracy; where
 // it crosses the camera plane, the square around it is clipped at the near plane and projected.
-ENVGS_FN PixelBox disc_box(const View& view, const Projection& centre, Vec3<float> axis_u, Vec3<float> axis_v,
+ENVGS_FN PixelBox disc_box(const View& view, const Projection& center, Vec3<float> axis_u, Vec3<float> axis_v,
                            float r2) {
     PixelBox empty = {1.0f, 1.0f, 0.0f, 0.0f};
-    Vec3<float> hu = centre.world_to_pixel * axis_u, hv = centre.world_to_pixel * axis_v;
-    float zc = centre.in_camera.z, r = square_root(r2);
+    Vec3<float> hu = center.world_to_pixel * axis_u, hv = center.world_to_pixel * axis_v;
+    float zc = center.in_camera.z, r = square_root(r2);
     float reach = r * square_root(hu.z * hu.z + hv.z * hv.z);
     if (zc + reach < view.near) return empty;
     if (zc - reach > 0.5f * view.near) {
-        float ux = hu.x - centre.x * hu.z, uy = hu.y - centre.y * hu.z;
-        float vx = hv.x - centre.x * hv.z, vy = hv.y - centre.y * hv.z;
+        float ux = hu.x - center.x * hu.z, uy = hu.y - center.y * hu.z;
+        float vx = hv.x - center.x * hv.z, vy = hv.y - center.y * hv.z;
         float zz = r2 * (hu.z * hu.z + hv.z * hv.z) - zc * zc;
         float xz = r2 * (ux * hu.z + vx * hv.z), yz = r2 * (uy * hu.z + vy * hv.z);
         float xx = r2 * (ux * ux + vx * vx), yy = r2 * (uy * uy + vy * vy);
         float half_x = square_root(maximum(xz * xz - xx * zz, 0.0f)) / -zz;
         float half_y = square_root(maximum(yz * yz - yy * zz, 0.0f)) / -zz;
-        float x = centre.x + xz / zz, y = centre.y + yz / zz;
+        float x = center.x + xz / zz, y = center.y + yz / zz;
         float slack = 0.01f + 1e-4f * (half_x + half_y);
         return {x - half_x - slack, y - half_y - slack, x + half_x + slack, y + half_y + slack};
     }
-    Vec3<float> hc = view.intrinsics * centre.in_camera;
+    Vec3<float> hc = view.intrinsics * center.in_camera;
     PixelBox box = {kInfinity, kInfinity, -kInfinity, -kInfinity};
     Vec3<float> corner[4] = {hc + r * (hu + hv), hc + r * (hu - hv), hc - r * (hu + hv), hc + r * (hv - hu)};
     for (int i = 0; i < 4; ++i) {
@@ -82,14 +82,14 @@ ENVGS_FN PixelBox prepare(const View& view, const SurfelInput& in, float opacity
     float inverse_norm;
     Axes<float> axes = axes_of(normalized(in.quaternion, inverse_norm));
     SurfelFrame<float> frame = surfel_frame(axes, in.scale_u, in.scale_v);
-    Projection centre = project(view, in.mean);
+    Projection center = project(view, in.mean);
     Mat3<float> a = {frame.u, frame.v, frame.n};
-    splat.origin = a * (view.centre - in.mean);
+    splat.origin = a * (view.center - in.mean);
     splat.direction = a * view.pixel_to_direction;
-    splat.x = centre.x, splat.y = centre.y, splat.depth = centre.in_camera.z;
+    splat.x = center.x, splat.y = center.y, splat.depth = center.in_camera.z;
     splat.opacity = opacity;
     splat.screen_support = view.low_pass && splat.depth >= view.near ? splat.support : -1.0f;
-    PixelBox box = disc_box(view, centre, in.scale_u * axes.u, in.scale_v * axes.v, splat.support);
+    PixelBox box = disc_box(view, center, in.scale_u * axes.u, in.scale_v * axes.v, splat.support);
     if (splat.screen_support > 0.0f) {
         float radius = square_root(0.5f * splat.support) + 0.01f;
         PixelBox screen = {splat.x - radius, splat.y - radius, splat.x + radius, splat.y + radius};
@@ -147,7 +147,7 @@ ENVGS_FN void add_pixel(SurfelSums<R>& sum, SurfelPixel<R> p, Mask hit, R g_rho,
 }
 
 struct SplatGradient {
-    Vec3<float> mean;                // geometry only: the colour's direction adds its own
+    Vec3<float> mean;                // geometry only: the color's direction adds its own
     Vec3<float> position_statistic;  // Σ t·dL/dmean
     Quaternion<float> quaternion;
     Vec3<float> scales;              // the third of a surfel is 0
@@ -159,10 +159,10 @@ ENVGS_FN SplatGradient finish(const View& view, const SurfelInput& in, const Sur
     float inverse_norm;
     Quaternion<float> q = normalized(in.quaternion, inverse_norm);
     SurfelGradient<float> own = surfel_backward(axes_of(q), in.scale_u, in.scale_v, sum.moments, g_normal);
-    Projection centre = project(view, in.mean);
+    Projection center = project(view, in.mean);
     Vec3<float> screen = {0.0f, 0.0f, 0.0f};
-    if (centre.in_camera.z >= view.near) screen = project_backward(centre, sum.x, sum.y, sum.depth);
-    return {own.mean + screen, own.position_statistic + centre.in_camera.z * screen,
+    if (center.in_camera.z >= view.near) screen = project_backward(center, sum.x, sum.y, sum.depth);
+    return {own.mean + screen, own.position_statistic + center.in_camera.z * screen,
             quaternion_gradient(q, inverse_norm, own.torque), {own.scale_u, own.scale_v, 0.0f}};
 }
 

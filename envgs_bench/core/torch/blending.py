@@ -1,4 +1,4 @@
-"""Blending: colour, alpha, depth, normal and extras of each ray from its hits, with gradients."""
+"""Blending: color, alpha, depth, normal and extras of each ray from its hits, with gradients."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def shade(drawing: Drawing, hits: BlendedHits, background: Tensor) -> Rendering:
 def record_position_gradients(statistics: Statistics, means: Tensor, primitives: Tensor, t: Tensor, count: int) -> None:
     """Have the backward pass leave Σ over hits of t·∂L/∂mean in the statistics.
 
-    The hits' means feed their geometry alone (where they are met, at which depth); the direction that SH colour is
+    The hits' means feed their geometry alone (where they are met, at which depth); the direction that SH color is
     looked up in takes the set's own means and has no part in it.
     """
 

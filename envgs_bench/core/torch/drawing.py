@@ -20,9 +20,9 @@ class Meeting:
     """Where rays meet primitives. All fields have one shape, that of the rays and primitives asked about."""
 
     t: Tensor  # distance along the ray, in units of its direction's length; for a camera's rays, camera-frame depth
-    rho: Tensor  # squared distance from the primitive's centre, in standard deviations
+    rho: Tensor  # squared distance from the primitive's center, in standard deviations
     order: Tensor  # hits of a ray are blended in ascending order of this, equal ones by index
-    facing: Tensor  # ±1: what turns the primitive's normal towards the viewer
+    facing: Tensor  # ±1: what turns the primitive's normal toward the viewer
     possible: Tensor  # bool: false where the ray misses whatever rho says (edge-on, behind the near plane)
 
 
@@ -39,7 +39,7 @@ class Drawing(ABC):
 
     @abstractmethod
     def colors(self, rays: Tensor, primitives: Tensor) -> Tensor:
-        """Colours [P, 3] of the primitives [P] seen along the rays [P]."""
+        """Colors [P, 3] of the primitives [P] seen along the rays [P]."""
 
 
 def cutoffs(opacities: Tensor) -> Tensor:

@@ -17,13 +17,13 @@ class Pixels:
         self.camera = replace(
             camera, world_to_camera=camera.world_to_camera.to(dtype), intrinsics=camera.intrinsics.to(dtype)
         )
-        self.centre = self.camera.centre
+        self.center = self.camera.center
         self.directions = self.camera.rays()[1].reshape(-1, 3)
 
     def positions(self, rays: Tensor) -> Tensor:
-        """Centres (x, y) of the pixels given by index, [..., 2]."""
+        """Centers (x, y) of the pixels given by index, [..., 2]."""
         columns, rows = rays % self.camera.width, rays // self.camera.width
-        return torch.stack([columns, rows], dim=-1) + torch.tensor(0.5).to(self.centre)
+        return torch.stack([columns, rows], dim=-1) + torch.tensor(0.5).to(self.center)
 
     def in_camera(self, points: Tensor) -> Tensor:
         """World points [..., 3] in the camera's frame."""
@@ -33,7 +33,7 @@ class Pixels:
         return self.in_camera(points)[..., 2]
 
     def offsets(self, rays: Tensor, points: Tensor, ahead: Tensor) -> Tensor:
-        """Pixel centres minus the projections of world points, [..., 2]; of no meaning where a point is not ahead."""
+        """Pixel centers minus the projections of world points, [..., 2]; of no meaning where a point is not ahead."""
         in_camera = self.in_camera(points)
         # A point in the camera's plane has no projection: keep its gradient finite.
         z = torch.where(ahead, in_camera[..., 2], 1)
@@ -41,6 +41,6 @@ class Pixels:
         return self.positions(rays) - homogeneous @ self.camera.intrinsics[:2].T
 
     def squared_distance(self, rays: Tensor, points: Tensor, ahead: Tensor) -> Tensor:
-        """Squared distance in pixels of pixel centres from the projections of world points."""
+        """Squared distance in pixels of pixel centers from the projections of world points."""
         offsets = self.offsets(rays, points, ahead)
         return (offsets * offsets).sum(-1)

@@ -1,11 +1,11 @@
-"""Spherical harmonics: from coefficients to colour."""
+"""Spherical harmonics: from coefficients to color."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-# Normalisation constants of the real spherical harmonics, degree by degree.
+# Normalization constants of the real spherical harmonics, degree by degree.
 C0 = 0.28209479177387814  # ½·√(1/π)
 C1 = 0.4886025119029199  # √(3/4π)
 C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)  # ½√(15/π), ¼√(5/π), ¼√(15/π)
@@ -51,7 +51,7 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
 
 
 def sh_color(sh: Tensor, offsets: Tensor) -> Tensor:
-    """Colour [..., 3] of coefficients [..., K, 3] seen along `offsets` [..., 3], of any length: max(0, Σ Yₖ·cₖ + ½).
+    """Color [..., 3] of coefficients [..., K, 3] seen along `offsets` [..., 3], of any length: max(0, Σ Yₖ·cₖ + ½).
 
     An offset of zero has no direction: Y is that of the zero vector, and no gradient reaches the offset.
     """

@@ -71,7 +71,7 @@ class TracedSurfels(Drawing):
 
 
 class RasterizedSurfels(Drawing):
-    """Surfels as a camera sees them, in the order of their centres' depth."""
+    """Surfels as a camera sees them, in the order of their centers' depth."""
 
     def __init__(self, gaussians: GaussianSet, camera: Camera, near: float, low_pass: bool) -> None:
         self.gaussians, self.near, self.low_pass = gaussians, near, low_pass
@@ -79,11 +79,11 @@ class RasterizedSurfels(Drawing):
         self.shape = (camera.height, camera.width)
         self.frames = rotation_matrices(gaussians.quaternions)
         self.axes = self.frames[:, :, 2]
-        self.color_of = sh_color(gaussians.sh, gaussians.means - self.pixels.centre)
+        self.color_of = sh_color(gaussians.sh, gaussians.means - self.pixels.center)
 
     def meet(self, rays: Tensor, primitives: Tensor, means: Tensor) -> Meeting:
         frames, scales = self.frames[primitives], self.gaussians.scales[primitives]
-        crossing = cross(self.pixels.centre, self.pixels.directions[rays], means, frames, scales)
+        crossing = cross(self.pixels.center, self.pixels.directions[rays], means, frames, scales)
         possible = crossing.exists & (crossing.t >= self.near)
         t, rho = crossing.t, crossing.rho
         depths = self.pixels.depths(means)

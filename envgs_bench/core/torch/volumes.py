@@ -13,11 +13,11 @@ from .rotation import rotation_matrices
 from .sh import sh_color
 
 LOW_PASS_VARIANCE = 0.3  # px², added to a projected covariance
-FRUSTUM_MARGIN = 0.3  # of the half width (height): how far outside the image the projection is linearised
+FRUSTUM_MARGIN = 0.3  # of the half width (height): how far outside the image the projection is linearized
 
 
 class RasterizedVolumes(Drawing):
-    """3D Gaussians as a camera sees them, in the order of their centres' depth."""
+    """3D Gaussians as a camera sees them, in the order of their centers' depth."""
 
     def __init__(self, gaussians: GaussianSet, camera: Camera, near: float, low_pass: bool) -> None:
         self.gaussians, self.near, self.low_pass = gaussians, near, low_pass
@@ -28,7 +28,7 @@ class RasterizedVolumes(Drawing):
         self.axes = frames.gather(2, shortest[:, None, None].expand(-1, 3, 1))[..., 0]
         factors = frames * gaussians.scales[:, None, :]
         self.covariances = factors @ factors.mT
-        offsets = gaussians.means - self.pixels.centre
+        offsets = gaussians.means - self.pixels.center
         self.color_of = sh_color(gaussians.sh, offsets)
         self.facing = torch.where((self.axes * offsets).sum(-1) > 0, -1, 1).to(offsets)
 
@@ -50,7 +50,7 @@ class RasterizedVolumes(Drawing):
         )
 
     def jacobian(self, means: Tensor, ahead: Tensor) -> Tensor:
-        """d(pixel position) / d(camera-frame position) at the centres [..., 3], [..., 2, 3].
+        """d(pixel position) / d(camera-frame position) at the centers [..., 3], [..., 2, 3].
 
         The position where it is taken is held within the image and a margin: further out the approximation explodes.
         """
@@ -68,7 +68,7 @@ class RasterizedVolumes(Drawing):
         return self.color_of[primitives]
 
 
-def held(slope: Tensor, focal: Tensor, centre: Tensor, size: int) -> Tensor:
+def held(slope: Tensor, focal: Tensor, center: Tensor, size: int) -> Tensor:
     """x/z (or y/z) clamped to the image's extent and FRUSTUM_MARGIN of its half size on either side."""
     margin = FRUSTUM_MARGIN * size / 2
-    return slope.clamp(float(-(centre + margin) / focal), float((size - centre + margin) / focal))
+    return slope.clamp(float(-(center + margin) / focal), float((size - center + margin) / focal))

@@ -1,0 +1,110 @@
+"""Models: what COLMAP knows of a capture, read by pycolmap from text or binary files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from ..paths import path_below
+from ..photographs.exposure import Observations
+from ..photographs.photograph import Photograph
+from ..photographs.siblings import Siblings
+from ..settings import DatasetError
+from .point_clouds import PointCloud, point_cloud
+
+
+@dataclass(frozen=True)
+class Model:
+    """Cameras, images and points3D, as .bin or .txt, in one folder."""
+
+    folder: Path
+
+    @property
+    def exists(self) -> bool:
+        return any((self.folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
+
+    @cached_property
+    def content(self) -> pycolmap.Reconstruction:
+        """All of it.
+
+        Raises:
+            DatasetError: it cannot be read.
+        """
+        return _read(self.folder)
+
+    @property
+    def image_names(self) -> list[str]:
+        """The images that have a pose, sorted: paths below the images' folder."""
+        return sorted(image.name for image in self.content.images.values() if image.has_pose)
+
+    def points(self) -> PointCloud:
+        """The triangulated points; raises as `point_cloud`."""
+        found = [self.content.points3D[key] for key in sorted(self.content.points3D)]
+        points = np.array([point.xyz for point in found]).reshape(-1, 3)
+        return point_cloud(points, np.array([point.color for point in found]).reshape(-1, 3) / 255, self.folder)
+
+    def photographs(self, images: Path) -> tuple[list[Photograph], list[str]]:
+        """The images with a pose, in the order of their names, and the names of those that are not in `images`.
+
+        Raises:
+            DatasetError: no image has a pose, a number is not finite, or a name leaves the folder.
+        """
+        registered = sorted((image for image in self.content.images.values() if image.has_pose), key=lambda i: i.name)
+        if not registered:
+            raise DatasetError(f"{self.folder}: the model has no image with a pose")
+        cameras = dict(self.content.cameras)
+        by_stem = Siblings(images)
+        found, missing = [], []
+        for image in registered:
+            named = path_below(images, image.name, self.folder)
+            path = named if named.is_file() else by_stem.find(image.name)
+            if path is None:
+                missing.append(image.name)
+                continue
+            camera = cameras[image.camera_id]
+            self._check_finite(f"camera {image.camera_id}", camera.params, image.name)
+            found.append(Photograph(image.name, path, camera, str(image.camera_id), self._pose(image)))
+        return found, missing
+
+    def observations(self) -> dict[str, Observations]:
+        """Where each image shows which points, by the images' names."""
+        return {image.name: _observations(image) for image in self.content.images.values()}
+
+    def _pose(self, image: pycolmap.Image) -> np.ndarray:
+        pose = np.eye(4)
+        pose[:3] = image.cam_from_world().matrix()
+        self._check_finite("pose", pose, image.name)
+        return pose
+
+    def _check_finite(self, what: str, values: np.ndarray, name: str) -> None:
+        if not np.isfinite(values).all():
+            raise DatasetError(f"{self.folder}: the {what} of image {name} is not finite; repair or remove it")
+
+
+def _observations(image: pycolmap.Image) -> Observations:
+    seen = [point for point in image.points2D if point.has_point3D()]
+    positions = np.array([point.xy for point in seen]).reshape(-1, 2)
+    return Observations(positions, np.array([point.point3D_id for point in seen], dtype=np.int64))
+
+
+def _read(folder: Path) -> pycolmap.Reconstruction:
+    try:
+        return pycolmap.Reconstruction(str(folder))
+    except Exception as error:  # pycolmap raises whatever its C++ does
+        odd = _not_finite(folder)
+        if odd:
+            raise DatasetError(f"{odd}: this line holds a number that is not finite; repair or remove it") from error
+        raise DatasetError(f"{folder}: cannot be read as a COLMAP model ({error}); export it again") from error
+
+
+def _not_finite(folder: Path) -> str | None:
+    """`file:line` of the first nan or inf in a text model, which pycolmap's reader stops at without saying so."""
+    for path in sorted(folder.glob("*.txt")):
+        for number, line in enumerate(path.read_text(errors="replace").splitlines(), start=1):
+            if not line.startswith("#") and {"nan", "inf"} & {word.lstrip("+-") for word in line.lower().split()}:
+                return f"{path}:{number}"
+    return None

@@ -1,0 +1,119 @@
+"""Normal maps as files, and the encodings the field knows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from envgs_bench.core import Camera
+
+from ..settings import DatasetError
+from .pictures import read_header, read_picture
+
+Frame = Literal["world", "camera", "opengl"]  # camera: x right, y down, z forward; opengl: x right, y up, z backward
+Floats = NDArray[np.float32]
+
+SHORTEST, LONGEST = 0.5, 1.5  # of a decoded vector that is a normal: gray, black and white pixels hold none
+ROUNDING = 1e-5  # lengths this close to 1 are 1: what is normalized already keeps its bits
+NEARLY_UNIT = 0.03
+MOST = 0.9  # of a picture's opaque pixels
+
+
+@dataclass(frozen=True)
+class NormalMap:
+    """A file of normals: `.npy` floats [H, W, 3], or a picture.
+
+    Attributes:
+        rendered: it comes from a blender scene, whose encoding the pixels must tell.
+    """
+
+    path: Path
+    frame: Frame = "world"
+    rendered: bool = False
+
+    def size(self) -> tuple[int, int]:
+        """Width and height, without reading it all."""
+        if self.path.suffix == ".npy":
+            height, width = _array(self.path, mapped=True).shape[:2]
+            return width, height
+        header = read_header(self.path)
+        return header.width, header.height
+
+    def read(self, opaque: NDArray[np.bool_] | None) -> Floats:
+        """The vectors in the file's own frame, [H, W, 3]; 0 where unknown.
+
+        A picture holds them as rgb = 255·(n/2 + 1/2); a blender scene's may also hold max(n, 0), encoded to sRGB, which
+        says the normal only where no component is negative: where the length is one.
+
+        Args:
+            opaque: where the image shows something, [H, W] of the map's size; None for everywhere.
+
+        Raises:
+            DatasetError: the file cannot be read, or holds no normals.
+        """
+        if self.path.suffix == ".npy":
+            return _known(np.nan_to_num(_array(self.path, mapped=False).astype(np.float32), posinf=0, neginf=0), opaque)
+        rgb: Floats = read_picture(self.path, (0.5, 0.5, 0.5))[0].astype(np.float32) / np.float32(255)
+        signed = 2 * rgb - 1
+        if not self.rendered or _share(_is_unit(signed), opaque) >= MOST:
+            return _known(signed, opaque)
+        clamped = _linear(rgb)
+        if _share(np.linalg.norm(clamped, axis=-1) < 1 + NEARLY_UNIT, opaque) < MOST:
+            raise DatasetError(
+                f"{self.path}: holds neither rgb = 255·(n/2 + 1/2) nor sRGB of max(n, 0); "
+                "remove the file, or store the normals as float [H, W, 3] in a .npy of the same name"
+            )
+        return np.where(_is_unit(clamped)[..., None], _known(clamped, opaque), 0)
+
+
+def world_normals(normals: torch.Tensor, camera: Camera, frame: Frame) -> torch.Tensor:
+    """World-frame unit normals that face the camera, [H, W, 3], of vectors in `frame`; 0 for those shorter than ½.
+
+    Estimators and meshes leave normals that face away; seen from the front, a surface's normal faces the viewer.
+    """
+    if frame == "opengl":
+        normals = normals * torch.tensor([1.0, -1.0, -1.0])
+    if frame != "world":
+        normals = normals @ camera.world_to_camera[:3, :3]
+    length = normals.norm(dim=-1, keepdim=True)
+    unit = torch.where((length - 1).abs() < ROUNDING, normals, normals / length.clamp(min=SHORTEST))
+    away = (unit * camera.rays()[1]).sum(-1, keepdim=True) > 0
+    return torch.where(length < SHORTEST, torch.zeros_like(unit), torch.where(away, -unit, unit))
+
+
+def _array(path: Path, mapped: bool) -> NDArray:
+    try:
+        array = np.load(path, mmap_mode="r" if mapped else None, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise DatasetError(f"{path}: cannot be read as an array ({error}); write it again with numpy.save") from error
+    if array.ndim != 3 or array.shape[2] != 3 or array.dtype.kind != "f":
+        raise DatasetError(f"{path}: holds {array.dtype} {list(array.shape)}, expected floats [H, W, 3]")
+    return array
+
+
+def _known(normals: Floats, opaque: NDArray[np.bool_] | None) -> Floats:
+    length = np.linalg.norm(normals, axis=-1)
+    known = (length > SHORTEST) & (length < LONGEST)
+    if opaque is not None:
+        known &= opaque
+    return np.where(known[..., None], normals, np.float32(0))
+
+
+def _is_unit(normals: Floats) -> NDArray[np.bool_]:
+    return np.abs(np.linalg.norm(normals, axis=-1) - 1) < NEARLY_UNIT
+
+
+def _share(which: NDArray[np.bool_], opaque: NDArray[np.bool_] | None) -> float:
+    """The share of these pixels [H, W] among those that show something; 1 where none shows anything."""
+    chosen = which if opaque is None else which[opaque]
+    return float(chosen.mean()) if chosen.size else 1.0
+
+
+def _linear(rgb: Floats) -> Floats:
+    """IEC 61966-2-1, from sRGB to linear light."""
+    return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4).astype(np.float32)

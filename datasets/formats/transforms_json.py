@@ -1,0 +1,189 @@
+"""Frames: the JSON files of posed images that NeRF's blender scenes, instant-ngp and nerfstudio share."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from ..paths import clean_name, listed, path_below
+from ..photographs.photograph import Photograph
+from ..settings import DatasetError
+from .pictures import EXTENSIONS, read_header
+
+FLAT_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
+FISHEYE_MODELS = ("OPENCV_FISHEYE", "FISHEYE")
+INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y")
+OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class FrameFile:
+    """A transforms.json: what holds for all frames, and the frames."""
+
+    path: Path
+    shared: dict[str, Any]
+    frames: list[dict[str, Any]]
+
+    @property
+    def root(self) -> Path:
+        return self.path.parent
+
+    def photographs(self, images: str | None = None) -> tuple[list[Photograph], list[str]]:
+        """The photographs in the file's order, and the names of those that are not there.
+
+        Args:
+            images: a folder below the file's that stands for the first folder of each name, as one of reduced copies.
+
+        Raises:
+            DatasetError: a frame without name, pose or focal length, of an unknown camera model, or with a name that
+                leaves the folder.
+        """
+        found, missing = [], []
+        for index, frame in enumerate(self.frames):
+            name = self._name(frame, index)
+            path = self._find(_in_folder(name, images) if images else name)
+            if path is None:
+                missing.append(name)
+                continue
+            own = any(key in frame for key in INTRINSICS)
+            camera_id = f"{self.path.name}, frame {index}" if own else self.path.name
+            name = PurePosixPath(name).with_suffix("").as_posix() if _has_extension(name) else name
+            camera, pose = self._camera(frame, path), self._pose(frame, name)
+            found.append(Photograph(name + path.suffix, path, camera, camera_id, pose, self._masks(frame)))
+        without = [photograph.name for photograph in found if not photograph.masks]
+        if 0 < len(without) < len(found):
+            raise DatasetError(f"{self.path}: gives a mask_path for some frames only; add one for {listed(without)}")
+        return found, missing
+
+    def number(self, key: str, frame: dict[str, Any]) -> float | None:
+        """A number of the frame, or else of all frames; None where neither has it."""
+        value = frame.get(key, self.shared.get(key))
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise DatasetError(f"{self.path}: {key}={value!r}, expected a finite number")
+        return float(value)
+
+    def _name(self, frame: dict[str, Any], index: int) -> str:
+        if not isinstance(frame.get("file_path"), str):
+            raise DatasetError(f"{self.path}: frame {index} has no file_path; add the image's path below {self.root}")
+        return clean_name(frame["file_path"], self.path)
+
+    def _masks(self, frame: dict[str, Any]) -> dict[str, Path]:
+        if not frame.get("mask_path"):
+            return {}
+        path = path_below(self.root, str(frame["mask_path"]), self.path)
+        if not path.is_file():
+            raise DatasetError(f"{self.path}: names the mask {path}, which is not there; add it, or drop mask_path")
+        return {"foreground": path}
+
+    def _find(self, name: str) -> Path | None:
+        """The image's file: as named, or with an extension added, or with another, as after a conversion."""
+        path = self.root / name
+        candidates = [path, *(path.with_name(path.name + extension) for extension in EXTENSIONS)]
+        if _has_extension(name):
+            candidates += [path.with_suffix(extension) for extension in EXTENSIONS]
+        return next((candidate for candidate in candidates if candidate.is_file()), None)
+
+    def _pose(self, frame: dict[str, Any], name: str) -> NDArray[np.float64]:
+        """World to camera, OpenCV axes, of the frame's camera to world, OpenGL axes."""
+        try:
+            matrix = np.asarray(frame.get("transform_matrix"), dtype=np.float64)
+        except (TypeError, ValueError):
+            matrix = np.empty(0)
+        if matrix.shape == (3, 4):
+            matrix = np.concatenate([matrix, [[0, 0, 0, 1]]])
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or np.linalg.det(matrix) == 0:
+            raise DatasetError(
+                f"{self.path}: the transform_matrix of {name} is no camera-to-world matrix of 4×4 finite numbers"
+            )
+        return np.asarray(np.linalg.inv(matrix @ OPENGL_TO_OPENCV), dtype=np.float64)
+
+    def _camera(self, frame: dict[str, Any], path: Path) -> pycolmap.Camera:
+        width, height = self.number("w", frame), self.number("h", frame)
+        if width is None or height is None:
+            header = read_header(path)
+            width, height = header.width, header.height
+        fx = self._focal("x", frame, width)
+        if fx is None:
+            raise DatasetError(
+                f"{self.path}: gives no focal length for {path.name}: neither fl_x, pixels, nor camera_angle_x, radians"
+            )
+        fy = self._focal("y", frame, height) or fx
+        cx, cy = self.number("cx", frame), self.number("cy", frame)
+        center = [width / 2 if cx is None else cx, height / 2 if cy is None else cy]
+        model, distortion = self._distortion(frame)
+        return pycolmap.Camera(
+            model=model, width=round(width), height=round(height), params=[fx, fy, *center, *distortion]
+        )
+
+    def _focal(self, axis: str, frame: dict[str, Any], length: float) -> float | None:
+        """In pixels: fl_<axis>, or of the whole field of view camera_angle_<axis>; the frame's own first."""
+        focal, angle = self.number(f"fl_{axis}", frame), self.number(f"camera_angle_{axis}", frame)
+        own_angle = f"camera_angle_{axis}" in frame and f"fl_{axis}" not in frame
+        if angle is not None and (focal is None or own_angle):
+            focal = length / 2 / math.tan(angle / 2)
+        if focal is not None and focal <= 0:
+            raise DatasetError(
+                f"{self.path}: has a focal length of {focal:g} pixels in {axis}, expected a positive one"
+            )
+        return focal
+
+    def _distortion(self, frame: dict[str, Any]) -> tuple[str, list[float]]:
+        """pycolmap's camera model and its parameters after focal lengths and principal point."""
+        named = frame.get("camera_model", self.shared.get("camera_model", "OPENCV"))
+        k1, k2, k3, k4, p1, p2 = (self.number(key, frame) or 0.0 for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
+        if named in FISHEYE_MODELS or frame.get("is_fisheye", self.shared.get("is_fisheye")):
+            return "OPENCV_FISHEYE", [k1, k2, k3, k4]
+        if named not in FLAT_MODELS or k4:
+            what = f"camera_model={named!r}" if named not in FLAT_MODELS else f"k4={k4:g} without a fisheye model"
+            known = ", ".join(FLAT_MODELS + FISHEYE_MODELS)
+            raise DatasetError(
+                f"{self.path}: {what} is not supported; the models are {known}; undistort the images first"
+            )
+        if k3:
+            return "FULL_OPENCV", [k1, k2, p1, p2, k3, 0, 0, 0]
+        return ("OPENCV", [k1, k2, p1, p2]) if any((k1, k2, p1, p2)) else ("PINHOLE", [])
+
+
+def read_frames(path: Path) -> FrameFile:
+    """The frames that a JSON file lists.
+
+    Raises:
+        DatasetError: there is no such file, it is no JSON, or it lists no frames.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise DatasetError(f"{path}: there is no such file") from error
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{path}: cannot be read as JSON ({error}); export it again") from error
+    frames = content.get("frames") if isinstance(content, dict) else None
+    if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
+        raise DatasetError(f'{path}: lists no frames, expected an object with "frames": [{{"file_path": …}}, …]')
+    return FrameFile(path, content, frames)
+
+
+def without_common_folder(names: Sequence[str]) -> list[str]:
+    """The names below the deepest folder that holds them all."""
+    parents = [PurePosixPath(name).parent.parts for name in names]
+    depth = 0
+    while parents and all(len(parts) > depth and parts[depth] == parents[0][depth] for parts in parents):
+        depth += 1
+    return [PurePosixPath(*PurePosixPath(name).parts[depth:]).as_posix() for name in names]
+
+
+def _in_folder(name: str, images: str) -> str:
+    return PurePosixPath(images, *(PurePosixPath(name).parts[1:] or [name])).as_posix()
+
+
+def _has_extension(name: str) -> bool:
+    return PurePosixPath(name).suffix.lower() in EXTENSIONS

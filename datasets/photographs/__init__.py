@@ -1,0 +1,1 @@
+"""From photographs as cameras left them to views as methods want them."""

@@ -1,0 +1,167 @@
+"""Reconstruction: cameras and points from photographs alone, by pycolmap's structure from motion."""
+
+from __future__ import annotations
+
+import shutil
+import uuid
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Literal
+
+import pycolmap
+
+from ..formats.colmap_model import Model
+from ..formats.pictures import read_header
+from ..settings import DatasetError
+from ..store.progress import report
+
+Matching = Literal["exhaustive", "sequential"]
+
+IMAGES_A_BATCH, PAIRS_A_BATCH = 8, 64  # between two reports of progress
+NEIGHBORS = 10  # each image is matched with this many after it, and with those 2, 4, 8 … away
+LEAST_IMAGES = 3  # of a model
+SEED = 0
+
+
+@dataclass(frozen=True)
+class Reconstructor:
+    """How photographs become a model.
+
+    Attributes:
+        camera_model: COLMAP's name; images of one size share a camera.
+        matching: every image with every other, or with its neighbors in the order of names.
+        feature_size: images are reduced to this many pixels along their longer side for finding features.
+    """
+
+    camera_model: str
+    matching: Matching
+    feature_size: int
+
+    def model_of(self, names: Sequence[str], images: Path, folder: Path) -> Model:
+        """The model of the images `images/<name>`, in `folder`, made unless it is there.
+
+        Of several models, which share no points, the one that places the most images.
+
+        Raises:
+            DatasetError: no two images could be placed.
+        """
+        if folder.is_dir():
+            return Model(folder)
+        work = folder.with_name(f"{folder.name}-{uuid.uuid4().hex}.part")
+        try:
+            (work / "images").mkdir(parents=True)
+            for index, name in enumerate(names):  # under names that no list of pairs can break
+                (work / "images" / _plain(index, name)).symlink_to((images / name).resolve())
+            with _quiet():
+                self._find_features(names, images, work)
+                self._match(names, work)
+                model = self._map(names, images, work)
+            (work / "model").mkdir()
+            model.write_binary(str(work / "model"))
+            try:
+                (work / "model").rename(folder)
+            except OSError:
+                if not folder.is_dir():  # else another process has made it meanwhile
+                    raise
+        finally:
+            shutil.rmtree(work, ignore_errors=True)
+        return Model(folder)
+
+    def _find_features(self, names: Sequence[str], images: Path, work: Path) -> None:
+        by_size: dict[tuple[int, int], list[str]] = defaultdict(list)
+        for index, name in enumerate(names):
+            header = read_header(images / name)
+            by_size[header.width, header.height].append(_plain(index, name))
+        options = pycolmap.FeatureExtractionOptions()
+        options.max_image_size = self.feature_size
+        done = 0
+        for plain in by_size.values():
+            reader = pycolmap.ImageReaderOptions()
+            reader.camera_model = self.camera_model
+            for batch in _batches(plain, IMAGES_A_BATCH):
+                pycolmap.extract_features(
+                    work / "database.db", work / "images", batch, pycolmap.CameraMode.SINGLE, reader, options
+                )
+                if reader.existing_camera_id < 0:
+                    reader.existing_camera_id = _newest_camera(work / "database.db")
+                done += len(batch)
+                report("finding features", done, len(names))
+
+    def _match(self, names: Sequence[str], work: Path) -> None:
+        plain = [_plain(index, name) for index, name in enumerate(names)]
+        pairs = list(combinations(plain, 2)) if self.matching == "exhaustive" else list(_neighbors(plain))
+        options = pycolmap.FeatureMatchingOptions()
+        verification = pycolmap.TwoViewGeometryOptions()
+        verification.ransac.random_seed = SEED
+        pairing = pycolmap.ImportedPairingOptions()
+        pairing.match_list_path = work / "pairs.txt"
+        done = 0
+        for batch in _batches(pairs, PAIRS_A_BATCH):
+            (work / "pairs.txt").write_text("".join(f"{first} {second}\n" for first, second in batch))
+            pycolmap.match_image_pairs(work / "database.db", options, pairing, verification)
+            done += len(batch)
+            report("matching images", done, len(pairs))
+
+    def _map(self, names: Sequence[str], images: Path, work: Path) -> pycolmap.Reconstruction:
+        options = pycolmap.IncrementalPipelineOptions()
+        options.min_model_size, options.random_seed = LEAST_IMAGES, SEED
+        placed = 0
+
+        def started() -> None:
+            nonlocal placed
+            placed = 2
+            report("placing images", placed, len(names))
+
+        def added() -> None:
+            nonlocal placed
+            placed += 1
+            report("placing images", placed, len(names))
+
+        (work / "models").mkdir()
+        models = pycolmap.incremental_mapping(
+            work / "database.db", work / "images", work / "models", options, "", started, added
+        )
+        if not models:
+            raise DatasetError(
+                f"{images}: structure from motion placed none of {len(names)} images: no two of them share enough; "
+                "they should overlap by more than half and show texture"
+            )
+        best = max(models.values(), key=lambda model: model.num_reg_images())
+        original = {_plain(index, name): name for index, name in enumerate(names)}
+        for image in best.images.values():
+            image.name = original[image.name]
+        return best
+
+
+def _plain(index: int, name: str) -> str:
+    return f"{index:06d}{Path(name).suffix}"
+
+
+def _neighbors(names: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Pairs of a sequence: near ones, and far ones at distances of powers of two."""
+    distances = {*range(1, NEIGHBORS + 1), *(2**power for power in range(len(names).bit_length()))}
+    return ((names[i], names[i + d]) for d in sorted(distances) for i in range(len(names) - d))
+
+
+def _batches(items: Sequence, size: int) -> Iterator[Sequence]:
+    return (items[first : first + size] for first in range(0, len(items), size))
+
+
+def _newest_camera(database: Path) -> int:
+    with pycolmap.Database.open(database) as opened:
+        return max(camera.camera_id for camera in opened.read_all_cameras())
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """pycolmap says every step it takes; here only its errors are of interest."""
+    before = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
+    try:
+        yield
+    finally:
+        pycolmap.logging.minloglevel = before

@@ -1,0 +1,61 @@
+"""Undistortion: from any perspective or fisheye camera to a pinhole that sees the same."""
+
+from __future__ import annotations
+
+import threading
+from functools import lru_cache
+
+import numpy as np
+import pycolmap
+import torch
+from numpy.typing import NDArray
+
+from ..settings import DatasetError
+
+PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
+ROWS = 256  # of a map made at a time: bounds its memory
+
+_one_at_a_time = threading.Lock()  # threads that want the same map wait for it, instead of making it too
+
+
+def undistorted_camera(camera: pycolmap.Camera) -> pycolmap.Camera:
+    """The pinhole camera that sees what `camera` sees, without borders where there is no picture.
+
+    Raises:
+        DatasetError: no pinhole can, as of a panorama.
+    """
+    if camera.model.name in PINHOLES:
+        return camera
+    try:
+        return pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
+    except Exception as error:  # pycolmap raises whatever its C++ does
+        raise DatasetError(
+            f"a camera of model {camera.model.name} cannot be undistorted to a pinhole; use a perspective or fisheye "
+            "model, as OPENCV or OPENCV_FISHEYE"
+        ) from error
+
+
+def undistort(pixels: NDArray, camera: pycolmap.Camera) -> NDArray[np.float32]:
+    """What `undistorted_camera(camera)` sees of the picture [H, W, C] of `camera`'s size; bilinear, [h, w, C]."""
+    if camera.model.name in PINHOLES:
+        return pixels.astype(np.float32)
+    with _one_at_a_time:
+        places = _map(camera.model.name, camera.width, camera.height, tuple(camera.params))
+    planes = torch.from_numpy(np.ascontiguousarray(pixels, dtype=np.float32)).permute(2, 0, 1)[None]
+    seen = torch.nn.functional.grid_sample(planes, places, padding_mode="border", align_corners=False)
+    return seen[0].permute(1, 2, 0).numpy()
+
+
+@lru_cache(maxsize=4)
+def _map(model: str, width: int, height: int, params: tuple[float, ...]) -> torch.Tensor:
+    """Where the undistorted camera's pixel centers lie in the picture: [1, h, w, 2], ±1 at its outer edges."""
+    camera = pycolmap.Camera(model=model, width=width, height=height, params=list(params))
+    pinhole = undistorted_camera(camera)
+    inverse = np.linalg.inv(pinhole.calibration_matrix())
+    places = np.empty((pinhole.height, pinhole.width, 2), dtype=np.float32)
+    for first in range(0, pinhole.height, ROWS):
+        y, x = np.mgrid[first : min(first + ROWS, pinhole.height), : pinhole.width] + 0.5
+        rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3) @ inverse.T
+        pixels = camera.img_from_cam(rays).reshape(*x.shape, 2)
+        places[first : first + ROWS] = 2 * pixels / [width, height] - 1
+    return torch.from_numpy(places)[None]

@@ -1,0 +1,103 @@
+"""Views: photographs as methods want them, upright pinhole pictures with intrinsics of their actual sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pycolmap
+import torch
+from numpy.typing import NDArray
+
+from envgs_bench.core import Camera, View
+
+from ..formats.normal_maps import world_normals
+from ..formats.pictures import Color, read_mask, read_picture
+from ..settings import DatasetError
+from ..store.cache import Draft
+from ..store.progress import mapped
+from .exposure import brightened
+from .photograph import Photograph, fit_to_files
+from .resampling import resample
+from .undistortion import PINHOLES, undistort, undistorted_camera
+
+ALL_OF_IT = 0.999  # of a pixel, in floats
+ROUNDING = 1e-14  # of float64 numbers around 1, after some operations
+
+
+def make_views(
+    photographs: Sequence[Photograph],
+    downsample: float,  # ≥ 1: pictures are this many times smaller
+    background: Color,  # sRGB, behind transparent ones
+    draft: Draft,
+) -> list[View]:
+    """The photographs as views, in the given order.
+
+    Pictures, masks and normals are undistorted, then shrunk by area; all in parallel, each kept in the draft as soon
+    as it is there.
+
+    Raises:
+        DatasetError: any file that cannot be read or does not fit; the message names it.
+    """
+    fitted = fit_to_files(photographs, draft)
+    return mapped("reading images", lambda photograph: _make_view(photograph, downsample, background, draft), fitted)
+
+
+def _make_view(photograph: Photograph, downsample: float, background: Color, draft: Draft) -> View:
+    camera = _camera(photograph, downsample)
+
+    def fitted(pixels: NDArray) -> torch.Tensor:
+        return torch.from_numpy(_fitted(pixels, photograph.camera, camera))
+
+    picture, opaque = read_picture(photograph.path, background, photograph.turned)
+    if photograph.gains is not None:
+        picture = brightened(picture, photograph.gains)
+    normal = None
+    if photograph.normal is not None:
+        vectors = photograph.normal.read(_opaque_at(opaque, *photograph.normal.size()))
+        normal = draft.keep(world_normals(fitted(vectors), camera, photograph.normal.frame))
+    return View(
+        name=photograph.view_name,
+        camera=camera,
+        image=draft.keep(fitted(picture)),
+        masks={region: draft.keep(fitted(read_mask(path))) for region, path in photograph.masks.items()},
+        normal=normal,
+    )
+
+
+def _camera(photograph: Photograph, downsample: float) -> Camera:
+    try:
+        pinhole = undistorted_camera(photograph.camera)
+        width, height = (max(1, round(length / downsample)) for length in (pinhole.width, pinhole.height))
+        pose = torch.from_numpy(_without_noise(photograph.world_to_camera)).float()
+        intrinsics = torch.from_numpy(np.array(pinhole.calibration_matrix())).float()
+        return Camera(pose, intrinsics, pinhole.width, pinhole.height).resized(width, height)
+    except ValueError as error:
+        raise DatasetError(f"{photograph.name}: {error}; repair or remove it") from error
+
+
+def _without_noise(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The pose with zeros where a quaternion or an inverse left some 1e-16: a camera keeps its bits in a file."""
+    return np.where(np.abs(pose) < ROUNDING * np.abs(pose).max(), 0.0, pose)
+
+
+def _fitted(pixels: NDArray, distorted: pycolmap.Camera, camera: Camera) -> NDArray:
+    """Pixels of the whole photograph, of any size, as `camera` sees them: [H, W] or [H, W, C], of the same dtype."""
+    planes = pixels if pixels.ndim == 3 else pixels[..., None]
+    if distorted.model.name not in PINHOLES:
+        planes = undistort(_at_size(planes, distorted.width, distorted.height), distorted)
+    planes = _at_size(planes, camera.width, camera.height)
+    if pixels.dtype == np.bool_:
+        planes = planes >= 0.5
+    elif pixels.dtype == np.uint8:
+        planes = np.round(planes)
+    return np.array(planes, dtype=pixels.dtype).reshape(camera.height, camera.width, *pixels.shape[2:])
+
+
+def _at_size(planes: NDArray, width: int, height: int) -> NDArray:
+    return planes if planes.shape[:2] == (height, width) else resample(planes, width, height)
+
+
+def _opaque_at(opaque: NDArray[np.bool_] | None, width: int, height: int) -> NDArray[np.bool_] | None:
+    """Where every part of a pixel of that size is opaque."""
+    return None if opaque is None else _at_size(opaque[..., None], width, height)[..., 0] >= ALL_OF_IT

@@ -1,0 +1,1 @@
+"""What a scene's making remembers and reports: the cache, files' contents, progress."""

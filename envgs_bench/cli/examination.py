@@ -1,0 +1,91 @@
+"""What works on this machine, and of what does not, why and what to do: what `envgs-bench doctor` prints."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+from importlib.metadata import PackageNotFoundError, entry_points, version
+
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from envgs_bench.core import available_backends
+from envgs_bench.methods.registry import ENTRY_POINT_GROUP
+from envgs_bench.metrics import WeightsUnavailable, find_weights
+from envgs_bench.settings import default_cache_dir
+
+PACKAGES = (
+    "envgs-bench",
+    "torch",
+    "numpy",
+    "hydra-core",
+    "embreex",
+    "pycolmap",
+    "flip-evaluator",
+    "torchmetrics",
+    "kornia",
+)
+
+
+def examine() -> int:
+    """Print the state of backends, metrics' weights, methods, folders and versions.
+
+    Returns:
+        The exit status: 1 where no backend can draw, else 0.
+    """
+    backends = available_backends()
+    table = Table("what", "state", "remark", show_header=False, box=None)
+    for name, reason in backends.items():
+        _add(table, f"backend {name}", reason)
+    _add(table, "VGG-16 weights", *_weights())
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        _add(table, f"method {point.name}", _loading_error(point))
+    _add(table, "cache", _cache_error(), str(default_cache_dir()))
+    for package in PACKAGES:
+        _add(table, package, *_version(package))
+    _add(table, "python", None, f"{platform.python_version()} on {platform.platform()}")
+    _add(table, "threads", None, f"{torch.get_num_threads()} of {os.cpu_count()} logical processors")
+    console = Console(width=160)
+    console.print(table, highlight=False)
+    drawing = [name for name, reason in backends.items() if reason is None and name != "embree"]
+    if not drawing:
+        console.print("No backend can draw: install again with a C++ compiler at hand (pip install -e .)")
+    return 0 if drawing else 1
+
+
+def _add(table: Table, what: str, problem: str | None, remark: str = "") -> None:
+    table.add_row(what, "no" if problem else "yes", problem or remark)
+
+
+def _version(package: str) -> tuple[str | None, str]:
+    try:
+        return None, version(package)
+    except PackageNotFoundError:
+        return "not installed", ""
+
+
+def _weights() -> tuple[str | None, str]:
+    try:
+        return None, str(find_weights(download=False))
+    except WeightsUnavailable as error:
+        return f"{error}. Without them LPIPS reads n/c, and methods train without their perceptual loss", ""
+
+
+def _loading_error(point) -> str | None:
+    try:
+        point.load()
+    except Exception as error:
+        return f"{point.value} cannot be loaded: {error}"
+    return None
+
+
+def _cache_error() -> str | None:
+    folder = default_cache_dir()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        free = shutil.disk_usage(folder).free
+    except OSError as error:
+        return f"{error}; set ENVGS_BENCH_CACHE to a folder that can be written"
+    return None if os.access(folder, os.W_OK) and free else f"{folder} cannot be written; set ENVGS_BENCH_CACHE"

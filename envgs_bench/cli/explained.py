@@ -1,0 +1,15 @@
+"""How a command ends whose input cannot be used."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+
+def explained(command: str, work: Callable[[], int]) -> int:
+    """The exit status of `work`; 1 with the explanation on standard error where its input cannot be used."""
+    try:
+        return work()
+    except (OSError, ValueError) as error:
+        print(f"envgs-bench {command}: {error}", file=sys.stderr)
+        return 1

@@ -1,0 +1,49 @@
+"""The `envgs-bench` command: names its commands and hands over to the file of the one that is called."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+# Each is a file of this folder with a `main(arguments) -> exit status`, imported only when it is called; there `--help`
+# answers before anything slow is imported.
+COMMANDS = {
+    "run": "train, render, score and time; `run --help` tells the keys",
+    "report": "tables, charts and pages from records",
+    "rescore": "finished runs under another protocol, without training them again",
+    "masks": "masks of what reflects, from an EnvGS that was trained on a capture",
+    "ply": "the Gaussians that a run trained, as PLY files",
+    "export": "a data set in COLMAP's or blender's layout",
+    "list": "methods, data sets, protocols, experiments, backends",
+    "bench": "time the core itself",
+    "doctor": "what works on this machine, and why not what does not",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command that `arguments` (sys.argv's by default) begin with; returns its exit status."""
+    # OpenMP reads this as PyTorch is loaded, here and in the runs started from here. Threads that wait by spinning cost
+    # a run beside another (a parallel sweep, a shared machine) ten times its own time.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    command = _parser().parse_args(given[:1]).command
+    return importlib.import_module(f".{command}", __package__).main(given[1:])
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="envgs-bench",
+        description="Benchmark novel-view synthesis of reflective scenes: speed, accuracy, stability, size.",
+        allow_abbrev=False,
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, purpose in COMMANDS.items():
+        commands.add_parser(name, help=purpose, add_help=False)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

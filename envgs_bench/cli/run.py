@@ -1,0 +1,44 @@
+"""`envgs-bench run`: one run, or a sweep of them."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+
+DESCRIPTION = """\
+Train, render, score and time methods on data sets; one folder and one record.json a run.
+
+  envgs-bench run method=envgs dataset=toy/chrome_room
+  envgs-bench run -m method=2dgs,3dgs,envmap,envgs seed=0,1,2      every combination, one after the other
+  envgs-bench run -m experiment=demo                               a prepared sweep
+  envgs-bench run dataset=colmap dataset.root=FOLDER steps=3000    a capture of your own
+  envgs-bench run dataset=ref_real/sedan data_root=FOLDER          a scene of the paper, below FOLDER
+  envgs-bench run method=renders path=FOLDER method.name=other     test views that another program drew
+
+Keys of every run:
+  method, dataset     see `envgs-bench list`; their settings are method.settings.<key>=, dataset.<key>=
+  protocol, seed, steps, device=auto|cpu|cuda
+  runs_dir=runs, cache_dir, timeout_minutes, timing.frames, timing.seconds
+  force=true          run again what is already there, replacing it
+  retry_failed=true   run again what ended with another status than ok
+
+Hydra's own options work too: -m, --cfg job (show the composed configuration), --config-dir DIR (more methods and
+data sets as YAML files), hydra/launcher=joblib (jobs in parallel).
+
+Exit status: 0 all runs ok, 1 some not, 2 wrong arguments, 130 interrupted.
+"""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the jobs that `arguments` describe; the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="envgs-bench run",
+        description=DESCRIPTION,
+        usage="envgs-bench run [-m] [KEY=VALUE ...]",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    _, overrides = parser.parse_known_args(arguments)
+    from .application import run
+
+    return run(overrides)

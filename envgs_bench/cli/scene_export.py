@@ -1,0 +1,86 @@
+"""Composes a data set as a run would, loads it, writes it in another layout, and reads that back."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import CompactHydraException, HydraException
+from omegaconf.errors import OmegaConfBaseException
+
+from envgs_bench.core import Camera, Scene
+from envgs_bench.datasets import load_scene
+from envgs_bench.datasets.export import export_scene
+from envgs_bench.datasets.store.progress import listening
+from envgs_bench.runs.display import make_display
+from envgs_bench.settings import SettingsError
+
+from .composition import CONF, explain, register_methods, settings_of
+
+WRONG_ARGUMENTS = 2
+
+
+def export(overrides: list[str], form: str, out: Path) -> int:
+    """Write the data set that `overrides` name to the folder `out` and say how it is read back.
+
+    Returns:
+        The exit status: 0, or 2 where the overrides cannot be used.
+
+    Raises:
+        DatasetError: the data cannot be loaded, or the format cannot hold them.
+        OSError: `out` cannot be written.
+    """
+    register_methods()
+    try:
+        with initialize_config_dir(str(CONF), version_base="1.3"):
+            settings = settings_of(compose("config", overrides), overrides)
+    except (CompactHydraException, OmegaConfBaseException, SettingsError) as error:
+        print(f"envgs-bench export: {explain(error)}", file=sys.stderr)
+        return WRONG_ARGUMENTS
+    display = make_display(alone=True)
+    display.start(settings.dataset_name)
+    try:
+        with listening(lambda stage, done, total: display.update({"stage": stage, "step": done, "steps": total})):
+            scene = load_scene(settings.dataset, settings.cache_dir)
+            written = export_scene(scene, out, form)
+            again = load_scene(written, settings.cache_dir)
+    finally:
+        display.stop()
+    print(f"{out}: {len(scene.train)} training and {len(scene.test)} test views, {len(scene.points):,} points")
+    print(f"cameras read back {_difference(scene, again)}")
+    print(f"read it with: envgs-bench run {shlex.join(_as_overrides(written))}")
+    return 0
+
+
+def _difference(scene: Scene, again: Scene) -> str:
+    """How far the cameras of two readings of a scene differ, in words."""
+    pairs = zip([*scene.train, *scene.test], [*again.train, *again.test], strict=True)
+    largest = max(_largest_difference(ours.camera, theirs.camera) for ours, theirs in pairs)
+    return "bit by bit" if largest == 0 else f"off by up to {largest:.1e}"
+
+
+def _largest_difference(ours: Camera, theirs: Camera) -> float:
+    poses = (ours.world_to_camera - theirs.world_to_camera).abs().max()
+    return max(float(poses), float((ours.intrinsics - theirs.intrinsics).abs().max()))
+
+
+def _as_overrides(settings: dict[str, Any]) -> list[str]:
+    """`load_scene`'s settings as overrides of a run."""
+    others = {key: _as_value(value) for key, value in settings.items() if key != "kind"}
+    return [f"dataset={settings['kind']}", *(f"dataset.{key}={value}" for key, value in others.items())]
+
+
+def _as_value(value: Any) -> str:
+    """As an override's right side; text is quoted where its signs would mean something there."""
+    if not isinstance(value, str):
+        return json.dumps(value, separators=(",", ":"))
+    try:
+        plain = OverridesParser.create().parse_override(f"key={value}").value() == value
+    except HydraException:
+        plain = False
+    return value if plain else "'" + value.replace("'", r"\'") + "'"

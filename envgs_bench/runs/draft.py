@@ -1,0 +1,84 @@
+"""Draft: a record while its run is under way, filled in part by part; what was reached is kept however the run ends."""
+
+from __future__ import annotations
+
+import shlex
+from collections import deque
+from datetime import UTC, datetime
+from pathlib import Path
+
+from envgs_bench.metrics import get_protocol
+from envgs_bench.records import (
+    Cost,
+    Failure,
+    MaskedScores,
+    Metrics,
+    ProtocolName,
+    Provenance,
+    Record,
+    Status,
+    Timing,
+    write_record,
+)
+from envgs_bench.settings import RunSettings
+
+from . import provenance
+
+LOG_NAME = "log.txt"
+TAIL_LINES = 30
+
+
+class Draft:
+    """The record-to-be of the run in `folder`."""
+
+    def __init__(self, folder: Path, settings: RunSettings) -> None:
+        self.folder = folder
+        self.settings = settings
+        self.started = now()
+        self.checkout = provenance.checkout()
+        self.dataset = settings.dataset_name
+        self.steps = settings.steps
+        self.metrics: Metrics | None = None
+        self.masked: dict[str, MaskedScores] = {}
+        self.timing: Timing | None = None
+        self.cost: Cost | None = None
+
+    def write(self, status: Status, failure: Failure | None = None) -> Record:
+        """Write record.json; the record that was written."""
+        settings = self.settings
+        protocol = get_protocol(settings.protocol)
+        source = self.checkout | provenance.collect(settings.device)
+        source["command"] = shlex.join(["envgs-bench", "run", *settings.overrides])  # the user's, not this process's
+        record = Record(
+            status=status,
+            error=failure,
+            method=settings.method_name,
+            kind=settings.method.kind,
+            dataset=self.dataset,
+            seed=settings.seed,
+            steps=self.steps,
+            run_id=self.folder.name,
+            overrides=settings.overrides,
+            config=settings.model_dump(mode="json"),
+            protocol=ProtocolName(name=protocol.name, hash=protocol.hash, description=protocol.description),
+            metrics=self.metrics,
+            masked=self.masked,
+            timing=self.timing,
+            cost=self.cost,
+            provenance=Provenance(**source, started=self.started, finished=now()),
+        )
+        write_record(self.folder, record)
+        return record
+
+
+def now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def log_tail(folder: Path) -> str:
+    """The last lines of the run's log, "" where there is none."""
+    try:
+        with (folder / LOG_NAME).open(encoding="utf-8", errors="replace") as log:
+            return "".join(deque(log, maxlen=TAIL_LINES))
+    except OSError:
+        return ""

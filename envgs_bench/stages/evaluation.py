@@ -1,0 +1,74 @@
+"""Evaluation: draw the test views, keep the pictures, score them, over the full image and inside each region."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from envgs_bench.core import View
+from envgs_bench.methods.method import Method
+from envgs_bench.metrics import Protocol
+from envgs_bench.records import MaskedScores, Metrics, Scores
+
+from .pictures import depth_unit, save_view
+from .scoring import FULL, Pair, score_pairs
+from .training import Diverged, Report
+
+NORMAL_METRIC = "normal_degrees"
+
+
+def evaluate(
+    method: Method, views: Sequence[View], protocol: Protocol, folder: Path, report: Report
+) -> tuple[Metrics, dict[str, MaskedScores]]:
+    """Scores of `views` and of every region that their masks name.
+
+    Leaves the pictures of `view_pictures.save_view` in `folder`. Where a view brings exact normals, `normal_degrees` is
+    added to its scores: see `normal_error`.
+
+    Raises:
+        Diverged: a render is not finite.
+    """
+    return score_pairs(_drawn(method, views, folder, report), protocol)
+
+
+def _drawn(method: Method, views: Sequence[View], folder: Path, report: Report) -> Iterator[Pair]:
+    unit = depth_unit([view.camera for view in views])
+    for number, view in enumerate(views):
+        report({"stage": "scoring", "step": number, "steps": len(views)})
+        rendering = method.render(view.camera.to(method.device))
+        image = rendering.color.cpu()
+        if not torch.isfinite(image).all():
+            share = float((~torch.isfinite(image)).float().mean())
+            raise Diverged(f"the render of test view {view.name} is not finite in {share:.1%} of its values")
+        save_view(folder, view, rendering, unit)
+        yield Pair(view.name, image, view.rgb(), view.masks, _normal_errors(view, rendering.normal.cpu()))
+
+
+def normal_error(normal: Tensor, reference: Tensor, mask: Tensor | None = None) -> float | None:
+    """Mean angle between rendered and exact normals over the pixels with an exact one, degrees.
+
+    Args:
+        normal: [H, W, 3] blended normals of any length; where nothing was drawn (length 0) the angle counts as 90°.
+        reference: [H, W, 3] unit normals in the same frame, 0 where unknown.
+        mask: [H, W] bool, the pixels that count; all where None.
+
+    Returns:
+        None where no pixel counts.
+    """
+    known = reference.norm(dim=-1) > 0.5
+    known = known if mask is None else known & mask
+    if not known.any():
+        return None
+    cosine = (functional.normalize(normal[known].double(), dim=-1) * reference[known].double()).sum(-1)
+    return float(torch.rad2deg(torch.acos(cosine.clamp(-1, 1))).mean())
+
+
+def _normal_errors(view: View, normal: Tensor) -> dict[str, Scores]:
+    if view.normal is None:
+        return {}
+    regions: dict[str, Tensor | None] = {FULL: None, **view.masks}
+    return {region: {NORMAL_METRIC: normal_error(normal, view.normal, mask)} for region, mask in regions.items()}

@@ -1,0 +1,171 @@
+"""Renders: test views that another program drew, a folder of pictures, matched to the views and scored as any other."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from torch import Tensor
+
+from envgs_bench.core import Scene, View
+from envgs_bench.methods.settings import make_settings
+from envgs_bench.metrics import Protocol
+from envgs_bench.records import MaskedScores, Metrics
+
+from .pictures import save_pair
+from .scoring import Pair, score_pairs
+from .training import Report
+
+PICTURES = (".png", ".jpg", ".jpeg")
+SUFFIXES = (*PICTURES, ".npy")
+MODES = ("L", "LA", "P", "RGB", "RGBA")  # of 8 bits a channel
+NAMED_AT_MOST = 20  # of each kind of problem
+BRIGHTEST = 1.5  # mean of a picture whose range is [0, 1], with room for what overshoots
+
+
+class RendersError(ValueError):
+    """The folder does not fit the test views; the message lists all that does not."""
+
+
+@dataclass(frozen=True)
+class RendersSettings:
+    path: str = ""  # the folder
+    match: str = "name"  # of files to views: name, or order
+
+
+def score_renders(
+    settings: Mapping[str, Any], scene: Scene, protocol: Protocol, folder: Path, report: Report
+) -> tuple[Metrics, dict[str, MaskedScores]]:
+    """Scores of the pictures that `settings` name as the scene's test views; a copy of each is left in `folder`.
+
+    Raises:
+        ValueError: an unknown setting.
+        RendersError: files or views are left over, or a file cannot be taken for its view.
+    """
+    choice = make_settings(RendersSettings, settings, "method renders")
+    files = match_renders(Path(choice.path), choice.match, scene.test)
+
+    def pairs() -> Iterator[Pair]:
+        for number, view in enumerate(scene.test):
+            report({"stage": "scoring", "step": number, "steps": len(scene.test)})
+            image = read_render(files[view.name], scene.background)
+            save_pair(folder, view, image, {})
+            yield Pair(view.name, image, view.rgb(), view.masks)
+
+    return score_pairs(pairs(), protocol)
+
+
+def match_renders(folder: Path, match: str, views: Sequence[View]) -> dict[str, Path]:
+    """The file of each view, by the view's name.
+
+    Args:
+        match: "name": a file is called after its view (`a/b.png` is view a_b); "order": sorted by their numbers, the
+            files are the views in the order of their names.
+
+    Raises:
+        RendersError: naming every view without a file, every file without a view and every file of another size.
+    """
+    if match not in ("name", "order"):
+        raise RendersError(f"match={match}: expected name or order")
+    if not folder.is_dir():
+        raise RendersError(f"{folder}: there is no such folder; give that of the renders as path=…")
+    files = sorted((path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES), key=_natural)
+    names = [view.name for view in views]
+    problems: dict[str, list[str]] = {}
+    if match == "order":
+        found = dict(zip(names, files, strict=False))
+        problems["views without a file"] = names[len(files) :]
+        problems["files without a view"] = [str(path.relative_to(folder)) for path in files[len(names) :]]
+    else:
+        found = {}
+        for path in files:
+            name = path.relative_to(folder).with_suffix("").as_posix().replace("/", "_")
+            if name in found or name not in names:
+                kind = "files of a view that another file is for" if name in found else "files without a view"
+                problems.setdefault(kind, []).append(str(path.relative_to(folder)))
+            else:
+                found[name] = path
+        problems["views without a file"] = [name for name in names if name not in found]
+    problems["files that are not their view's"] = [
+        f"{found[view.name].relative_to(folder)}: {problem}"
+        for view in views
+        if view.name in found and (problem := _misfit(found[view.name], view))
+    ]
+    if any(problems.values()):
+        listed = "\n".join(f"  {len(items)} {kind}: {_listed(items)}" for kind, items in problems.items() if items)
+        raise RendersError(
+            f"{folder}: does not fit the {len(views)} test views:\n{listed}\n"
+            f"Expected one picture a test view, <view>.png, .jpg or .npy, of the view's size"
+            + ("; method.settings.match=order takes numbered files in the views' order" if match == "name" else "")
+        )
+    return found
+
+
+def read_render(path: Path, background: Tensor) -> Tensor:
+    """The picture as floats [H, W, 3], sRGB: bytes / 255, laid on `background` where transparent; an array as it is.
+
+    Raises:
+        RendersError: it cannot be decoded, a value is not finite, or the values cannot be meant to lie in [0, 1].
+    """
+    try:
+        if path.suffix.lower() == ".npy":
+            values: NDArray[Any] = np.load(path, allow_pickle=False)
+            scale = 255 if values.dtype == np.uint8 else 1
+        else:
+            values, scale = _decoded(path, background), 255
+    except (OSError, SyntaxError, ValueError) as error:
+        raise RendersError(f"{path}: cannot be read ({error}); write it again") from error
+    image = torch.from_numpy(np.array(values, np.float32)) / scale
+    if not torch.isfinite(image).all():
+        raise RendersError(f"{path}: {float((~torch.isfinite(image)).float().mean()):.1%} of its values are not finite")
+    if image.abs().mean() > BRIGHTEST:
+        raise RendersError(
+            f"{path}: its values average {float(image.mean()):.3g}, expected sRGB in [0, 1]; divide by 255?"
+        )
+    return image
+
+
+def _decoded(path: Path, background: Tensor) -> NDArray[np.uint8]:
+    with Image.open(path) as image:
+        if "A" not in image.getbands() and "transparency" not in image.info:
+            return np.array(image.convert("RGB"))
+        ground = Image.new("RGBA", image.size, tuple(round(255 * channel) for channel in [*background.tolist(), 1.0]))
+        return np.array(Image.alpha_composite(ground, image.convert("RGBA")).convert("RGB"))
+
+
+def _misfit(path: Path, view: View) -> str | None:
+    """Why the file cannot be the view's picture, from its header alone; None where it can."""
+    expected = (view.camera.height, view.camera.width, 3)
+    try:
+        if path.suffix.lower() == ".npy":
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+            if array.dtype != np.uint8 and not np.issubdtype(array.dtype, np.floating):
+                return f"holds {array.dtype}, expected floats in [0, 1] or bytes"
+            shape: tuple[int, ...] = array.shape
+            if len(shape) != 3 or shape[2] != 3:
+                return f"has shape {shape}, expected {expected}"
+        else:
+            with Image.open(path) as image:
+                if image.mode not in MODES:
+                    return f"has pixels of mode {image.mode}, expected 8 bits a channel"
+                shape = (image.height, image.width, 3)
+    except (OSError, SyntaxError, ValueError, EOFError) as error:
+        return f"cannot be read ({error})"
+    return None if shape == expected else f"is {shape[1]}×{shape[0]} pixels, its view {expected[1]}×{expected[0]}"
+
+
+def _natural(path: Path) -> list[Any]:
+    """Sort key that has 9.png before 10.png."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.as_posix())]
+
+
+def _listed(items: Sequence[str]) -> str:
+    more = len(items) - NAMED_AT_MOST
+    return ", ".join(items[:NAMED_AT_MOST]) + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,26 @@
+"""Reopening: a run's settings and its method with what it learned, from the run's folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from envgs_bench.methods.method import Method
+from envgs_bench.methods.registry import create_method
+from envgs_bench.runs.job import resolve_device
+from envgs_bench.settings import CONFIG_NAME, RunSettings, SettingsError, read_settings
+
+
+def reopen(folder: Path, device: str = "auto") -> tuple[RunSettings, Method]:
+    """The settings of the run in `folder`, and its method, ready to `prepare` and to `render` on `device`.
+
+    Raises:
+        SettingsError: no run's folder, or the device cannot be had.
+        ValueError: settings that the method does not have (any more), or a checkpoint of another method.
+        FileNotFoundError: the run left no checkpoint.
+    """
+    if not (folder / CONFIG_NAME).is_file():
+        raise SettingsError(f"{folder}: holds no {CONFIG_NAME}; expected the folder of one run")
+    settings = read_settings(folder)
+    method = create_method(settings.method.kind, settings.method.settings, resolve_device(device), settings.seed)
+    method.load(folder / "checkpoint")
+    return settings, method

@@ -1,0 +1,140 @@
+"""Rescoring: finished runs under another protocol, or with masks added since, without training them again.
+
+From the pictures that a run left: quick, and all it takes is the run's folder. They have 8 bits a channel, rounded;
+protocols that round to 8 bits themselves get the very numbers that the run would have had, the others take predictions
+as floats, or cut instead of rounding: see `Protocol.of_pictures`. Or from its checkpoint, with the views drawn again:
+that needs the data, and every protocol gets its own numbers.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from envgs_bench.datasets.registry import load_scene
+from envgs_bench.metrics import METRICS, Protocol
+from envgs_bench.records import (
+    RENDERS,
+    MaskedScores,
+    Metrics,
+    ProtocolName,
+    Record,
+    RecordError,
+    Scores,
+    ViewScores,
+    read_record,
+    write_record,
+)
+from envgs_bench.runs.draft import now
+from envgs_bench.settings import read_settings
+from envgs_bench.stages.evaluation import evaluate
+from envgs_bench.stages.renders import score_renders
+from envgs_bench.stages.scoring import FULL, Pair, score_pairs
+
+from .reopening import reopen
+
+PICTURES = ("renders", "targets", "masks", "layers")
+CURVE = "curve.csv"
+
+
+def rescore(run: Path, protocol: Protocol, out: Path) -> Record:
+    """Write the record of the run in the folder `run`, its pictures scored by `protocol`, into the folder `out`.
+
+    All else in it is the run's own, timing, cost and failures too; `provenance.rescored` says where it comes from.
+    Pictures are linked, not copied. The run's folder is only read.
+
+    Raises:
+        RecordError: the run's record cannot be read, or a picture is missing or unreadable.
+    """
+    record, protocol = read_record(run), protocol.of_pictures()
+    scores = None if record.metrics is None else score_pairs(_pairs(run, record), protocol)
+    return _write(run, record, protocol, scores, out, "pictures", (*PICTURES, CURVE))
+
+
+def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Record:
+    """As `rescore`, of the test views drawn again from the run's checkpoint, with the masks that the data have now.
+
+    Raises:
+        RecordError, ValueError, FileNotFoundError: as `rescore`, `reopen` and `load_scene`.
+    """
+    record = read_record(run)
+    scores = None
+    for name in PICTURES:
+        if (out / name).is_symlink():  # to the run's own, which are not to be written
+            (out / name).unlink()
+    if record.metrics is not None:
+        settings = read_settings(run)
+        scene = load_scene(settings.dataset, settings.cache_dir)
+        if record.kind == RENDERS:
+            scores = score_renders(settings.method.settings, scene, protocol, out, _silent)
+        else:
+            _, method = reopen(run, device)
+            method.prepare()
+            scores = evaluate(method, scene.test, protocol, out, _silent)
+    return _write(run, record, protocol, scores, out, "checkpoint", (CURVE,))
+
+
+def _write(
+    run: Path,
+    record: Record,
+    protocol: Protocol,
+    scores: tuple[Metrics, dict[str, MaskedScores]] | None,
+    out: Path,
+    source: str,
+    shared: tuple[str, ...],
+) -> Record:
+    """The record with these scores, in `out`, beside links to what it shares with the run."""
+    origin = {"run": str(run.resolve()), "from": source, "protocol": record.protocol.model_dump(), "at": now()}
+    metrics, masked = scores or (None, {})
+    rescored = record.model_copy(
+        update={
+            "protocol": ProtocolName(name=protocol.name, hash=protocol.hash, description=protocol.description),
+            "provenance": record.provenance.model_copy(update={"rescored": origin}),
+            "metrics": metrics,
+            "masked": masked,
+        }
+    )
+    out.mkdir(parents=True, exist_ok=True)
+    for name in shared:
+        if (run / name).exists() and not os.path.lexists(out / name):
+            (out / name).symlink_to(os.path.relpath(run / name, out.resolve()))
+    write_record(out, rescored)
+    return rescored
+
+
+def _silent(event: dict) -> None:
+    pass
+
+
+def _pairs(run: Path, record: Record) -> Iterator[Pair]:
+    assert record.metrics is not None
+    regions = {region: {row.view: row for row in scores.per_view} for region, scores in record.masked.items()}
+    for row in record.metrics.per_view:
+        shown = {region: rows[row.view] for region, rows in regions.items() if row.view in rows}
+        yield Pair(
+            view=row.view,
+            prediction=read_picture(run / "renders" / f"{row.view}.png"),
+            target=read_picture(run / "targets" / f"{row.view}.png"),
+            masks={region: read_picture(run / "masks" / f"{row.view}-{region}.png")[..., 0] > 0.5 for region in shown},
+            others={FULL: _others(row)} | {region: _others(scores) for region, scores in shown.items()},
+        )
+
+
+def _others(row: ViewScores) -> Scores:
+    """The scores that pictures cannot give again, as the angle between normals."""
+    return {name: value for name, value in row.scores.items() if name not in (*METRICS, "fraction")}
+
+
+def read_picture(path: Path) -> Tensor:
+    """[H, W, 3] floats in [0, 1]."""
+    try:
+        with Image.open(path) as image:
+            return torch.from_numpy(np.array(image.convert("RGB"))).float() / 255
+    except (OSError, SyntaxError, ValueError) as error:
+        raise RecordError(f"{path}: cannot be read ({error}); its run has to be run again with force=true") from error

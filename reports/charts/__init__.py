@@ -1,0 +1,1 @@
+"""Accuracy against what it costs, as pictures."""

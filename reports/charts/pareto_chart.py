@@ -1,0 +1,106 @@
+"""The charts as files: accuracy against what it costs, one row of panels a data set and device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+from ..tables.columns import ACCURACIES, COSTS, FRAME_MS, PSNR, Column
+from ..tables.sections import Section
+from .chart_font import chart_fonts
+from .pareto_panel import GRAY, INK, SOFT, Panel, draw_panel, name_marks
+
+MOST_ROWS = 4  # data sets drawn one by one; more are drawn as their means
+FORMATS = ("png", "pdf")
+DPI = 200
+WIDTH, HEIGHT = 5.6, 2.9  # of one panel, inches
+LEFT, RIGHT, BOTTOM, TOP = 0.85, 0.2, 0.62, 0.72  # around it, for what stands beside its axes
+REGIONS = ("near_field", "reflective", "foreground")  # the first that the data set has is drawn beside the full image
+RC: dict[Any, Any] = {
+    "font.size": 9.5,
+    "axes.edgecolor": "#98a2b3",
+    "axes.linewidth": 0.8,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": SOFT,
+    "ytick.color": SOFT,
+    "pdf.fonttype": 42,  # publishers refuse type 3
+    "text.parse_math": False,  # a name may hold a dollar sign
+}
+
+
+def draw_charts(sections: Sequence[Section], out: Path) -> list[Path]:
+    """Write pareto.png and .pdf, and charts/<accuracy>-<cost>.png and .pdf for every pair of columns that has a point.
+
+    `pareto` is PSNR against frame time, of the full image and beside it of the most telling region.
+
+    Returns:
+        The files, none where no run finished.
+    """
+    jobs = {"pareto": _pareto_rows(sections)}
+    for accuracy in ACCURACIES:
+        for cost in COSTS:
+            jobs[f"charts/{accuracy.key}-{cost.key}"] = panel_rows(sections, cost, [accuracy])
+    written = []
+    for name, rows in jobs.items():
+        if rows:
+            written += _write(rows, out / name)
+    return written
+
+
+def panel_rows(sections: Sequence[Section], cost: Column, accuracies: Sequence[Column]) -> list[list[Panel]]:
+    """A row a data set, or a mean over several where there are many; a panel an accuracy that has a point."""
+    rows = []
+    for section in sections:
+        alone = [table for table in section.subjects if len(table.datasets) == 1]
+        means = [table for table in section.subjects if len(table.datasets) > 1]
+        for table in alone if len(alone) <= MOST_ROWS else means:
+            panels = [Panel(section, table, cost, accuracy) for accuracy in accuracies]
+            rows.append([panel for panel in panels if panel.places])
+    return [row for row in rows if row]
+
+
+def _pareto_rows(sections: Sequence[Section]) -> list[list[Panel]]:
+    telling = [column for region in REGIONS for column in ACCURACIES if column.region == region]
+    return [row[:2] for row in panel_rows(sections, FRAME_MS, [PSNR, *telling])]
+
+
+def _write(rows: list[list[Panel]], stem: Path) -> list[Path]:
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    with mpl.rc_context(RC | {"font.family": chart_fonts()}):
+        figure = _figure(rows)
+        paths = [stem.with_name(f"{stem.name}.{kind}") for kind in FORMATS]
+        for path in paths:
+            undated = {"CreationDate": None} if path.suffix == ".pdf" else {}  # equal records make equal files
+            figure.savefig(path, dpi=DPI, facecolor="white", metadata=undated)
+    return paths
+
+
+def _figure(rows: list[list[Panel]]) -> Figure:
+    columns = max(len(row) for row in rows)
+    wide = WIDTH if columns == 1 else WIDTH * 0.78
+    size = (columns * (wide + LEFT) + RIGHT, len(rows) * (HEIGHT + TOP + BOTTOM))
+    figure = Figure(figsize=size)
+    axes = figure.subplots(len(rows), columns, squeeze=False)
+    figure.subplots_adjust(
+        left=LEFT / size[0],
+        right=1 - RIGHT / size[0],
+        bottom=BOTTOM / size[1],
+        top=1 - TOP / size[1],
+        wspace=LEFT / wide,
+        hspace=(TOP + BOTTOM) / HEIGHT,
+    )
+    for row, line in zip(rows, axes, strict=True):
+        for axis in line[len(row) :]:
+            axis.set_axis_off()
+            axis.text(0.5, 0.5, "no masked region", transform=axis.transAxes, color=GRAY, ha="center")
+        for column, (panel, axis) in enumerate(zip(row, line, strict=False)):
+            draw_panel(axis, panel, first=column == 0)
+    for row, line in zip(rows, axes, strict=True):
+        for panel, axis in zip(row, line, strict=False):
+            name_marks(figure, axis, panel)
+    return figure

@@ -1,0 +1,1 @@
+"""From records to numbers: one tidy table, means, intervals."""

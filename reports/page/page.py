@@ -1,0 +1,177 @@
+"""index.html: a page that opens offline, with its scripts, its data and its pictures beside it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections import Counter
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from importlib.resources import as_file, files
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from plotly.offline import get_plotlyjs
+
+from ..numbers.runs import BrokenRecord
+from ..pictures.gallery import Gallery
+from ..tables.entries import LEGEND, Entry, Heading, entries, headings
+from ..tables.layouts import KINDS
+from ..tables.notes import caption, notes
+from ..tables.sections import Section
+from ..tables.table import Row, Table
+from .data import write_data
+from .origin import commands, failures, origins
+
+SCRIPTS = ("marks.js", "tables.js", "axes.js", "chart.js", "curves.js", "viewer.js", "datasets.js")
+GLYPHS = {"ok": "✓", "failed": "✕", "diverged": "∿", "out_of_memory": "▣", "timeout": "◷", "interrupted": "‖"}
+ORDINALS = {1: "best", 2: "second", 3: "third"}
+
+
+def write_page(
+    out: Path, sections: Sequence[Section], broken: Sequence[BrokenRecord], galleries: Sequence[Sequence[Gallery]]
+) -> Path:
+    """Write index.html and assets/ into `out`; `galleries` are those of each section, their pictures already there."""
+    assets = out / "assets"
+    assets.mkdir(parents=True, exist_ok=True)
+    data = write_data(assets, sections, galleries)
+    (assets / "plotly.min.js").write_text(get_plotlyjs(), encoding="utf-8")
+    with as_file(files(__package__) / "assets") as source:
+        for name in ("report.css", *SCRIPTS):
+            shutil.copyfile(source / name, assets / name)
+        environment = Environment(
+            loader=FileSystemLoader(source), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        )
+        html = environment.get_template("index.html.j2").render(
+            sections=[
+                _section(section, index, data["sections"][index], galleries[index])
+                for index, section in enumerate(sections)
+            ],
+            broken=broken,
+            tiles=_tiles(sections, broken),
+            legend=LEGEND,
+            glyphs=GLYPHS,
+            names={status: status.replace("_", " ") for status in GLYPHS},
+            ordinals=ORDINALS,
+            scripts=["plotly.min.js", "data.js", *SCRIPTS],
+            version=_version(),
+        )
+    page = out / "index.html"
+    page.write_text(html, encoding="utf-8")
+    return page
+
+
+def _section(section: Section, index: int, data: dict[str, Any], galleries: Sequence[Gallery]) -> dict[str, Any]:
+    parts = {
+        "Chart": bool(data["subjects"]),
+        "Tables": True,
+        "Pictures": bool(galleries),
+        "Training": bool(data["curves"]),
+        "Runs": True,
+        "Provenance": True,
+    }
+    return {
+        "id": f"section-{index}",
+        "title": section.title,
+        "short": f"{section.protocol.name}, {section.device}",
+        "protocol": section.protocol,
+        "device": section.device,
+        "csv": section.csv_name(index),
+        "parts": [name for name, there in parts.items() if there],
+        "tables": _parts(section),
+        "galleries": galleries,
+        "statuses": Counter(item.run.record.status for item in section.runs).most_common(),
+        "datasets": section.datasets,
+        "matrix": _matrix(section),
+        "failures": failures(section),
+        "superseded": len(section.superseded),
+        "contracts": sorted({item.run.record.timing.contract for item in section.runs if item.run.record.timing}),
+        "origins": origins(section),
+        "commands": commands(section),
+    }
+
+
+def _parts(section: Section) -> list[dict[str, Any]]:
+    """The tables by kind; a note that all tables of a kind share is told once, after them."""
+    parts = []
+    for kind, title in KINDS.items():
+        tables = [_table(section, table) for table in section.tables if table.kind == kind]
+        if tables:
+            shared = [note for note in tables[0]["notes"] if all(note in table["notes"] for table in tables)]
+            for table in tables:
+                table["notes"] = [note for note in table["notes"] if note not in shared]
+            parts.append({"kind": kind, "title": title, "tables": tables, "notes": shared})
+    return parts
+
+
+def _table(section: Section, table: Table) -> dict[str, Any]:
+    titles = headings(table)
+    groups = [(name, len(list(members))) for name, members in groupby(titles, key=lambda heading: heading.group)]
+    return {
+        "title": table.title,
+        "caption": caption(section, table),
+        "groups": groups if len(groups) > 1 else [],
+        "headings": [_heading(heading) for heading in titles],
+        "rows": [_row(table, row) for row in table.rows],
+        "notes": notes(section, table),
+    }
+
+
+def _heading(heading: Heading) -> dict[str, str]:
+    text = re.sub(" (?=[↑↓°])", "\N{NO-BREAK SPACE}", heading.text)
+    return {"text": text, "explanation": heading.explanation}
+
+
+def _row(table: Table, row: Row) -> dict[str, Any]:
+    return {
+        "published_only": not row.attempts,
+        "failed": row.done < row.attempts,
+        "entries": [_entry(entry) for entry in entries(table, row)],
+    }
+
+
+def _entry(entry: Entry) -> dict[str, Any]:
+    value, sign, spread = entry.text.partition(" ± ") if entry.number else (entry.text, "", "")
+    return {"value": value, "spread": f"± {spread}" if sign else "", "rank": entry.rank, "tied": entry.tied}
+
+
+def _matrix(section: Section) -> list[dict[str, Any]]:
+    """A row a method, a cell a data set, in it its runs' seeds and statuses."""
+    cells: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for dataset in section.datasets:
+        for item in section.of(dataset):
+            run = {"seed": item.run.record.seed, "status": item.run.record.status}
+            cells.setdefault((dataset, item.method), []).append(run)
+    return [{"method": m, "cells": [cells.get((d, m), []) for d in section.datasets]} for m in section.methods]
+
+
+def _tiles(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> list[dict[str, str]]:
+    """What the head of the page says at a glance."""
+    runs = [item for section in sections for item in section.runs]
+    failed = sum(not item.run.ok for item in runs) + len(broken)
+    methods = {item.method for item in runs}
+    datasets = {item.dataset for item in runs}
+    tiles = [
+        {"name": "methods", "value": str(len(methods)), "note": ""},
+        {"name": "data sets", "value": str(len(datasets)), "note": next(iter(datasets)) if len(datasets) == 1 else ""},
+        {"name": "runs", "value": str(len(runs)), "note": f"{failed} failed" if failed else "all finished"},
+    ]
+    table = sections[0].subjects[0]
+    for key, name in (("psnr", "most accurate"), ("frame_ms", "fastest")):
+        best = [row for row in table.rows if (cell := row.cells.get(key)) and cell.rank == 1]
+        column = next((column for column in table.columns if column.key == key), None)
+        if best and column:
+            unit = "dB" if key == "psnr" else "ms"
+            mean = best[0].cells[key].mean
+            note = f"{column.text(mean)} {unit}" if mean is not None else ""
+            tiles.append({"name": f"{name}, {table.title}", "value": best[0].method, "note": note})
+    return tiles
+
+
+def _version() -> str:
+    try:
+        return version("envgs-bench")
+    except PackageNotFoundError:
+        return ""

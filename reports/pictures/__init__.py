@@ -1,0 +1,1 @@
+"""Test views as every method drew them, side by side."""

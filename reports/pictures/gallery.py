@@ -1,0 +1,154 @@
+"""Gallery: which test views a report shows of a data set, and their pictures copied beside the page."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from ..numbers.runs import Run
+from ..tables.sections import Section
+
+MOST_VIEWS = 8
+MOST_PICTURES = 800  # of all data sets and methods together, before fewer views are shown of each
+LAYERS = ("error", "flip", "base", "reflection", "beta", "normal", "depth")  # shown first, in this order
+REGION = "reflective"
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One test view as the methods drew it. Paths are those of the runs' own files."""
+
+    view: str
+    roles: tuple[str, ...]  # of "worst" and "median", or none
+    target: Path
+    renders: dict[str, Path]  # method -> picture, of its first finished seed
+    layers: dict[str, dict[str, Path]]  # method -> layer -> picture
+    psnr: dict[str, float]  # method -> dB, of the same run
+    mask: Path | None  # of the reflective region
+
+    @property
+    def title(self) -> str:
+        return f"{' and '.join(self.roles)} view {self.view}" if self.roles else f"view {self.view}"
+
+
+@dataclass(frozen=True)
+class Gallery:
+    dataset: str
+    methods: tuple[str, ...]  # those with pictures, in the tables' order
+    missing: dict[str, str]  # method -> why there is none
+    shots: tuple[Shot, ...] = ()
+    files: dict[Path, str] = field(default_factory=dict)  # a run's file -> its copy, relative to the report
+    flips: dict[tuple[str, str], dict[str, str]] = field(default_factory=dict)  # (view, method) -> {"flip": file}
+    sheets: dict[str, str] = field(default_factory=dict)  # title -> file, relative to the report
+
+
+def galleries(section: Section) -> list[Gallery]:
+    """A gallery for each of the section's data sets that left pictures."""
+    share = MOST_PICTURES // max(1, len(section.datasets) * len(section.methods))
+    found = [_gallery(section, dataset, max(2, min(MOST_VIEWS, share))) for dataset in section.datasets]
+    return [gallery for gallery in found if gallery.shots]
+
+
+def copy_pictures(gallery: Gallery, out: Path, folder: str) -> None:
+    """Copy what the page shows into `out`/`folder`, and remember where each file went."""
+    for number, shot in enumerate(gallery.shots):
+        stem = f"{number:02d}-{slug(shot.view)}"
+        wanted = {f"{stem}-target": shot.target}
+        for index, method in enumerate(gallery.methods):
+            name = f"{stem}-{index:02d}-{slug(method)}"
+            if method in shot.renders:
+                wanted[name] = shot.renders[method]
+            for layer, path in shot.layers.get(method, {}).items():
+                wanted[f"{name}-{slug(layer)}"] = path
+        for name, path in wanted.items():
+            relative = f"{folder}/views/{name}.png"
+            (out / relative).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, out / relative)
+            gallery.files[path] = relative
+
+
+def read_picture(path: Path) -> np.ndarray | None:
+    """[H, W, 3] uint8, or None where there is no readable picture."""
+    try:
+        with Image.open(path) as image:
+            return np.asarray(image.convert("RGB"))
+    except (OSError, ValueError, SyntaxError):
+        return None
+
+
+def ordered_layers(names: Iterable[str]) -> list[str]:
+    """The names of LAYERS first and in their order, then the others."""
+    return sorted(names, key=lambda name: (LAYERS.index(name) if name in LAYERS else len(LAYERS), name))
+
+
+def slug(name: str) -> str:
+    """A short name of letters, digits, dots and underscores: safe in paths and addresses."""
+    return re.sub(r"[^A-Za-z0-9._]+", "-", name).strip("-.")[:60] or "unnamed"
+
+
+def _gallery(section: Section, dataset: str, most: int) -> Gallery:
+    chosen: dict[str, Run] = {}
+    missing: dict[str, str] = {}
+    difficulty: dict[str, list[float]] = {}
+    for item in section.of(dataset):
+        if item.run.ok:
+            for view, psnr in item.run.view_psnr.items():
+                difficulty.setdefault(view, []).append(psnr)
+            if (item.run.folder / "renders").is_dir():
+                chosen.setdefault(item.method, item.run)
+        missing.setdefault(item.method, "no pictures" if item.run.ok else item.run.record.status.replace("_", " "))
+    shots = []
+    for view, roles in _views(difficulty, most):
+        shot = _shot(view, roles, chosen)
+        if shot is not None:
+            shots.append(shot)
+    drawn = tuple(method for method in chosen if any(method in shot.renders for shot in shots))
+    return Gallery(dataset, drawn, {m: why for m, why in missing.items() if m not in drawn}, tuple(shots))
+
+
+def _views(difficulty: dict[str, list[float]], most: int) -> Iterable[tuple[str, tuple[str, ...]]]:
+    """The views to show, worst first by the mean PSNR over all finished runs, and the roles that they play."""
+    ordered = sorted((float(np.mean(psnr)), view) for view, psnr in difficulty.items() if _safe(view))
+    views = [view for _, view in ordered]
+    if not views:
+        return []
+    worst, median = views[0], views[(len(views) - 1) // 2]
+    roles = {view: tuple(r for r, v in (("worst", worst), ("median", median)) if v == view) for view in views}
+    first = [worst, *([median] if median != worst else [])]
+    kept = (first + [view for view in views if view not in first])[:most]
+    return [(view, roles[view]) for view in sorted(kept, key=views.index)]
+
+
+def _shot(view: str, roles: tuple[str, ...], chosen: dict[str, Run]) -> Shot | None:
+    renders = {m: path for m, run in chosen.items() if (path := run.folder / "renders" / f"{view}.png").is_file()}
+    targets = [path for m in renders if (path := chosen[m].folder / "targets" / f"{view}.png").is_file()]
+    masks = [path for m in renders if (path := chosen[m].folder / "masks" / f"{view}-{REGION}.png").is_file()]
+    if not targets:
+        return None
+    return Shot(
+        view=view,
+        roles=roles,
+        target=targets[0],
+        renders=renders,
+        layers={m: layers for m in renders if (layers := _layers(chosen[m].folder, view))},
+        psnr={m: psnr for m in renders if (psnr := chosen[m].view_psnr.get(view)) is not None},
+        mask=masks[0] if masks else None,
+    )
+
+
+def _layers(folder: Path, view: str) -> dict[str, Path]:
+    prefix = f"{view}-"
+    files = sorted((folder / "layers").glob("*.png")) if (folder / "layers").is_dir() else []
+    found = {path.stem.removeprefix(prefix): path for path in files if path.stem.startswith(prefix)}
+    return {name: found[name] for name in ordered_layers(found)}
+
+
+def _safe(view: str) -> bool:
+    """A view's name is a file's stem; one that could lead out of the run's folder is not shown."""
+    return Path(view).name == view

@@ -1,0 +1,163 @@
+"""Sheets: one picture of a test view as every method drew it, with a zoom into reflections and its error maps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+from scipy.ndimage import uniform_filter
+
+from .gallery import Gallery, Shot, ordered_layers, read_picture, slug
+
+CELL = 340  # width of a picture in a sheet, px
+MARGIN, GAP, HEAD, MOST_SIDE = 26, 14, 44, 300
+MOST_COLUMNS = 7  # methods in one sheet
+ZOOM = 3.2  # the zoomed window is this fraction of the picture's edges
+INK, SOFT, FRAME, PAPER = "#1f2733", "#667085", "#ffd400", "#ffffff"
+Panel = tuple[np.ndarray | None, str]  # the picture, or the words in its place
+
+
+def draw_sheets(gallery: Gallery, out: Path, folder: str) -> dict[str, str]:
+    """Write a sheet for the worst and for the median view, and one of their layers; title -> path within `out`."""
+    written: dict[str, str] = {}
+    for shot in gallery.shots:
+        if not shot.roles:
+            continue
+        stem = f"{folder}/{'-'.join(shot.roles)}-{slug(shot.view)}"
+        _save(_comparison(gallery, shot, out), out / f"{stem}.png")
+        written[f"{shot.title}: all methods"] = f"{stem}.png"
+        if shot.layers:
+            _save(_layer_sheet(shot), out / f"{stem}-layers.png")
+            written[f"{shot.title}: layers"] = f"{stem}-layers.png"
+    return written
+
+
+def zoom_window(errors: Sequence[np.ndarray], weight: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns where the methods differ most.
+
+    Args:
+        errors: [H, W] of each method.
+        weight: [H, W] ≥ 0, where to look: the reflective region.
+    """
+    height, width = weight.shape
+    rows, columns = max(1, round(height / ZOOM)), max(1, round(width / ZOOM))
+    difference = np.std(errors, axis=0) if len(errors) > 1 else errors[0]
+    score = uniform_filter(difference * weight, size=(rows, columns), mode="constant")
+    inner = score[rows // 2 : height - (rows - 1) // 2, columns // 2 : width - (columns - 1) // 2]
+    top, left = np.unravel_index(int(np.argmax(inner)), inner.shape)
+    return slice(int(top), int(top) + rows), slice(int(left), int(left) + columns)
+
+
+def _comparison(gallery: Gallery, shot: Shot, out: Path) -> Image.Image:
+    target = read_picture(shot.target)
+    if target is None:
+        return _grid(["ground truth"], [""], [("", [(None, "not readable")])], 0.75)
+    methods = [method for method in gallery.methods if method in shot.renders][:MOST_COLUMNS]
+    renders = {method: read_picture(shot.renders[method]) for method in methods}
+    fitting = {m: picture for m, picture in renders.items() if picture is not None and picture.shape == target.shape}
+    rows, columns = slice(0, target.shape[0]), slice(0, target.shape[1])
+    if fitting:
+        errors = [np.abs(picture / 255.0 - target / 255.0).mean(-1) for picture in fitting.values()]
+        rows, columns = zoom_window(errors, _weight(shot, target.shape[:2]))
+    maps = {m: read_picture(out / flip["flip"]) for m in fitting if (flip := gallery.flips.get((shot.view, m)))}
+    notes = ["", *(f"{shot.psnr[m]:.2f} dB" if m in shot.psnr else "" for m in methods)]
+    failed = list(gallery.missing)[: MOST_COLUMNS - len(methods)]
+
+    def line(first: Panel, of: Callable[[str], np.ndarray | None]) -> list[Panel]:
+        drawn = [(of(method), "") if method in fitting else (None, "not readable") for method in methods]
+        return [first, *drawn, *((None, gallery.missing[method]) for method in failed)]
+
+    whole = line((_framed(target, rows, columns), ""), lambda m: _framed(fitting[m], rows, columns))
+    zoomed = line((target[rows, columns], ""), lambda m: fitting[m][rows, columns])
+    flips = line((None, "FLIP error map\nblack 0, white 1"), lambda m: maps.get(m))
+    titles = ["ground truth", *methods, *failed]
+    lines = [("", whole), ("zoom", zoomed), ("FLIP", flips)]
+    return _grid(titles, notes + [""] * len(failed), lines, target.shape[0] / target.shape[1])
+
+
+def _layer_sheet(shot: Shot) -> Image.Image:
+    names = ordered_layers({name for layers in shot.layers.values() for name in layers})
+    lines = []
+    shape = None
+    for method in list(shot.layers)[:MOST_COLUMNS]:
+        pictures = [read_picture(shot.renders[method])]
+        pictures += [read_picture(path) if (path := shot.layers[method].get(n)) else None for n in names]
+        shape = shape or next((picture.shape for picture in pictures if picture is not None), None)
+        lines.append((method, [(picture, "none" if picture is None else "") for picture in pictures]))
+    titles = ["render", *("β" if name == "beta" else name for name in names)]
+    return _grid(titles, [""] * len(titles), lines, shape[0] / shape[1] if shape else 0.75)
+
+
+def _weight(shot: Shot, shape: tuple[int, int]) -> np.ndarray:
+    """Where the scene reflects: its mask, or else the β of the last method that has one, or else everywhere."""
+    betas = [layers["beta"] for layers in shot.layers.values() if "beta" in layers]
+    for path in filter(None, (shot.mask, *betas[-1:])):
+        picture = read_picture(path)
+        if picture is not None and picture.shape[:2] == shape and picture.any():
+            return picture[..., 0] / 255.0
+    return np.ones(shape)
+
+
+def _framed(picture: np.ndarray, rows: slice, columns: slice) -> np.ndarray:
+    framed = Image.fromarray(picture)
+    width = max(1, round(picture.shape[1] / CELL * 2))
+    corners = (columns.start, rows.start, columns.stop - 1, rows.stop - 1)
+    ImageDraw.Draw(framed).rectangle(corners, outline=FRAME, width=width)
+    return np.asarray(framed)
+
+
+def _grid(titles: list[str], notes: list[str], lines: list[tuple[str, list[Panel]]], aspect: float) -> Image.Image:
+    """A sheet: a title and a note above each column, a name beside each row."""
+    height = round(CELL * aspect)
+    longest = max((_font(17, True).getlength(name) for name, _ in lines), default=0.0)
+    side = min(MOST_SIDE, math.ceil(longest) + GAP) if longest else 0
+    size = (2 * MARGIN + side + len(titles) * (CELL + GAP) - GAP, 2 * MARGIN + HEAD + len(lines) * (height + GAP) - GAP)
+    sheet = Image.new("RGB", size, PAPER)
+    draw = ImageDraw.Draw(sheet)
+    for column, (title, note) in enumerate(zip(titles, notes, strict=True)):
+        x = MARGIN + side + column * (CELL + GAP)
+        draw.text((x, MARGIN), _fitted(title, CELL - (116 if note else 0), 21, True), INK, _font(21, True))
+        draw.text((x + CELL, MARGIN + 2), note, SOFT, _font(18), anchor="ra")
+    for row, (name, panels) in enumerate(lines):
+        y = MARGIN + HEAD + row * (height + GAP)
+        draw.text((MARGIN, y + height / 2), _fitted(name, side - GAP, 17, True), INK, _font(17, True), anchor="lm")
+        for column, (picture, words) in enumerate(panels):
+            x = MARGIN + side + column * (CELL + GAP)
+            if picture is None:
+                draw.rectangle((x, y, x + CELL - 1, y + height - 1), fill="#f3f5f9")
+                draw.text((x + CELL / 2, y + height / 2), words, SOFT, _font(18), anchor="mm", align="center")
+            else:
+                sheet.paste(_scaled(picture, (CELL, height)), (x, y))
+    return sheet
+
+
+def _scaled(picture: np.ndarray, size: tuple[int, int]) -> Image.Image:
+    """Enlarged by whole pixels, so that nothing is made up; reduced smoothly."""
+    pixels = picture if picture.dtype == np.uint8 else (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
+    larger = size[0] >= pixels.shape[1]
+    return Image.fromarray(pixels).resize(size, Image.Resampling.NEAREST if larger else Image.Resampling.LANCZOS)
+
+
+def _fitted(text: str, width: float, size: int, bold: bool) -> str:
+    """The text, shortened with an ellipsis to `width` pixels."""
+    if _font(size, bold).getlength(text) <= width:
+        return text
+    while text and _font(size, bold).getlength(text + "…") > width:
+        text = text[:-1]
+    return text + "…"
+
+
+@cache
+def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """The font that matplotlib brings along: the same on every machine."""
+    return ImageFont.truetype(Path(mpl.get_data_path()) / "fonts/ttf" / f"DejaVuSans{'-Bold' * bold}.ttf", size)
+
+
+def _save(sheet: Image.Image, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    sheet.save(path)

@@ -1,0 +1,1 @@
+"""From numbers to tables, and tables as Markdown, LaTeX and JSON."""

@@ -1,0 +1,118 @@
+"""The columns of every table: which number, how it prints, and which direction is better."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from typing import Literal
+
+from ..numbers.decimals import decimal, rounded
+
+
+@dataclass(frozen=True)
+class Column:
+    metric: str  # as in table.csv
+    region: str  # "full", or a masked one
+    title: str
+    places: int  # decimals printed, and compared when ranking
+    better: Literal["higher", "lower"]
+    axis: str  # its name on a chart's axis, with the unit
+    explanation: str = ""
+    ranked: bool = True
+    scale: Decimal = Decimal(1)  # printed value = stored value × scale
+    group: str = ""  # the heading above its own
+    datasets: tuple[str, ...] = ()  # whose mean it is
+    against: str = ""  # the method that is subtracted from each
+    elsewhere: bool = False  # the paper's alone: taken on another machine than ours
+
+    @property
+    def key(self) -> str:
+        """Its name within a table."""
+        name = self.metric if self.region == "full" else f"{self.metric}_{self.region}"
+        name = f"{name} - {self.against}" if self.against else f"paper_{name}" if self.elsewhere else name
+        return f"{self.group}: {name}" if self.group else name
+
+    @property
+    def heading(self) -> str:
+        return f"{self.title} {'↑' if self.better == 'higher' else '↓'}" if self.ranked else self.title
+
+    def printed(self, value: float | Decimal) -> Decimal:
+        """The stored value in the column's unit and decimals."""
+        return rounded(decimal(value) * self.scale, self.places)
+
+    def text(self, value: float | Decimal) -> str:
+        """The printed number; a difference has its sign."""
+        return f"{self.printed(value):+,}".replace("-", "−") if self.against else self.unsigned(value)
+
+    def unsigned(self, value: float | Decimal) -> str:
+        """The printed number without a sign, as of a spread."""
+        return f"{self.printed(value):,}"
+
+
+def of(datasets: Iterable[str], columns: Iterable[Column], group: str = "") -> tuple[Column, ...]:
+    """The columns over these data sets, below a heading of their own."""
+    return tuple(replace(column, datasets=tuple(datasets), group=group) for column in columns)
+
+
+PSNR = Column("psnr", "full", "PSNR", 2, "higher", "PSNR, dB", "peak signal-to-noise ratio, dB")
+SSIM = Column("ssim", "full", "SSIM", 3, "higher", "SSIM", "structural similarity")
+FLIP = Column("flip", "full", "FLIP", 3, "lower", "FLIP", "perceived difference, FLIP")
+LPIPS = Column("lpips", "full", "LPIPS", 3, "lower", "LPIPS", "learned perceptual distance")
+SCORES = (PSNR, SSIM, FLIP, LPIPS)
+
+
+def in_region(column: Column, region: str) -> Column:
+    """The score inside one region."""
+    name = region.replace("_", "-")
+    return replace(column, region=region, title=f"{column.title} {name}", axis=f"{column.axis}, {name} region")
+
+
+NORMALS = Column(
+    "normal_degrees", "full", "normal °", 1, "lower", "normal error, degrees", "mean angle to the exact normals"
+)
+FRAME_MS = Column(
+    "frame_ms", "full", "frame ms", 2, "lower", "frame time, ms", "mean over test views of each view's median"
+)
+TRAIN_SECONDS = Column(
+    "train_seconds", "full", "train s", 0, "lower", "training time, s", "training time without evaluation, s"
+)
+PRIMITIVES = Column(
+    "primitives", "full", "primitives", 0, "lower", "primitives", "Gaussians of all sets together", ranked=False
+)
+ENV_PRIMITIVES = Column(
+    "primitives_env", "full", "of them env", 0, "lower", "env primitives", "those that only reflect", ranked=False
+)
+MEGA = Decimal("1e-6")
+MEGABYTES = Column("model_bytes", "full", "MB", 1, "lower", "model size, MB", "10⁶ bytes", ranked=False, scale=MEGA)
+REGIONS = ("reflective", "near_field", "transmissive", "foreground")  # those whose PSNR stands beside the full image's
+COSTS = (FRAME_MS, TRAIN_SECONDS, MEGABYTES, PRIMITIVES)  # the axes of the charts
+MAIN_COLUMNS = (
+    *SCORES,
+    *(in_region(PSNR, region) for region in REGIONS),
+    NORMALS,
+    FRAME_MS,
+    TRAIN_SECONDS,
+    PRIMITIVES,
+    ENV_PRIMITIVES,
+    MEGABYTES,
+)
+ACCURACIES = MAIN_COLUMNS[: MAIN_COLUMNS.index(FRAME_MS)]
+SPEED_COLUMNS = (
+    PSNR,
+    SSIM,
+    LPIPS,
+    FLIP,
+    Column("fps", "full", "FPS", 1, "higher", "frames a second", "1000 / frame ms"),
+    FRAME_MS,
+    Column("frame_ms_p95", "full", "p95 ms", 2, "lower", "95th percentile, ms", "of all frames of all views"),
+    Column("prepare_ms", "full", "prepare ms", 2, "lower", "preparation, ms", "acceleration structures, once a model"),
+    TRAIN_SECONDS,
+    Column("peak_primitives", "full", "peak primitives", 0, "lower", "peak primitives", "at any step", ranked=False),
+    Column("peak_host_bytes", "full", "host MB", 0, "lower", "host memory, MB", "peak", ranked=False, scale=MEGA),
+    Column("peak_device_bytes", "full", "device MB", 0, "lower", "device memory, MB", "peak", ranked=False, scale=MEGA),
+)
+PAPER_SPEED = (
+    Column("fps", "full", "paper FPS", 3, "higher", "frames a second", "on an RTX 4090", ranked=False, elsewhere=True),
+    Column("train_hours", "full", "paper train h", 1, "lower", "hours", "on an RTX 4090", ranked=False, elsewhere=True),
+)

@@ -1,0 +1,186 @@
+"""Layouts: which tables a section has, each after one of the paper's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from ..numbers.estimates import Numbers
+from ..numbers.labels import Label
+from .columns import (
+    FLIP,
+    FRAME_MS,
+    LPIPS,
+    MAIN_COLUMNS,
+    MEGABYTES,
+    NORMALS,
+    PAPER_SPEED,
+    PSNR,
+    SCORES,
+    SPEED_COLUMNS,
+    SSIM,
+    TRAIN_SECONDS,
+    Column,
+    in_region,
+    of,
+)
+from .published import paper_scene, published_source, published_values
+from .table import Table, build_table
+
+KINDS = {
+    "overview": "Overview",
+    "subject": "Data set by data set",
+    "scenes": "Scene by scene",
+    "regions": "Inside the regions",
+    "ablation": "What each part is worth",
+    "speed": "Speed and memory",
+}
+ABLATED = {"envgs": ("envmap", "single_set")}  # kinds that replace a part of a method, besides its own variants
+REGIONS_OF_ABLATION = ("near_field", "reflective")
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What tables are made of.
+
+    Attributes:
+        subjects: name -> data sets: each data set alone, families of several, and all together.
+        methods: in the tables' order.
+        labels: method -> its name, with the settings that set it apart from others of that name.
+        kinds: method -> the code that it is a variant of.
+        beside_paper: whether the protocol is the paper's.
+    """
+
+    numbers: Numbers
+    subjects: Mapping[str, tuple[str, ...]]
+    methods: Sequence[str]
+    labels: Mapping[str, Label]
+    kinds: Mapping[str, str]
+    beside_paper: bool
+
+    @property
+    def families(self) -> dict[str, tuple[str, ...]]:
+        return {name: members for name, members in self.subjects.items() if len(members) > 1}
+
+    def table(
+        self,
+        title: str,
+        kind: str,
+        columns: Sequence[Column],
+        methods: Sequence[str] | None = None,
+        paper: Callable[[str], bool] = lambda method: published_source(method) != "ablation",
+    ) -> Table:
+        chosen = self.methods if methods is None else methods
+        return build_table(self.numbers, title, kind, columns, chosen, paper if self.beside_paper else None)
+
+
+def layouts(contents: Contents, everything: str) -> list[Table]:
+    """Every table that has a number, in the order in which the report shows them.
+
+    Args:
+        everything: the name of the subject that holds all families, where there are several.
+    """
+    tables = [*overview(contents, everything), *subjects(contents), *scenes(contents, everything)]
+    tables += [*regions(contents), *ablations(contents), *speeds(contents)]
+    return [table for table in tables if table.columns or (table.kind == "subject" and table.rows)]
+
+
+def overview(contents: Contents, everything: str) -> list[Table]:
+    """Tables 1 and 3: one family beside the other, then what all of them cost."""
+    families = {name: members for name, members in contents.families.items() if name != everything}
+    within = {dataset for members in families.values() for dataset in members}
+    groups = families | {name: m for name, m in contents.subjects.items() if len(m) == 1 and not within.issuperset(m)}
+    whole = tuple(dict.fromkeys(dataset for members in groups.values() for dataset in members))
+    if len(whole) < 2:
+        return []
+    columns = [c for name, members in groups.items() for c in of(members, SCORES, name)]
+    columns += of(whole, (FRAME_MS, TRAIN_SECONDS, MEGABYTES, *PAPER_SPEED), everything)
+    return [contents.table("Overview", "overview", columns)]
+
+
+def subjects(contents: Contents) -> list[Table]:
+    """Everything that is known of a data set, or of the mean over a family; of a region, over those that have it."""
+    tables = []
+    for name, members in contents.subjects.items():
+        columns = [replace(c, datasets=contents.numbers.having(members, c.region)) for c in MAIN_COLUMNS]
+        tables.append(contents.table(name, "subject", columns))
+    return tables
+
+
+def scenes(contents: Contents, everything: str) -> list[Table]:
+    """Tables 7 to 9: a score over the scenes of a family, with their mean."""
+    tables = []
+    for name, members in contents.families.items():
+        if name != everything:
+            for score in (*SCORES, in_region(PSNR, "near_field"), in_region(PSNR, "reflective")):
+                having = contents.numbers.having(members, score.region)
+                if len(having) < 2:
+                    continue
+                columns = [c for d in having for c in of((d,), (score,), _scene(d, name))]
+                columns += of(having, (score,), "mean")
+                tables.append(contents.table(f"{name}: {score.title}", "scenes", columns))
+    return [table for table in tables if any(cell.shown for row in table.rows for cell in row.cells.values())]
+
+
+def _scene(dataset: str, family: str) -> str:
+    """A data set's name within its family."""
+    known = paper_scene(dataset)
+    return known[1] if known else dataset.removeprefix(f"{family}/")
+
+
+def regions(contents: Contents) -> list[Table]:
+    """Table 2: every score inside every region."""
+    tables = []
+    for name, members in contents.subjects.items():
+        columns: list[Column] = []
+        for region in contents.numbers.regions(members):
+            inside = [replace(in_region(score, region), title=score.title) for score in (*SCORES, NORMALS)]
+            columns += of(contents.numbers.having(members, region), inside, region.replace("_", "-"))
+        tables.append(contents.table(f"{name}: inside the regions", "regions", columns))
+    return tables
+
+
+def ablations(contents: Contents) -> list[Table]:
+    """Table 4: the variants of a method, then the method itself, and by how much they differ over the same seeds."""
+    tables = []
+    for full in _full_methods(contents):
+        name, kind = contents.labels[full].name, contents.kinds[full]
+        parts = [m for m in contents.methods if contents.kinds[m] == kind and contents.labels[m].name != name]
+        parts += [m for m in contents.methods if parts and contents.kinds[m] in ABLATED.get(kind, ())]
+        difference = replace(
+            PSNR, title="Δ PSNR", against=full, explanation=f"minus {full}, seed by seed", ranked=False
+        )
+        for subject, members in contents.subjects.items() if parts else ():
+            columns = list(of(members, (PSNR, difference, SSIM, LPIPS, FLIP)))
+            for region in REGIONS_OF_ABLATION:
+                having = contents.numbers.having(members, region)
+                columns += of(having, (in_region(PSNR, region), in_region(difference, region))) if having else ()
+            columns += of(members, (NORMALS,))
+            title = f"{subject}: {full} and what it is without"
+            tables.append(
+                contents.table(title, "ablation", columns, [*parts, full], lambda m: published_source(m) == "ablation")
+            )
+    return [table for table in tables if len(table.rows) > 1]
+
+
+def _full_methods(contents: Contents) -> list[str]:
+    """Of each kind the row that has its name; of several, as a knob's, the one with the most runs."""
+    whole = tuple(dict.fromkeys(name for members in contents.subjects.values() for name in members))
+    found: dict[str, str] = {}
+    for method in contents.methods:
+        kind = contents.kinds[method]
+        if contents.labels[method].name == kind:
+            runs = contents.numbers.statuses(whole, method).total()
+            if kind not in found or runs > contents.numbers.statuses(whole, found[kind]).total():
+                found[kind] = method
+    return list(found.values())
+
+
+def speeds(contents: Contents) -> list[Table]:
+    """Table 6: frames a second, what else they cost, and what the picture pays for it."""
+    tables = []
+    for name, members in contents.subjects.items():
+        timed = set(published_values(members, "full", "fps"))
+        columns = of(members, (*SPEED_COLUMNS, *PAPER_SPEED))
+        tables.append(contents.table(f"{name}: speed and memory", "speed", columns, paper=timed.__contains__))
+    return [table for table in tables if any(column.key == "frame_ms" for column in table.columns)]

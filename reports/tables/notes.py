@@ -1,0 +1,86 @@
+"""What a table's numbers need said beside them."""
+
+from __future__ import annotations
+
+from math import log10
+
+from .sections import Section
+from .table import Table
+
+QUIET_CORES = 0.2  # what others may use of a machine that counts as ours
+
+
+def caption(section: Section, table: Table) -> str:
+    """Size and number of pictures of a data set, or the number of data sets of a mean."""
+    if len(table.datasets) > 1:
+        return f"mean of {len(table.datasets)} data sets, complete rows only"
+    records = [item.run.record for item in section.of(table.datasets[0]) if item.run.ok]
+    sizes = sorted({f"{record.timing.width}×{record.timing.height}" for record in records if record.timing})
+    views = sorted({len(record.metrics.per_view) for record in records if record.metrics})
+    steps = sorted({record.steps for record in records if record.steps})  # none for pictures from elsewhere
+    words = [f"{' and '.join(sizes)} pixels"] if sizes else []
+    words += [f"{' or '.join(map(str, views))} test views"] if views else []
+    words += [f"{' or '.join(f'{count:,}' for count in steps)} steps"] if steps else []
+    return ", ".join(words)
+
+
+def notes(section: Section, table: Table) -> list[str]:
+    """Why cells are empty, how large the regions are, and what the paper's columns mean."""
+    found = []
+    if any(cell.text == "n/c" for row in table.rows for cell in row.cells.values()):
+        for dataset in table.datasets:
+            for metric, reasons in section.not_computed(dataset).items():
+                found.append(f"n/c: {metric.upper()} was not computed: {'; '.join(reasons)}.")
+    found += _shares(section, table)
+    found += _parts(table) if table.kind == "subject" else []
+    if any(column.metric == "frame_ms" for column in table.columns):
+        found += _company(section, table)
+    if any(column.against for column in table.columns):
+        found.append("Δ: the mean over seeds of the difference on the same seed, with the spread of that difference.")
+    if table.published:
+        found.append("Paper: printed in the EnvGS paper, and ours minus it. Rows marked published: by the paper only.")
+    if any(column.elsewhere for column in table.columns):
+        found.append("The paper's frame rates and training times are of its machine, an RTX 4090, not of this one.")
+    return list(dict.fromkeys(found))
+
+
+def _shares(section: Section, table: Table) -> list[str]:
+    """How much of the pixels the table's regions are. White around a region has no error: it adds −10·log₁₀(share)."""
+    regions = {column.region for column in table.columns} if len(table.datasets) == 1 else set()
+    shares: dict[str, float] = {}
+    for dataset in table.datasets:
+        for item in section.of(dataset):
+            shares |= {name: scores.fraction for name, scores in item.run.record.masked.items() if name in regions}
+    words = [
+        f"{name.replace('_', '-')} {share:.1%}" + (f" ({-10 * log10(share):.1f} dB)" if share > 0 else "")
+        for name, share in sorted(shares.items())
+    ]
+    if not words:
+        return []
+    return [f"Of the pixels: {', '.join(words)}; in brackets what compositing the region on white adds to its PSNR."]
+
+
+def _parts(table: Table) -> list[str]:
+    """Over how many of the data sets a column is, where some do not have its region."""
+    counts = sorted({len(column.datasets) for column in table.columns} - {len(table.datasets)})
+    titles = {count: [column.title for column in table.columns if len(column.datasets) == count] for count in counts}
+    return [
+        f"{', '.join(titles[count])}: over the {count} of {len(table.datasets)} data sets that have the region."
+        for count in counts
+    ]
+
+
+def _company(section: Section, table: Table) -> list[str]:
+    """Times taken while others used the machine are no better than upper bounds, and say so."""
+    runs = [item.run for dataset in table.datasets for item in section.of(dataset)]
+    provenances = [run.record.provenance for run in runs if run.ok]
+    busy = max((p.machine.get("others_cores") or 0 for p in provenances), default=0)
+    shared = sum(isinstance(p.device, dict) and bool(p.device.get("shared")) for p in provenances)
+    found = []
+    if busy >= QUIET_CORES:
+        found.append(f"Others kept up to {busy:.1f} processor cores busy meanwhile: times are upper bounds.")
+    if shared:
+        found.append(
+            f"Others used the device during {shared} of {len(provenances)} runs: their times are upper bounds."
+        )
+    return found

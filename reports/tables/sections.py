@@ -1,0 +1,175 @@
+"""Section: the runs that may share a table, because one protocol scored them and one device timed them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import pandas as pd
+
+from envgs_bench.records import ProtocolName
+
+from ..charts.pareto import knobs
+from ..numbers.estimates import Numbers
+from ..numbers.labels import Label, flat_settings, label_runs, method_order
+from ..numbers.runs import UNTIMED, Run
+from ..numbers.tidy import attempts_table, tidy_table
+from .layouts import Contents, layouts
+from .published import PROTOCOL, paper_scene
+from .table import Table
+
+ALL = "all data sets"
+
+
+@dataclass(frozen=True)
+class LabeledRun:
+    dataset: str
+    method: str
+    label: Label  # the method's, with the settings that set it apart
+    run: Run
+
+
+@dataclass(frozen=True)
+class Section:
+    protocol: ProtocolName
+    device: str
+    runs: tuple[LabeledRun, ...]
+    superseded: tuple[LabeledRun, ...]  # older runs of the same data set, method and seed
+
+    @property
+    def title(self) -> str:
+        return f"Protocol {self.protocol.name} ({self.protocol.hash}) on {self.device}"
+
+    @property
+    def slug(self) -> str:
+        """A name for files, of letters, digits and dashes."""
+        words = f"{self.protocol.name} {self.protocol.hash[:8]} {self.device}"
+        return re.sub(r"[^a-z0-9]+", "-", words.lower()).strip("-")
+
+    def csv_name(self, index: int) -> str:
+        """The file of the section's tidy table: the first one's has the plain name."""
+        return f"table-{self.slug}.csv" if index else "table.csv"
+
+    @cached_property
+    def datasets(self) -> list[str]:
+        return sorted(self._by_dataset)
+
+    @cached_property
+    def methods(self) -> list[str]:
+        labels = {item.method: item.label for item in self.runs}
+        return sorted(labels, key=lambda method: method_order(labels[method]))
+
+    @cached_property
+    def tidy(self) -> pd.DataFrame:
+        return tidy_table([(dataset, item.method, item.run) for dataset in self.datasets for item in self.of(dataset)])
+
+    @cached_property
+    def numbers(self) -> Numbers:
+        return Numbers(self.tidy, attempts_table([(item.dataset, item.method, item.run) for item in self.runs]))
+
+    @cached_property
+    def tables(self) -> list[Table]:
+        """In the order of every format."""
+        alone = {name: (name,) for name in self.datasets}
+        contents = Contents(
+            self.numbers,
+            self.families | alone,
+            self.methods,
+            {item.method: item.label for item in self.runs},
+            {method: settings["kind"] for method, settings in self.settings.items()},
+            self.protocol.name == PROTOCOL,
+        )
+        return layouts(contents, ALL)
+
+    @property
+    def subjects(self) -> list[Table]:
+        """What is known of each data set and of the mean over each family, those first: what charts are drawn from."""
+        return [table for table in self.tables if table.kind == "subject"]
+
+    @cached_property
+    def settings(self) -> dict[str, dict[str, str]]:
+        """Every setting of each method, as text, its code's name ("kind") and the steps among them."""
+        return {
+            item.method: flat_settings(item.run.record.config.get("method"))
+            | {"kind": item.run.record.kind, "steps": str(item.run.record.steps)}
+            for item in reversed(self.runs)
+        }
+
+    @cached_property
+    def knobs(self) -> list[list[str]]:
+        """The methods that one turned knob joins, by its value."""
+        return knobs(self.settings)
+
+    @cached_property
+    def families(self) -> dict[str, tuple[str, ...]]:
+        """Families of two data sets and more by name, then all data sets where that adds any.
+
+        A data set's family is the paper's where the paper has it, or the first part of its name (`toy/chrome_room`),
+        or the kind of its source.
+        """
+        groups: dict[str, list[str]] = {}
+        kinds = {item.dataset: item.run.record.config.get("dataset", {}).get("kind") for item in self.runs}
+        for dataset in self.datasets:
+            scene = paper_scene(dataset)
+            first, slash, _ = dataset.partition("/")
+            family = scene[0] if scene else first if slash else str(kinds[dataset] or dataset)
+            groups.setdefault(family, []).append(dataset)
+        several = {family: tuple(members) for family, members in groups.items() if len(members) > 1}
+        if len(groups) > 1:
+            several[ALL] = tuple(self.datasets)
+        return several
+
+    def of(self, dataset: str) -> list[LabeledRun]:
+        """The data set's runs, methods in the tables' order, seeds ascending."""
+        return self._by_dataset[dataset]
+
+    @cached_property
+    def _by_dataset(self) -> dict[str, list[LabeledRun]]:
+        order = {method: index for index, method in enumerate(self.methods)}
+        found: dict[str, list[LabeledRun]] = {}
+        for item in sorted(self.runs, key=lambda item: (order[item.method], item.run.record.seed)):
+            found.setdefault(item.dataset, []).append(item)
+        return found
+
+    def not_computed(self, dataset: str) -> dict[str, list[str]]:
+        """Metric -> the reasons why it is missing from some finished run on the data set."""
+        reasons: dict[str, set[str]] = {}
+        for item in self.of(dataset):
+            if item.run.record.metrics is not None:
+                for metric, why in item.run.record.metrics.not_computed.items():
+                    reasons.setdefault(metric, set()).add(why)
+        return {metric: sorted(why) for metric, why in sorted(reasons.items())}
+
+
+def split_sections(runs: Sequence[Run]) -> list[Section]:
+    """Sections by protocol (name and hash) and device, the one with most runs first.
+
+    Runs that took no times, as their pictures came from elsewhere, stand beside every device's.
+    """
+    groups: dict[tuple[str, str], dict[str, list[Run]]] = {}
+    for run in runs:
+        protocol = run.record.protocol
+        groups.setdefault((protocol.name, protocol.hash), {}).setdefault(run.device, []).append(run)
+    sections = []
+    for devices in groups.values():
+        untimed = devices.pop(UNTIMED, [])
+        sections += [_section([*group, *untimed], device) for device, group in devices.items()]
+        if not devices:
+            sections.append(_section(untimed, UNTIMED))
+    return sorted(sections, key=lambda section: (-len(section.runs), section.title))
+
+
+def _section(runs: list[Run], device: str) -> Section:
+    labels = label_runs(runs)
+    newest: dict[tuple[str, str, int], LabeledRun] = {}
+    superseded = []
+    for index in sorted(range(len(runs)), key=lambda i: runs[i].record.provenance.finished):
+        dataset, method = labels[index]
+        item = LabeledRun(str(dataset), str(method), method, runs[index])
+        key = (item.dataset, item.method, item.run.record.seed)
+        if key in newest:
+            superseded.append(newest[key])
+        newest[key] = item
+    return Section(runs[0].record.protocol, device, tuple(newest.values()), tuple(superseded))

@@ -1,0 +1,183 @@
+"""Table: rows of methods, columns of numbers, who is best, and what the paper printed beside."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from decimal import Decimal
+from functools import cached_property
+
+from ..numbers.estimates import Estimate, Numbers
+from ..numbers.statistics import Interval
+from .columns import Column
+from .published import Source, paper_method, published_source, published_values
+
+Kind = str  # of a table: see layouts.KINDS
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One number of one row, as its column prints it."""
+
+    column: Column
+    estimate: Estimate
+    rank: int | None = None  # 1 to 3
+    tied: bool = False  # its interval overlaps the best one's
+
+    @property
+    def mean(self) -> Decimal | None:
+        """In the stored unit, unrounded."""
+        return self.estimate.mean
+
+    @property
+    def interval(self) -> Interval | None:
+        """In the stored unit."""
+        return self.estimate.interval
+
+    @property
+    def complete(self) -> bool:
+        return self.estimate.complete
+
+    @property
+    def shown(self) -> bool:
+        """Whether the mean is printed: one over a part of several data sets would compare with nothing."""
+        return self.mean is not None and (self.complete or not self.estimate.averaged)
+
+    @cached_property
+    def text(self) -> str:
+        """What every format prints for the number, before any emphasis."""
+        if self.mean is None:
+            return "n/c" if self.estimate.not_computed else "—"
+        if not self.shown:
+            return f"— ({self.estimate.done}/{self.estimate.expected})"
+        spread = self.estimate.spread
+        text = self.column.text(self.mean)
+        if spread is None or self.column.printed(spread) == 0:
+            return text
+        return f"{text} ± {self.column.unsigned(spread)}"
+
+
+@dataclass(frozen=True)
+class Row:
+    method: str
+    cells: dict[str, Cell]  # by the column's key; empty for a method that only the paper ran
+    statuses: Counter[str] = field(default_factory=Counter)
+    published: dict[str, Decimal] = field(default_factory=dict)  # by the column's key: what the paper printed
+    source: Source | None = None  # of a row that is the paper's alone
+
+    @property
+    def done(self) -> int:
+        return self.statuses["ok"]
+
+    @property
+    def attempts(self) -> int:
+        return self.statuses.total()
+
+    @property
+    def runs_text(self) -> str:
+        """ "3/3", "1/3: 2 diverged", or "published"."""
+        if not self.statuses:
+            return "published" + (", not real-time" if self.source == "non_realtime" else "")
+        failures = ", ".join(
+            f"{count} {status.replace('_', ' ')}" for status, count in sorted(self.statuses.items()) if status != "ok"
+        )
+        return f"{self.done}/{self.attempts}" + (f": {failures}" if failures else "")
+
+
+@dataclass(frozen=True)
+class Table:
+    title: str
+    kind: Kind
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    datasets: tuple[str, ...]
+
+    @property
+    def published(self) -> set[str]:
+        """The keys of the columns of which some row has the paper's value."""
+        return {key for row in self.rows for key in row.published}
+
+
+def build_table(
+    numbers: Numbers,
+    title: str,
+    kind: Kind,
+    columns: Sequence[Column],
+    methods: Iterable[str],
+    paper: Callable[[str], bool] | None = None,
+) -> Table:
+    """The methods that were tried on the columns' data sets, in the given order, without columns that have no number.
+
+    Args:
+        paper: which of the paper's methods may have a row of their own; None leaves the paper out altogether.
+    """
+    datasets = tuple(dict.fromkeys(name for column in columns for name in column.datasets))
+    rows = []
+    for method in methods:
+        statuses = numbers.statuses(datasets, method)
+        if statuses:
+            cells = {c.key: _cell(numbers, c, method) for c in columns if not c.elsewhere}
+            rows.append(Row(method, cells, statuses))
+    if paper is not None:
+        rows = _beside_paper(rows, columns, paper)
+    kept = tuple(column for column in columns if any(_has(row, column.key) for row in rows))
+    marked: list[dict[str, Cell]] = [{} for _ in rows]
+    for column in kept:
+        ranked = _ranked(column, [row.cells.get(column.key) for row in rows])
+        for cells, cell in zip(marked, ranked, strict=True):
+            if cell is not None:
+                cells[column.key] = cell
+    return Table(title, kind, kept, tuple(replace(r, cells=c) for r, c in zip(rows, marked, strict=True)), datasets)
+
+
+def _cell(numbers: Numbers, column: Column, method: str) -> Cell:
+    return Cell(column, numbers.estimate(column.datasets, method, column.region, column.metric, column.against))
+
+
+def _has(row: Row, key: str) -> bool:
+    return key in row.published or (key in row.cells and row.cells[key].text != "—")
+
+
+def _beside_paper(rows: list[Row], columns: Sequence[Column], wanted: Callable[[str], bool]) -> list[Row]:
+    """The rows with the paper's values beside them, and below them the methods that only the paper ran."""
+    published: dict[str, dict[str, Decimal]] = {}
+    for column in columns:
+        for method, value in published_values(column.datasets, column.region, column.metric).items():
+            if not column.against:
+                published.setdefault(method, {})[column.key] = value
+    rows = [replace(row, published=published.get(paper_method(row.method), {})) for row in rows]
+    ours = {paper_method(row.method) for row in rows}
+    others = [(method, values) for method, values in published.items() if method not in ours]
+    return rows + [
+        Row(method, {}, published=values, source=published_source(method))
+        for method, values in others
+        if wanted(method)
+    ]
+
+
+def _ranked(column: Column, cells: list[Cell | None]) -> list[Cell | None]:
+    """Ranks by the printed number, ties shared (two firsts leave no second); incomplete cells compete for nothing."""
+    competing = [cell for cell in cells if cell is not None and cell.complete]
+    if not column.ranked or len(competing) < 2:
+        return cells
+    sign = -1 if column.better == "higher" else 1
+    printed = sorted(sign * _printed(cell) for cell in competing)
+    best = [cell for cell in competing if sign * _printed(cell) == printed[0]]
+    result: list[Cell | None] = []
+    for cell in cells:
+        if cell is not None and cell.complete:
+            place = printed.index(sign * _printed(cell)) + 1
+            tied = place > 1 and any(_overlap(cell, other) for other in best)
+            cell = replace(cell, rank=place if place <= 3 else None, tied=tied)
+        result.append(cell)
+    return result
+
+
+def _overlap(a: Cell, b: Cell) -> bool:
+    return a.interval is not None and b.interval is not None and a.interval.overlaps(b.interval)
+
+
+def _printed(cell: Cell) -> Decimal:
+    assert cell.mean is not None
+    return cell.column.printed(cell.mean)

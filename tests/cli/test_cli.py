@@ -1,0 +1,162 @@
+"""The command line: its answers, its exit statuses, and what it does not import."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+
+import pytest
+from fakes.runs import CONF, records, run, set_environment
+
+from envgs_bench.cli import composition, examination
+from envgs_bench.cli.main import main
+
+
+@pytest.fixture(autouse=True)
+def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    set_environment(monkeypatch)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [[], ["run"], ["report"], ["rescore"], ["masks"], ["ply"], ["export"], ["list"], ["doctor"], ["bench", "core"]],
+)
+def test_help_answers_without_pytorch(command: list[str]) -> None:
+    code = (
+        "import sys; from envgs_bench.cli.main import main\n"
+        f"try: main({[*command, '--help']!r})\n"
+        "except SystemExit as end: status = end.code\n"
+        "heavy = {'torch', 'hydra', 'numpy', 'pandas', 'pydantic'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else status)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert "usage: envgs-bench" in result.stdout
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["rum"], ["list", "--surplus"], ["report"], ["bench", "gpu"], ["doctor", "now"]]
+)
+def test_wrong_usage_ends_with_status_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 2
+    assert "usage: envgs-bench" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("overrides", "parts"),
+    [
+        (["method=envgz"], ["there is no method 'envgz'", "2dgs, 3dgs", "Did you mean 'envgs'?"]),
+        (["dataset=tinny"], ["there is no dataset 'tinny'", "tiny", "Did you mean 'tiny'?"]),
+        (["experiment=demmo"], ["there is no experiment 'demmo'", "Did you mean 'demo'?"]),
+        (["stepz=3"], ["unknown key 'stepz'", "runs_dir, seed, steps", "Did you mean 'steps'?"]),
+        (["method.settings.rat=1"], ["unknown key 'method.settings.rat'", "crash_at, rate"]),
+        (["timing.frame=1"], ["unknown key 'timing.frame'", "timing has frames, seconds"]),
+        (["dataset=colmap"], ["dataset.root is missing: give it as dataset.root=VALUE"]),
+        (["seed=-1"], ["seed=-1", "greater than or equal to 0"]),
+        (["steps=many"], ["steps='many'", "valid integer"]),
+        (["device=tpu"], ["device='tpu'", "'auto', 'cpu' or 'cuda'"]),
+        (["protocol=mine"], ["protocol=mine", "envgs, strict, inria, nerfbaselines"]),
+        (["steps=[1"], ["cannot read the override 'steps=[1'", "KEY=VALUE"]),
+        (["steps"], ["cannot read the override 'steps'", "KEY=VALUE"]),
+    ],
+)
+def test_a_wrong_override_is_explained(
+    tmp_path: Path, overrides: list[str], parts: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(tmp_path, *overrides) == 2
+    message = capsys.readouterr().err
+    for part in parts:
+        assert part in message
+    assert "Traceback" not in message
+    assert records(tmp_path) == []
+
+
+def test_one_wrong_option_of_a_sweep_stops_it_before_anything_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(tmp_path, "method=fake,nope", flags=("-m",)) == 2
+    assert "there is no method 'nope'" in capsys.readouterr().err
+    assert records(tmp_path) == []
+
+
+def test_a_runs_dir_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    assert run(tmp_path / "file") == 2
+    message = capsys.readouterr().err
+    assert str(tmp_path / "file") in message
+    assert "runs_dir=" in message
+
+
+def test_flags_may_stand_between_overrides(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "method=fake", "--config-dir", str(CONF), "seed=7", "--cfg", "job", "dataset=tiny"]) == 0
+    shown = capsys.readouterr().out
+    assert "kind: fakes.methods:MeanColor" in shown
+    assert "seed: 7" in shown
+
+
+def test_cuda_where_there_is_none_is_explained(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    assert run(tmp_path, "device=cuda") == 2
+    assert "device=cuda: PyTorch sees no CUDA device; use device=cpu or device=auto" in capsys.readouterr().err
+
+
+def test_every_shipped_configuration_composes(capsys: pytest.CaptureFixture[str]) -> None:
+    for group in ("method", "dataset"):
+        names = composition.config_names(group)
+        assert names
+        for name in names:
+            assert main(["run", f"{group}={name}", "--cfg", "job"]) == 0, capsys.readouterr().err
+            assert "kind:" in capsys.readouterr().out
+
+
+def test_an_installed_packages_method_is_offered_with_its_defaults(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    points = EntryPoints(
+        [
+            EntryPoint("mean", "fakes.methods:MeanColor", composition.ENTRY_POINT_GROUP),
+            EntryPoint("broken", "fakes.nowhere:Method", composition.ENTRY_POINT_GROUP),
+        ]
+    )
+    monkeypatch.setattr(composition, "entry_points", lambda group: points)
+    assert main(["run", "method=mean", "method.settings.rate=0.75", "--cfg", "job"]) == 0
+    shown = capsys.readouterr()
+    assert "rate: 0.75" in shown.out
+    assert "crash_at: 0" in shown.out
+    assert "method broken of fakes.nowhere:Method cannot be loaded" in shown.err
+
+
+def test_list_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list"]) == 0
+    shown = capsys.readouterr().out
+    for name in ("2dgs, 3dgs", "envgs", "toy/chrome_room", "colmap", "strict", "demo", "torch", "embree"):
+        assert name in shown
+
+
+def test_doctor_says_what_works(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor"]) == 0
+    shown = capsys.readouterr().out
+    for part in ("backend cpu", "backend cuda", "VGG-16 weights", "switched off by ENVGS_BENCH_VGG16=off", "torch"):
+        assert part in shown
+
+
+def test_doctor_fails_where_nothing_can_draw(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reasons = {"cpu": "not compiled", "cuda": "no device", "torch": "broken", "embree": None}
+    monkeypatch.setattr(examination, "available_backends", lambda: reasons)
+    assert main(["doctor"]) == 1
+    shown = capsys.readouterr().out
+    assert "not compiled" in shown
+    assert "No backend can draw" in shown
+
+
+def test_report_of_a_missing_folder_ends_with_status_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]) == 1
+    assert str(tmp_path / "nowhere") in capsys.readouterr().err

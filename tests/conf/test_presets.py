@@ -1,0 +1,136 @@
+"""Known scenes as configurations: the paper's all there, named as its tables name them, and hints where they fit."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fakes.runs import set_environment
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+import envgs_bench
+from envgs_bench.cli.composition import config_names
+from envgs_bench.cli.main import main
+from envgs_bench.datasets import DatasetError, load_scene
+from envgs_bench.methods.registry import create_method
+from envgs_bench.records import find_records, read_record
+from envgs_bench.reports.tables.published import paper_scene, paper_tables
+from envgs_bench.settings import parse_settings
+
+FAMILIES = ("ref_real", "nerf_casting", "envgs", "shiny_blender", "mipnerf360")
+PRESETS = [name for name in config_names("dataset") if name.startswith(FAMILIES)]
+CAPTURES = [name for name in config_names("dataset") if name.startswith("captures/")]
+
+
+def composed(*overrides: str) -> dict[str, Any]:
+    with initialize_config_dir(str(Path(envgs_bench.__file__).parent / "conf"), version_base="1.3"):
+        content = OmegaConf.to_container(compose("config", list(overrides)), resolve=True)
+    assert isinstance(content, dict)
+    return {str(key): value for key, value in content.items()}
+
+
+def test_every_scene_of_the_papers_tables_has_a_preset_of_its_name() -> None:
+    tables = paper_tables()
+    rows = tables[tables["scene"] != "mean"]
+    expected = set(zip(rows["dataset"], rows["scene"], strict=True))
+    assert len(expected) == len(PRESETS) == 24
+    assert {paper_scene(composed(f"dataset={name}")["dataset"]["name"]) for name in PRESETS} == expected
+
+
+@pytest.mark.parametrize("name", PRESETS + CAPTURES)
+def test_a_preset_lies_below_data_root_and_is_refused_only_because_nothing_is_there(name: str, tmp_path: Path) -> None:
+    content = composed(f"dataset={name}", f"data_root={tmp_path}")
+    assert content["dataset"]["name"] == name
+    assert Path(content["dataset"]["root"]).parent == tmp_path / name.split("/")[0]
+    with pytest.raises(DatasetError) as caught:
+        load_scene(content["dataset"], tmp_path)
+    for part in (content["dataset"]["root"], "http", "this folder holds", "data_root=", "$ENVGS_BENCH_DATA_ROOT"):
+        assert part in str(caught.value)
+    Path(content["dataset"]["root"]).mkdir(parents=True)  # empty: the source itself reads its settings, and complains
+    with pytest.raises(DatasetError) as caught:
+        load_scene(content["dataset"], tmp_path)
+    assert "there is no such key" not in str(caught.value)
+    assert "http" not in str(caught.value)
+
+
+@pytest.mark.skipif("ENVGS_BENCH_DATA" not in os.environ, reason="ENVGS_BENCH_DATA names no folder of real captures")
+@pytest.mark.parametrize(
+    ("name", "views", "size", "points"),
+    [("fox", (43, 7), (135, 240), 14_464), ("gold_cape", (104, 15), (227, 227), 42_798)],
+)
+def test_a_known_capture_is_read_as_its_results_say(
+    name: str, views: tuple[int, int], size: tuple[int, int], points: int, tmp_path: Path
+) -> None:
+    (tmp_path / "captures").symlink_to(os.environ["ENVGS_BENCH_DATA"])
+    if not (tmp_path / "captures" / name).is_dir():
+        pytest.skip(f"$ENVGS_BENCH_DATA/{name} is not there")
+    scene = load_scene(composed(f"dataset=captures/{name}", f"data_root={tmp_path}")["dataset"], tmp_path)
+    assert (len(scene.train), len(scene.test)) == views
+    assert {(view.camera.width, view.camera.height) for view in [*scene.train, *scene.test]} == {size}
+    assert len(scene.points) == points + 10_000
+    assert all(("foreground" in view.masks) == (name == "gold_cape") for view in scene.test)
+
+
+def test_the_papers_settings_reach_the_run() -> None:
+    sedan, spheres = (composed(f"dataset=ref_real/{name}") for name in ("sedan", "spheres"))
+    assert (sedan["steps"], spheres["steps"]) == (60_000, 40_000)
+    assert sedan["dataset"]["downsample"] == 4
+    ball = composed("dataset=shiny_blender/ball")
+    assert ball["dataset"]["background"] == [1, 1, 1]
+    assert (ball["hints"], ball["dataset"]["downsample"]) == ({"initial_beta": 0.8, "env_box": 50.0}, 1)
+    assert Path(spheres["dataset"]["root"]).name == "gardenspheres"
+    sizes = {name: composed(f"dataset=mipnerf360/{name}")["dataset"]["downsample"] for name in ("garden", "room")}
+    assert sizes == {"garden": 4, "room": 2}
+    assert composed("dataset=ref_real/sedan", "steps=7")["steps"] == 7
+    assert composed("dataset=toy/chrome_room")["steps"] == 3_000
+    assert composed("dataset=colmap", "dataset.root=capture")["steps"] == 7_000
+    assert {name: composed(f"dataset={name}")["steps"] for name in CAPTURES} == {
+        "captures/fox": 3_000,
+        "captures/gold_cape": 7_000,
+    }
+
+
+def test_hints_go_to_the_methods_that_know_them_and_give_way_to_overrides() -> None:
+    beta = {}
+    for method in ("2dgs", "envmap128", "envgs"):
+        content = composed("dataset=ref_real/spheres", f"method={method}")
+        settings = create_method(content["method"]["kind"], content["method"]["settings"]).settings
+        beta[method] = getattr(settings, "initial_beta", None), getattr(settings, "env_box", None)
+    assert beta == {"2dgs": (None, None), "envmap128": (0.1, None), "envgs": (0.1, 20.0)}
+    assert composed("dataset=ref_real/sedan")["method"]["settings"]["initial_beta"] == 0.001
+    told = composed("dataset=ref_real/spheres", "method.settings.env_box=50")
+    assert told["method"]["settings"]["env_box"] == 50
+    assert composed("dataset=colmap", "dataset.root=capture")["hints"] == {}
+    toy = {"mono_weight": 0.1, "mono_loss": "l1_cos", "min_coverage": 3.0}
+    assert toy.items() <= composed("dataset=toy/chrome_room")["method"]["settings"].items()
+    near = {m: composed("dataset=captures/gold_cape", f"method={m}")["method"]["settings"]["near"] for m in beta}
+    assert near == {"2dgs": 2.2, "envmap128": 2.2, "envgs": 2.2}
+    plain = composed("dataset=toy/chrome_room", "method=2dgs")["method"]["settings"]
+    assert plain["mono_weight"] == 0
+
+
+def test_data_root_is_an_override_or_an_environment_variable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ENVGS_BENCH_DATA_ROOT", raising=False)
+    assert composed("dataset=ref_real/sedan")["dataset"]["root"] == "data/ref_real/sedan"
+    monkeypatch.setenv("ENVGS_BENCH_DATA_ROOT", "/captures")
+    assert composed("dataset=ref_real/sedan")["dataset"]["root"] == "/captures/ref_real/sedan"
+    assert composed("dataset=ref_real/sedan", "data_root=/here")["dataset"]["root"] == "/here/ref_real/sedan"
+
+
+def test_a_run_records_the_hints_and_where_to_get_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    set_environment(monkeypatch)
+    overrides = ["dataset=ref_real/spheres", "method=envgs", "device=cpu", f"data_root={tmp_path}"]
+    assert main(["run", *overrides, f"runs_dir={tmp_path / 'runs'}"]) == 1
+    (path,) = find_records(tmp_path / "runs")
+    record = read_record(path)
+    assert record.status == "failed"
+    assert record.error is not None
+    assert "ref_real.zip" in record.error.message
+    assert record.config["hints"] == {"initial_beta": 0.1, "env_box": 20.0}
+    assert record.config["method"]["settings"]["env_box"] == 20.0
+    assert parse_settings(record.config).hints == record.config["hints"]

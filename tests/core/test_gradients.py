@@ -1,0 +1,246 @@
+"""The oracle's gradients against finite differences, and every backend's against closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import pytest
+import torch
+from core_scenes import C0, ORACLE, facing_surfels, loss_of, plain_camera, random_rays, random_set, tilted_camera
+from torch import Tensor
+
+from envgs_bench.core import GaussianSet, Rendering
+from envgs_bench.core.torch.sh import sh_color
+
+BACKGROUND = torch.tensor([0.3, 0.9, 0.1])
+NAMES = [f.name for f in fields(GaussianSet)]
+
+
+def broad_set(columns: int = 2, degree: int = 1) -> GaussianSet:
+    """Four wide Gaussians whose supports cover every ray and whose colors are positive: all is smooth. float64."""
+    base = random_set(4, columns=columns, degree=degree, extras=1, seed=1).to(torch.float64)
+    means = torch.tensor([[0.1, 0.0, 3.0], [-0.2, 0.1, 4.0], [0.2, -0.1, 5.0], [0.0, 0.2, 6.0]], dtype=torch.float64)
+    tilt = torch.tensor([1.0, 0.15, -0.2, 0.1], dtype=torch.float64) + 0.05 * base.quaternions
+    sh = torch.cat([torch.ones(4, 1, 3), 0.1 * base.sh[:, 1:]], dim=1).to(torch.float64)
+    return replace(
+        base, means=means, quaternions=tilt, scales=1 + base.scales, opacities=0.3 + base.opacities / 2, sh=sh
+    )
+
+
+def check_against_differences(render, inputs: list[Tensor]) -> None:
+    def function(*values: Tensor) -> tuple[Tensor, ...]:
+        drawn: Rendering = render(*values)
+        assert (drawn.hits > 0).all()
+        return drawn.color, drawn.alpha, drawn.depth, drawn.normal, drawn.extras
+
+    leaves = [value.detach().clone().requires_grad_() for value in inputs]
+    assert torch.autograd.gradcheck(function, leaves, eps=1e-6, atol=1e-6, rtol=1e-5, check_undefined_grad=False)
+
+
+@pytest.mark.parametrize("columns", [2, 3], ids=["surfels", "volumes"])
+@pytest.mark.parametrize("low_pass", [True, False], ids=["low-pass", "exact"])
+def test_rasterized_gradients_are_differences(columns, low_pass):
+    intrinsics = torch.tensor([[8.0, 0.5, 1.2], [0.0, 9.0, 1.1], [0.0, 0.0, 1.0]])
+    camera = replace(tilted_camera(3, 2), intrinsics=intrinsics)
+
+    def render(*values: Tensor) -> Rendering:
+        return ORACLE.rasterize(GaussianSet(*values), camera, low_pass=low_pass, background=BACKGROUND)
+
+    check_against_differences(render, list(vars(broad_set(columns)).values()))
+
+
+def test_gradients_through_the_screen_space_filter_are_differences():
+    """Surfels far smaller than a pixel are drawn by the filter alone."""
+    camera = plain_camera(3, 3, focal=4.0)
+    tiny = replace(broad_set(), scales=torch.full((4, 2), 1e-3, dtype=torch.float64))
+    tiny = replace(tiny, means=tiny.means * torch.tensor([0.1, 0.1, 1.0], dtype=torch.float64))
+
+    def render(*values: Tensor) -> Rendering:
+        return ORACLE.rasterize(GaussianSet(*values), camera)
+
+    check_against_differences(render, list(vars(tiny).values()))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_traced_gradients_are_differences(degree):
+    rays = [x.to(torch.float64) for x in plain_camera(2, 2, focal=6.0).rays()]
+    origins = rays[0] + torch.tensor([0.1, -0.1, 0.2], dtype=torch.float64)
+
+    def render(*values: Tensor) -> Rendering:
+        return ORACLE.trace(GaussianSet(*values[:-2]), *values[-2:], background=BACKGROUND)
+
+    check_against_differences(render, [*vars(broad_set(degree=degree)).values(), origins, rays[1]])
+
+
+def one_ray(backend, gaussians: GaussianSet, background: Tensor | None = None, x: float = 0.3):
+    leaves = backend.take(gaussians)
+    origins, directions = backend.take(torch.tensor([[x, 0.0, 0.0]])), backend.take(torch.tensor([[0.0, 0.0, 1.0]]))
+    return leaves, origins, directions, backend.trace(leaves, origins, directions, background=background)
+
+
+def test_one_surfels_gradients_are_the_closed_forms(tracer):
+    """A surfel at (0, 0, 3), σ = ½, met at x = 0.3: α = o·exp(−x²/2σ²), c = α·g + (1 − α)·b."""
+    gaussians = facing_surfels(torch.tensor([[0.0, 0.0, 3.0]]), scale=0.5, opacity=0.6)
+    response = torch.tensor(-0.09 / 0.5).exp().item()
+    leaves, origins, directions, drawn = one_ray(tracer, gaussians, background=torch.full((3,), 0.8))
+    drawn.color[0, 0].backward()
+
+    by_alpha = 0.1 - 0.8  # the surfel's gray before the background's, once
+    assert leaves.opacities.grad.item() == pytest.approx(by_alpha * response, rel=1e-5)
+    by_rho = by_alpha * -0.5 * 0.6 * response
+    assert leaves.scales.grad[0].tolist() == pytest.approx([by_rho * -2 * 0.09 / 0.5**3, 0.0], rel=1e-4, abs=1e-7)
+    by_x = by_rho * 2 * 0.3 / 0.25
+    assert origins.grad[0].tolist() == pytest.approx([by_x, 0.0, 0.0], rel=1e-4, abs=1e-7)
+    assert directions.grad[0].tolist() == pytest.approx([3 * by_x, 0.0, 0.0], rel=1e-4, abs=1e-7)
+    assert leaves.means.grad[0].tolist() == pytest.approx([-by_x, 0.0, 0.0], rel=1e-4, abs=1e-7)
+    assert leaves.sh.grad[0, 0].tolist() == pytest.approx([0.6 * response * C0, 0, 0], rel=1e-5, abs=1e-7)
+
+
+def test_depths_gradient_along_the_ray_is_the_planes(tracer):
+    """∂t/∂mean = n/(n·d), whatever the opacity."""
+    gaussians = facing_surfels(torch.tensor([[0.0, 0.0, 3.0]]), opacity=0.6)
+    leaves, origins, directions, drawn = one_ray(tracer, gaussians)
+    drawn.depth[0].backward()
+    assert leaves.means.grad[0].tolist() == pytest.approx([0.0, 0.0, 1.0], abs=1e-5)
+    assert origins.grad[0].tolist() == pytest.approx([0.0, 0.0, -1.0], abs=1e-5)
+    assert directions.grad[0].tolist() == pytest.approx([0.0, 0.0, -3.0], abs=1e-5)
+    assert leaves.opacities.grad.item() == pytest.approx(0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+def test_a_clamped_alpha_passes_no_gradient_and_a_response_below_it_does(rasterizer, columns):
+    gaussians = replace(
+        facing_surfels(torch.tensor([[0.0, 0.0, 3.0]]), opacity=1.0), scales=torch.full((1, columns), 0.5)
+    )
+    camera = rasterizer.take(plain_camera())
+    leaves = rasterizer.take(gaussians)
+    rasterizer.rasterize(leaves, camera).alpha[16, 16].backward()
+    assert leaves.opacities.grad.item() == 0
+    assert not leaves.means.grad.any()
+
+    leaves = rasterizer.take(gaussians)
+    alpha = rasterizer.rasterize(leaves, camera).alpha[16, 20]
+    alpha.backward()
+    assert leaves.opacities.grad.item() == pytest.approx(alpha.item(), rel=1e-4)
+
+
+def test_a_black_clamped_color_passes_no_gradient(tracer):
+    gaussians = replace(facing_surfels(torch.tensor([[0.0, 0.0, 3.0]])), sh=torch.full((1, 1, 3), -3.0))
+    leaves, *_, drawn = one_ray(tracer, gaussians)
+    drawn.color.sum().backward()
+    assert not leaves.sh.grad.any()
+    assert not drawn.color.any()
+
+
+def test_traced_position_gradients_are_each_rays_gradient_times_its_distance(tracer):
+    """One ray at a time gives ∂L/∂mean of each hit; degree 0, so that all of it is geometry."""
+    gaussians = replace(
+        random_set(8, degree=0, seed=5), opacities=torch.full((8,), 0.5), scales=torch.full((8, 2), 1.0)
+    )
+    origins, directions = random_rays(12)
+    leaves = tracer.take(gaussians)
+    drawn = tracer.trace(leaves, tracer.take(origins), tracer.take(directions))
+    assert drawn.statistics.position_gradients is None
+    (drawn.color.sum() + drawn.normal.sum() + drawn.alpha.sum()).backward()
+
+    expected = torch.zeros(8, 3, dtype=torch.float64)
+    normals = torch.stack([normal_of(q) for q in gaussians.quaternions.double()])
+    for o, d in zip(origins, directions, strict=True):
+        own = ORACLE.take(gaussians)
+        alone = ORACLE.trace(own, ORACLE.take(o[None]), ORACLE.take(d[None]))
+        (alone.color.sum() + alone.normal.sum() + alone.alpha.sum()).backward()
+        t = ((gaussians.means - o).double() * normals).sum(1) / (normals @ d.double())
+        assert own.means.grad is not None
+        expected += t[:, None] * own.means.grad
+    assert expected.abs().max() > 0.1
+    torch.testing.assert_close(
+        drawn.statistics.position_gradients.detach().cpu().double(), expected, atol=2e-3, rtol=1e-3
+    )
+
+
+def normal_of(quaternion: Tensor) -> Tensor:
+    w, x, y, z = quaternion / quaternion.norm()
+    return torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+
+
+def test_volumes_position_gradients_are_the_gradient_times_the_depth(rasterizer):
+    """All hits of a volume share its center's depth."""
+    gaussians, camera = random_set(30, columns=3, degree=0, seed=3), tilted_camera()
+    leaves = rasterizer.take(gaussians)
+    drawn = rasterizer.rasterize(leaves, rasterizer.take(camera))
+    (drawn.color.sum() + drawn.alpha.sum()).backward()
+    depths = camera.project(gaussians.means)[1].to(leaves.means)
+    expected = depths[:, None] * leaves.means.grad
+    torch.testing.assert_close(drawn.statistics.position_gradients, expected, atol=1e-2, rtol=1e-3)
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+def test_position_gradients_leave_the_direction_of_color_out(rasterizer, columns):
+    """The same picture with colors that don't depend on the direction gives the same position gradients."""
+    gaussians, camera = random_set(40, columns=columns, degree=3, seed=2), tilted_camera()
+    offsets = torch.nn.functional.normalize(gaussians.means.double() - camera.center.double(), dim=1)
+    fixed = (sh_color(gaussians.sh.double(), offsets) - 0.5) / C0
+    results = []
+    for sh in (gaussians.sh, fixed[:, None, :].float()):
+        leaves = rasterizer.take(replace(gaussians, sh=sh))
+        drawn = rasterizer.rasterize(leaves, rasterizer.take(camera))
+        loss_of(drawn).backward()
+        results.append((drawn.statistics.position_gradients, leaves.means.grad))
+    (positions, means), (fixed_positions, fixed_means) = results
+    torch.testing.assert_close(positions, fixed_positions, atol=1e-2, rtol=1e-3)
+    assert (means - fixed_means).norm() > 1e-2 * means.norm()
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_ray_gradients_survive_every_sh_degree(tracer, degree):
+    gaussians, rays = random_set(60, degree=degree, seed=11), random_rays(40)
+    for loss in (lambda drawn: drawn.color.sum(), loss_of):
+        leaves, (origins, directions) = tracer.take(gaussians), [tracer.take(x) for x in rays]
+        loss(tracer.trace(leaves, origins, directions)).backward()
+        for gradient in (origins.grad, directions.grad):
+            assert gradient.isfinite().all()
+            assert (gradient.norm(dim=1) > 1e-4).double().mean() > 0.5
+
+
+def test_what_needs_no_gradient_gets_none(tracer):
+    gaussians, (origins, directions) = random_set(30), random_rays(20)
+    leaves = tracer.take(gaussians).map(Tensor.detach)
+    directions = tracer.take(directions)
+    drawn = tracer.trace(leaves, tracer.take(origins).detach(), directions)
+    drawn.color.sum().backward()
+    assert directions.grad.any()
+    assert leaves.means.grad is None
+
+
+def test_without_gradients_nothing_is_recorded(rasterizer):
+    leaves = rasterizer.take(random_set(20))
+    with torch.no_grad():
+        drawn = rasterizer.rasterize(leaves, rasterizer.take(tilted_camera()))
+    assert not drawn.color.requires_grad
+    assert drawn.statistics.weights.any()
+    assert not drawn.statistics.weights.requires_grad
+
+
+def test_non_contiguous_inputs_give_the_same_picture_and_gradients(rasterizer):
+    gaussians, camera = random_set(50, seed=6), rasterizer.take(tilted_camera())
+    plain = rasterizer.take(gaussians)
+    strided = gaussians.map(lambda x: rasterizer.take(torch.stack([x, x], dim=-1))[..., 0].detach().requires_grad_())
+    assert not strided.means.is_contiguous()
+    one, other = rasterizer.rasterize(plain, camera), rasterizer.rasterize(strided, camera)
+    assert torch.equal(one.color, other.color)
+    loss_of(one).backward()
+    loss_of(other).backward()
+    for name in NAMES:
+        torch.testing.assert_close(getattr(plain, name).grad, getattr(strided, name).grad)
+
+
+def test_expanded_and_strided_rays_give_the_same_picture(tracer):
+    gaussians = tracer.take(random_set(50, seed=6))
+    origin, (_, directions) = tracer.take(torch.tensor([0.1, 0.2, -1.0])), random_rays(30)
+    strided = tracer.take(torch.stack([directions, directions], dim=-1))[..., 0]
+    assert not strided.is_contiguous()
+    drawn = tracer.trace(gaussians, origin.expand(30, 3), strided)
+    plain = tracer.trace(gaussians, origin.repeat(30, 1), strided.contiguous())
+    assert torch.equal(drawn.color, plain.color)
+    drawn.color.sum().backward()
+    assert origin.grad.any()

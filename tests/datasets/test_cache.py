@@ -1,0 +1,156 @@
+"""The cache of made scenes: keyed by what files hold, written as scenes are made, mapped when read."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from captures import NAMES_OF_TEN, gradient, write_capture
+from PIL import Image
+
+from envgs_bench.core import Scene
+from envgs_bench.datasets import colmap, load_scene
+from envgs_bench.datasets.store import contents
+from envgs_bench.datasets.store.cache import Draft, cached_scene, drafted_scene
+from envgs_bench.datasets.store.contents import digest_of
+from envgs_bench.testing import tiny_scene
+
+
+def load(root: Path, **settings: Any) -> Scene:
+    return load_scene({"kind": "colmap", "root": str(root), **settings}, root.parent / "cache")
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    return write_capture(tmp_path / "bench", NAMES_OF_TEN)
+
+
+def scenes(root: Path) -> list[Path]:
+    return list((root.parent / "cache/scenes").iterdir())
+
+
+def test_moved_copied_and_touched_files_are_the_same_scene(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    load(root)
+    monkeypatch.setattr(colmap, "make_scene", lambda *_: pytest.fail("made again"))
+    for path in root.rglob("*"):
+        os.utime(path, (1, 1))
+    load(root)
+    moved = root.parent / "elsewhere"
+    shutil.copytree(root, moved)
+    load(moved, name="bench")
+    assert len(scenes(root)) == 1
+
+
+def test_a_change_that_keeps_name_size_and_time_is_seen(root: Path) -> None:
+    """As a copy that restores times leaves it: uncompressed pictures of one size and one time of change."""
+    for name in NAMES_OF_TEN:
+        Image.fromarray(gradient()).save(root / "images" / name, format="BMP")
+    before = load(root)
+    path = root / "images/001.png"
+    status = path.stat()
+    Image.fromarray(255 - gradient()).save(path, format="BMP")
+    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+    assert (path.stat().st_size, path.stat().st_mtime_ns) == (status.st_size, status.st_mtime_ns)
+    assert not torch.equal(load(root).train[0].image, before.train[0].image)
+
+
+def test_a_renamed_file_is_another_scene(root: Path) -> None:
+    files = sorted((root / "images").iterdir())
+    before = digest_of(files, root, root.parent / "cache")
+    files[0].rename(root / "images/renamed.png")
+    assert digest_of(sorted((root / "images").iterdir()), root, root.parent / "cache") != before
+
+
+def test_files_that_did_not_change_are_not_read_again(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[Path] = []
+    hash_of = contents._hash
+    monkeypatch.setattr(contents, "_hash", lambda path: (read.append(path), hash_of(path))[1])
+    files = sorted((root / "images").iterdir())
+    first = digest_of(files, root, root.parent / "cache")
+    assert sorted(read) == files
+    read.clear()
+    assert digest_of(files, root, root.parent / "cache") == first
+    assert read == []
+    Image.fromarray(255 - gradient()).save(files[3])
+    assert digest_of(files, root, root.parent / "cache") != first
+    assert read == [files[3]]
+
+
+def test_a_memory_of_digests_that_is_spoilt_is_made_again(root: Path) -> None:
+    cache = root.parent / "cache"
+    files = sorted((root / "images").iterdir())
+    first = digest_of(files, root, cache)
+    (memory,) = (cache / "digests").iterdir()
+    for spoilt in ("{", "[]"):
+        memory.write_text(spoilt)
+        assert digest_of(files, root, cache) == first
+
+
+def test_scenes_are_mapped_and_stay_as_they_were_when_written_into(root: Path) -> None:
+    load(root)
+    scene = load(root)
+    (path,) = scenes(root)
+    maps = Path("/proc/self/maps")
+    if maps.is_file():
+        assert str(path) in maps.read_text()
+    assert scene.train[0].image.dtype == torch.uint8
+    scene.train[0].image.zero_()
+    assert load(root).train[0].image.any()
+
+
+def test_what_a_draft_keeps_is_on_disk_at_once(tmp_path: Path) -> None:
+    scene = tiny_scene()
+    kept: list[torch.Tensor] = []
+
+    def make(draft: Draft) -> Scene:
+        images = [draft.keep(view.image) for view in scene.train]
+        kept.extend(images)
+        (part,) = (tmp_path / "scenes").glob("*.part")
+        assert part.stat().st_size >= sum(image.numel() for image in images)
+        return replace(
+            scene, train=[replace(view, image=image) for view, image in zip(scene.train, images, strict=True)]
+        )
+
+    again = [drafted_scene(tmp_path, "a", {}, make) for _ in range(2)]
+    for ours, theirs in zip(scene.train, again[1].train, strict=True):
+        assert torch.equal(ours.image, theirs.image)
+    cached_scene(tmp_path, "b", {}, lambda: scene)
+    kept_early, kept_late = (next((tmp_path / "scenes").glob(f"{name}-*")).stat().st_size for name in "ab")
+    assert kept_early == pytest.approx(kept_late, abs=1000)  # nothing is there twice
+    assert all(torch.equal(a, view.image) for a, view in zip(kept, scene.train, strict=True))
+
+
+def test_a_disk_that_fills_up_costs_the_cache_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = tiny_scene()
+
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Draft, "_append", full)
+    with pytest.warns(UserWarning, match="could not be cached .*No space left"):
+        made = drafted_scene(tmp_path, "a", {}, lambda draft: replace(scene, points=draft.keep(scene.points)))
+    assert torch.equal(made.points, scene.points)
+    assert not list((tmp_path / "scenes").glob("*"))
+
+
+def test_every_kind_of_tensor_survives(tmp_path: Path) -> None:
+    scene = tiny_scene()
+    odd = torch.from_numpy(np.arange(30, dtype=np.float32).reshape(5, 6)[:, ::2].copy())
+    bare = replace(
+        scene,
+        train=[replace(scene.train[0], depth=odd, normal=None, masks={"none": torch.zeros(5, 3, dtype=torch.bool)})],
+        points=torch.empty(0, 3),
+        point_colors=torch.empty(0, 3),
+    )
+    for _ in range(2):
+        read = cached_scene(tmp_path, "a", {}, lambda: bare)
+        assert torch.equal(read.train[0].depth, odd)
+        assert read.train[0].normal is None
+        assert torch.equal(read.train[0].masks["none"], bare.train[0].masks["none"])
+        assert read.points.shape == (0, 3)

@@ -1,0 +1,202 @@
+"""Clone, split, prune and cap on sets whose outcome can be counted by hand."""
+
+import dataclasses
+import math
+
+import pytest
+import torch
+
+from envgs_bench.core import Camera, Statistics
+from envgs_bench.methods.densification import (
+    DensificationRecord,
+    DensificationRule,
+    densify,
+    screen_criterion,
+    spatial_criterion,
+)
+from envgs_bench.methods.parameters import GaussianParameters, LearningRates
+
+RULE = DensificationRule(gradient_threshold=1.0, min_opacity=0.05, max_primitives=1000)
+RADIUS = 1.0
+
+
+def make_parameters(scales, opacities, axes: int = 2) -> GaussianParameters:
+    """Primitives at (i, 0, 0), unturned, color i."""
+    n = len(scales)
+    index = torch.arange(n, dtype=torch.float32)
+    tensors = {
+        "means": torch.stack([index, torch.zeros(n), torch.zeros(n)], dim=1),
+        "quaternions": torch.tensor([1.0, 0, 0, 0]).repeat(n, 1),
+        "log_scales": torch.tensor(scales).log()[:, None].repeat(1, axes),
+        "opacity_logits": torch.logit(torch.tensor(opacities)),
+        "sh_dc": index[:, None, None].repeat(1, 1, 3),
+        "sh_rest": torch.zeros(n, 8, 3),
+    }
+    return GaussianParameters(tensors, LearningRates(), RADIUS)
+
+
+def make_record(gradients, weights) -> DensificationRecord:
+    record = DensificationRecord(len(gradients), torch.device("cpu"))
+    record.add(torch.tensor(gradients), torch.tensor(weights))
+    return record
+
+
+def colors(parameters: GaussianParameters) -> list[float]:
+    return sorted(parameters.tensors["sh_dc"][:, 0, 0].tolist())
+
+
+def generator() -> torch.Generator:
+    return torch.Generator().manual_seed(0)
+
+
+def test_small_ones_are_cloned_large_ones_split_in_two():
+    parameters = make_parameters([0.005, 0.005, 0.05, 0.05] + [0.005] * 16, [0.5] * 20)
+    record = densify(parameters, make_record([2.0, 0.5, 2.0, 0.5] + [0.0] * 16, [1.0] * 20), RULE, RADIUS, generator())
+    assert colors(parameters) == [0, 0, 1, 2, 2, *range(3, 20)]
+    of_second = parameters.tensors["sh_dc"][:, 0, 0] == 2
+    halves = parameters.tensors["log_scales"][of_second].exp()
+    torch.testing.assert_close(halves, torch.full((2, 2), 0.05 / 1.6))
+    moved = parameters.tensors["means"][of_second].detach() - torch.tensor([2.0, 0, 0])
+    assert moved[:, :2].abs().min() > 0
+    assert not moved[:, 2].any()  # a surfel's parts stay in its plane
+    clones = parameters.tensors["means"][parameters.tensors["sh_dc"][:, 0, 0] == 0]
+    assert torch.equal(clones[0], clones[1])
+    assert len(record.weights) == len(parameters) == 22
+    assert not record.gradients.any()
+
+
+def test_the_parts_of_a_split_are_drawn_from_its_gaussian():
+    n = 4000
+    parameters = make_parameters([0.05] * n, [0.5] * n, axes=3)
+    turn = torch.tensor([math.cos(math.pi / 4), 0.0, 0.0, math.sin(math.pi / 4)])  # x to y
+    parameters.replace("quaternions", turn.repeat(n, 1))
+    parameters.replace("log_scales", torch.tensor([0.08, 0.04, 0.02]).log().repeat(n, 1))
+    densify(parameters, make_record([2.0] * n, [1.0] * n), DensificationRule(1.0, 0.05, 10 * n), RADIUS, generator())
+    parts = parameters.tensors["log_scales"][:, 0] < math.log(0.07)
+    offsets = parameters.tensors["means"].detach()[parts].clone()
+    offsets[:, 0] -= parameters.tensors["sh_dc"][parts, 0, 0].detach()
+    assert len(offsets) == 2 * n / 10
+    torch.testing.assert_close(offsets.std(0), torch.tensor([0.04, 0.08, 0.02]), rtol=0.1, atol=0)
+
+
+def test_transparent_ones_are_pruned():
+    parameters = make_parameters([0.005] * 3, [0.04, 0.06, 0.9])
+    densify(parameters, make_record([0.0] * 3, [1.0] * 3), RULE, RADIUS, generator())
+    assert colors(parameters) == [1, 2]
+
+
+def test_oversized_ones_are_split_in_five_unless_hardly_seen():
+    parameters = make_parameters([0.2, 0.2] + [0.02] * 18, [0.5] * 20)
+    densify(parameters, make_record([0.0] * 20, [0.1, 9.0] + [1.0] * 18), RULE, RADIUS, generator())
+    assert colors(parameters) == [1.0] * 5 + [float(i) for i in range(2, 20)]
+    parts = parameters.tensors["log_scales"][parameters.tensors["sh_dc"][:, 0, 0] == 1].exp()
+    torch.testing.assert_close(parts, torch.full((5, 2), 0.2 / (1.6 * 2.5**0.5)))
+
+
+def test_the_cap_keeps_the_greatest_mean_weights():
+    parameters = make_parameters([0.005] * 6, [0.5] * 6)
+    record = DensificationRecord(6, torch.device("cpu"))
+    record.add(torch.zeros(6), torch.tensor([5.0, 1.0, 4.0, 0.0, 2.0, 3.0]))
+    record.add(torch.zeros(6), torch.tensor([5.0, 1.0, 4.0, 3.5, 2.0, 3.0]))  # the fourth is seen once: its mean is 3.5
+    densify(parameters, record, DensificationRule(1.0, 0.05, max_primitives=3), RADIUS, generator())
+    assert colors(parameters) == [0, 2, 3]
+
+
+def growing(gradients, max_primitives: int) -> list[float]:
+    """The colors that appear twice after a densification of 100 primitives whose weights rise with their color."""
+    n = len(gradients)
+    parameters = make_parameters([0.005] * n, [0.5] * n)
+    record = make_record(gradients, [100.0 + i for i in range(n)])
+    densify(parameters, record, DensificationRule(1.0, 0.05, max_primitives), RADIUS, generator())
+    found = colors(parameters)
+    return [color for color in range(n) if found.count(color) == 2]
+
+
+def test_a_tenth_grows_at_once_the_largest_gradients():
+    gradients = [2.0 + 0.01 * i for i in range(100)]
+    assert growing(gradients, max_primitives=1000) == list(range(90, 100))
+    assert growing([0.5] * 50 + gradients[:50], max_primitives=1000) == list(range(90, 100))
+    assert growing([0.5] * 97 + gradients[:3], max_primitives=1000) == [97, 98, 99]
+
+
+def test_what_fills_less_than_a_pixel_does_not_grow():
+    rule = dataclasses.replace(RULE, min_coverage=1.0)
+    record = make_record([2.0, 2.0] + [0.0] * 18, [0.9, 1.1] + [1.0] * 18)
+    record.add(torch.tensor([2.0, 2.0] + [0.0] * 18), torch.tensor([1.0, 1.0] + [1.0] * 18))  # means 0.95 and 1.05
+    parameters = make_parameters([0.005] * 20, [0.5] * 20)
+    densify(parameters, record, rule, RADIUS, generator())
+    assert colors(parameters) == [0, 1, 1, *range(2, 20)]
+
+
+def test_what_few_views_show_does_not_grow():
+    """Ten steps: two primitives are shown by three of them, the second almost only by one, the third by all alike."""
+    rule = dataclasses.replace(RULE, min_views=2.9)
+    record = DensificationRecord(30, torch.device("cpu"))
+    for step in range(10):
+        weights = [float(step < 3), [20.0, 1.0, 1.0][step] if step < 3 else 0.0, 5.0] + [1.0] * 27
+        record.add(torch.tensor([2.0, 2.0, 2.0] + [0.0] * 27), torch.tensor(weights))
+    torch.testing.assert_close(record.effective_views()[:3], torch.tensor([3.0, 22.0**2 / 402, 10.0]))
+    parameters = make_parameters([0.005] * 30, [0.5] * 30)
+    densify(parameters, record, rule, RADIUS, generator())
+    assert colors(parameters) == [0, 0, 1, 2, 2, *range(3, 30)]
+
+
+def test_towards_the_cap_there_is_less_room():
+    gradients = [2.0 + 0.01 * i for i in range(100)]
+    assert growing(gradients, max_primitives=107) == list(range(93, 100))
+
+
+def test_at_the_cap_a_twentieth_takes_the_place_of_the_least_weighted():
+    """The parts of the grown count half their weight, still more than that of the first five."""
+    parameters = make_parameters([0.005] * 100, [0.5] * 100)
+    gradients, weights = [0.0] * 100, [1.0 + i for i in range(100)]
+    gradients[95:] = [2.0] * 5
+    densify(parameters, make_record(gradients, weights), DensificationRule(1.0, 0.05, 100), RADIUS, generator())
+    assert colors(parameters) == sorted([*range(5, 100), *range(95, 100)])
+
+
+def test_moments_follow_through_a_densification():
+    parameters = make_parameters([0.005, 0.05, 0.005] + [0.005] * 20, [0.5, 0.5, 0.01] + [0.5] * 20)
+    for value in parameters.tensors.values():
+        value.grad = torch.ones_like(value)
+    parameters.optimizer.step()
+    densify(parameters, make_record([2.0, 2.0, 0.0] + [0.0] * 20, [1.0] * 23), RULE, RADIUS, generator())
+    moment = parameters.optimizer.state[parameters.tensors["means"]]["exp_avg"]
+    assert moment.shape == (24, 3)
+    assert (moment != 0).all(dim=1).sum() == 21  # of the cloned and the idle; clone and parts start anew
+
+
+def test_the_criterion_is_a_mean_over_the_views_that_saw():
+    record = DensificationRecord(2, torch.device("cpu"))
+    record.add(torch.tensor([3.0, 0.0]), torch.tensor([1.0, 0.0]))
+    record.add(torch.tensor([1.0, 8.0]), torch.tensor([1.0, 1.0]))
+    assert record.mean_gradient().tolist() == [2.0, 8.0]
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_tiny_sets(n):
+    parameters = make_parameters([0.2] * n, [0.5] * n)
+    densify(parameters, make_record([2.0] * n, [1.0] * n), RULE, RADIUS, generator())
+    assert torch.isfinite(parameters.tensors["means"]).all()
+
+
+def test_screen_criterion_is_the_gradient_of_the_projected_center():
+    width, height = 64, 48
+    pose = torch.eye(4)
+    pose[:3, :3] = torch.linalg.qr(torch.randn(3, 3, generator=generator()))[0]
+    pose[:3, :3] *= torch.linalg.det(pose[:3, :3])
+    pose[:3, 3] = torch.tensor([0.1, -0.2, 3.0])
+    intrinsics = torch.tensor([[70.0, 0, 30], [0, 55.0, 26], [0, 0, 1]])
+    camera = Camera(pose, intrinsics, width, height)
+    means = (torch.rand(5, 3, generator=generator()) - 0.5).requires_grad_()
+    pixels, depth = camera.project(means)
+    per_pixel = torch.randn(5, 2, generator=generator())
+    (gradient,) = torch.autograd.grad((pixels * per_pixel).sum(), means)
+    statistics = Statistics(torch.ones(5), (depth[:, None] * gradient).detach())
+    expected = (per_pixel * torch.tensor([width / 2, height / 2])).norm(dim=1)
+    torch.testing.assert_close(screen_criterion(statistics, camera), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_spatial_criterion_is_half_the_depth_times_the_gradient():
+    statistics = Statistics(torch.ones(1), 4.0 * torch.tensor([[0.0, 3.0, -4.0]]))
+    assert spatial_criterion(statistics).tolist() == [10.0]

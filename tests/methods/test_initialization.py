@@ -1,0 +1,88 @@
+"""Initialization against closed forms."""
+
+import pytest
+import torch
+
+from envgs_bench.methods.envgs import EnvGSSettings, environment_box
+from envgs_bench.methods.initialization import initial_tensors, neighbor_distance, quantile_box, random_points_in_grid
+
+
+def test_neighbor_distance_on_a_lattice():
+    axis = torch.arange(5.0)
+    points = torch.cartesian_prod(axis, axis, axis) * 0.25
+    assert torch.equal(neighbor_distance(points, 1.0), torch.full((125,), 0.25))
+
+
+def test_neighbor_distance_is_the_root_of_the_mean_square():
+    points = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 2]])
+    assert neighbor_distance(points, 1.0)[0].item() == pytest.approx(3**0.5)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 3])
+def test_few_points(n):
+    distances = neighbor_distance(torch.eye(3)[:n], 2.0)
+    assert distances.shape == (n,)
+    assert (distances > 0).all()
+
+
+def test_coincident_points_still_have_an_extent():
+    assert (neighbor_distance(torch.ones(10, 3), 2.0) > 0).all()
+
+
+def test_quantile_box_of_uniform_points():
+    n = 200_001
+    axis = torch.linspace(0, 1, n)
+    points = torch.stack([axis, 2 * axis.flip(0) - 1, 5 + 0 * axis], dim=1)
+    low, high = quantile_box(points, 0.995)
+    torch.testing.assert_close(low[:2], torch.tensor([0.0025, -0.995]))
+    torch.testing.assert_close(high[:2], torch.tensor([0.9975, 0.995]))
+    assert low[2] < 5 < high[2]  # a flat cloud still has a box with a volume
+
+
+def test_quantile_box_leaves_outliers_out():
+    generator = torch.Generator().manual_seed(0)
+    points = torch.rand(10_000, 3, generator=generator)
+    points[0], points[1] = 1e6, -1e6
+    low, high = quantile_box(points, 0.995)
+    assert low.min() >= 0
+    assert high.max() <= 1
+
+
+def test_every_cell_of_the_grid_gets_its_points():
+    low, high = torch.tensor([-1.0, 0.0, 2.0]), torch.tensor([1.0, 3.0, 10.0])
+    points = random_points_in_grid(low, high, 4, 3, torch.Generator().manual_seed(0))
+    cell = ((points - low) / (high - low) * 4).floor().long().clamp(0, 3)
+    counts = torch.bincount(cell @ torch.tensor([16, 4, 1]), minlength=64)
+    assert points.shape == (192, 3)
+    assert torch.equal(counts, torch.full((64,), 3))
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_initial_primitives(axes):
+    points = torch.rand(20, 3)
+    tensors = initial_tensors(
+        points,
+        torch.rand(20, 3),
+        axes=axes,
+        sh_degree=1,
+        opacity=0.1,
+        beta=1e-3,
+        radius=1.0,
+        generator=torch.Generator().manual_seed(0),
+    )
+    torch.testing.assert_close(tensors["log_scales"], neighbor_distance(points, 1.0).log()[:, None].repeat(1, axes))
+    torch.testing.assert_close(tensors["opacity_logits"].sigmoid(), torch.full((20,), 0.1))
+    torch.testing.assert_close(tensors["beta_logits"].sigmoid(), torch.full((20, 1), 1e-3))
+    assert tensors["sh_rest"].shape == (20, 3, 3)
+
+
+def test_the_environment_starts_in_the_quantile_box_unless_a_cube_is_given():
+    points = torch.randn(500, 3, generator=torch.Generator().manual_seed(0))
+    for corner, expected in zip(
+        environment_box(points, EnvGSSettings(env_box_quantile=0.9)), quantile_box(points, 0.9), strict=True
+    ):
+        assert torch.equal(corner, expected)
+    low, high = environment_box(points, EnvGSSettings(env_box=20.0))
+    assert (low.tolist(), high.tolist()) == ([-20] * 3, [20] * 3)
+    with pytest.raises(ValueError, match="env_box is -1, expected half the edge of a cube"):
+        environment_box(points, EnvGSSettings(env_box=-1.0))

@@ -1,0 +1,162 @@
+"""The paper's numbers beside ours: its averages from its own scenes, its layouts, its names for our methods."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from reports_runs import record, row_of, sections_of, titled, titles, write_record, write_runs
+
+from envgs_bench.reports.numbers.decimals import rounded
+from envgs_bench.reports.numbers.estimates import Numbers
+from envgs_bench.reports.tables.columns import PSNR, of
+from envgs_bench.reports.tables.entries import entries, headings
+from envgs_bench.reports.tables.published import (
+    paper_method,
+    paper_scene,
+    paper_tables,
+    published_source,
+    published_values,
+)
+from envgs_bench.reports.tables.table import build_table
+
+
+def other_protocol() -> dict[str, str]:
+    return {"name": "strict", "hash": "0123", "description": "8 bits"}
+
+
+def test_table_7_averages_to_every_psnr_of_tables_1_and_5() -> None:
+    """The builder over the per-scene table gives the printed means exactly: decimals, halves up."""
+    rows = paper_tables().query("table == '7' and metric == 'psnr' and value != ''")
+    tidy = pd.DataFrame(
+        {
+            "dataset": rows["dataset"] + "/" + rows["scene"],
+            "method": rows["method"],
+            "seed": 0,
+            "region": "full",
+            "metric": "psnr",
+            "value": rows["value"].astype(float),
+        }
+    )
+    numbers = Numbers(tidy, tidy.assign(status="ok")[["dataset", "method", "seed", "status"]])
+    printed = paper_tables().query("metric == 'psnr' and table in ('1', '5') and value != ''")
+    checked = 0
+    for table, dataset, method, value in printed[["table", "dataset", "method", "value"]].to_numpy():
+        members = [name for name in tidy["dataset"].unique() if name.split("/")[0] in dataset.split("+")]
+        if method in ("ENVIDR", "NDE"):  # Table 7 does not have them
+            continue
+        average = build_table(numbers, dataset, "subject", of(members, [PSNR]), [method]).rows[0].cells["psnr"]
+        assert average.complete
+        assert str(rounded(average.mean, 3)) == value, (table, dataset, method)
+        checked += 1
+    assert checked == 19  # 9 methods on 2 data sets, and EnvGS on all 7 scenes
+
+
+def test_unreadable_cells_of_the_paper_are_empty() -> None:
+    rows = paper_tables()
+    unreadable = rows[rows["note"].str.startswith("unreadable")]
+    assert len(unreadable) == 9
+    assert (unreadable["value"] == "").all()
+    assert "EnvGS" not in published_values(("Ref-Real/sedan",), "full", "lpips")
+
+
+@pytest.mark.parametrize(
+    ("name", "scene"),
+    [
+        ("Ref-Real/sedan", ("Ref-Real", "sedan")),
+        ("ref_real-gardenspheres", ("Ref-Real", "spheres")),
+        ("nerf_casting-toaster", ("NeRF-Casting", "toaster")),
+        ("shiny_blender-toaster", ("Shiny-Blender", "toaster")),
+        ("mipnerf360/garden", ("Mip-NeRF-360", "garden")),
+        ("garden", None),  # anybody's garden
+        ("toy/chrome_room", None),
+    ],
+)
+def test_a_paper_scene_needs_its_family(name: str, scene: tuple[str, str] | None) -> None:
+    assert paper_scene(name) == scene
+
+
+def test_published_psnr_stands_beside_ours(tmp_path: Path) -> None:
+    write_runs(tmp_path, ("Ref-Real/sedan",), seeds=(0,), pictures=False)
+    table = titled(sections_of(tmp_path)[0], "Ref-Real/sedan")
+    column = titles(table).index("PSNR paper (Δ)")
+    printed = (
+        paper_tables().query("table == '7' and scene == 'sedan' and metric == 'psnr'").set_index("method")["value"]
+    )
+    ours = row_of(table, "envgs").cells["psnr"].mean
+    assert ours is not None
+    expected = f"{printed['EnvGS']} ({rounded(ours, 3) - Decimal(printed['EnvGS']):+})".replace("-", "−")
+    assert entries(table, row_of(table, "envgs"))[column].text == expected
+    assert entries(table, row_of(table, "ZipNeRF"))[column].text == printed["ZipNeRF"]
+    assert row_of(table, "ZipNeRF").runs_text == "published, not real-time"
+    assert row_of(table, "3DGS-DR").runs_text == "published"
+    assert {"SSIM paper (Δ)", "LPIPS paper (Δ)"} <= set(titles(table))
+    write_runs(tmp_path / "strict", ("Ref-Real/sedan",), seeds=(0,), pictures=False, protocol=other_protocol())
+    strict = next(s for s in sections_of(tmp_path) if s.protocol.name == "strict")
+    assert not strict.tables[0].published
+
+
+def test_printed_means_stand_beside_ours_where_the_paper_prints_them(tmp_path: Path) -> None:
+    """Tables 1, 2, 4 and 5: means over just these scenes, whatever the scenes' own cells say."""
+    real = tuple(f"ref_real/{scene}" for scene in ("sedan", "toycar", "spheres"))
+    casting = tuple(f"nerf_casting/{scene}" for scene in ("compact", "grinder", "hatchback", "toaster"))
+    methods = ("3dgs", "envmap", "envgs", "envgs_no_joint")
+    write_runs(tmp_path, real + casting, methods, seeds=(0,), pictures=False)
+    (section,) = sections_of(tmp_path)
+    overview = titled(section, "Overview")
+    names = titles(overview)
+    assert {"Ref-Real PSNR ↑", "NeRF-Casting PSNR ↑", "all data sets paper FPS", "all data sets paper train h"} <= set(
+        names
+    )
+    line = [entry.text for entry in entries(overview, row_of(overview, "envgs"))]
+    assert line[names.index("Ref-Real LPIPS paper (Δ)")] == "0.241"  # its scenes' cells cannot be read
+    assert line[names.index("all data sets paper FPS")] == "26.221"
+    published_only = [row.method for row in overview.rows if not row.attempts]
+    assert {"Ref-NeRF*", "UniSDF", "ZipNeRF", "NeRF-Casting", "GaussianShader", "3DGS-DR"} <= set(published_only)
+    assert not any(published_source(name) == "ablation" for name in published_only)
+    everything = titled(section, "all data sets")
+    assert {"ENVIDR", "NDE"} <= {row.method for row in everything.rows}
+    regions = titled(section, "all data sets: inside the regions")
+    assert row_of(regions, "envgs").published["near-field: psnr_near_field"] == Decimal("46.392")
+    ablation = titled(section, "Ref-Real: envgs and what it is without")
+    assert [row.method for row in ablation.rows][:3] == ["envgs_no_joint", "envmap", "envgs"]
+    assert row_of(ablation, "envgs_no_joint").published["psnr"] == Decimal("24.034")
+    assert row_of(ablation, "envmap").published["psnr"] == Decimal("24.145")
+    assert "w/o color sabotage" in {row.method for row in ablation.rows}
+
+
+def test_scenes_stand_side_by_side_as_in_tables_7_to_9(tmp_path: Path) -> None:
+    blender = tuple(f"shiny_blender/{scene}" for scene in ("ball", "car", "coffee", "helmet", "teapot", "toaster"))
+    write_runs(tmp_path, blender, ("3dgs", "envgs"), seeds=(0,), pictures=False)
+    table = titled(sections_of(tmp_path)[0], "Shiny-Blender: PSNR")
+    groups = [heading.group for heading in headings(table)[2::2]]
+    assert groups == [name.split("/")[1] for name in blender] + ["mean"]
+    assert row_of(table, "3iGS").published["ball: psnr"] == Decimal("27.640")
+    assert rounded(row_of(table, "envgs").published["mean: psnr"], 3) == Decimal("33.826")
+
+
+def test_the_filters_rows_are_those_of_table_6(tmp_path: Path) -> None:
+    for share in (0.0, 0.5, 0.9):
+        config = {"method": {"name": "envgs", "settings": {"beta_filter": share}}, "dataset": {"kind": "toy"}}
+        write_record(tmp_path / str(share), record("nerf_casting/hatchback", "envgs", 0, config=config))
+    (section,) = sections_of(tmp_path)
+    assert section.knobs == [[f"envgs [beta_filter={share}]" for share in (0.0, 0.5, 0.9)]]
+    table = titled(section, "nerf_casting/hatchback: speed and memory")
+    names = titles(table)
+    column = names.index("PSNR paper (Δ)"), names.index("paper FPS")
+    printed = {row.method: [entries(table, row)[i].text for i in column] for row in table.rows}
+    assert printed["envgs [beta_filter=0.5]"][0].startswith("27.137 (")
+    assert printed["envgs [beta_filter=0.0]"][1] == "32.259"
+    assert printed["w/ PyTorch"][1] == "1/6,158"
+    assert "w/ 75% weight filtering" in printed
+    assert "Ref-NeRF*" not in printed  # the paper has no frame rate of it on this scene
+
+
+def test_every_method_of_the_paper_has_one_name() -> None:
+    assert paper_method("envgs [beta_filter=0.75]") == "w/ 75% weight filtering"
+    assert paper_method("zip-nerf") == "ZipNeRF"
+    assert paper_method("my method") == "my method"
+    assert published_source("NDE") == "non_realtime"
+    assert published_source("3iGS") == "realtime"

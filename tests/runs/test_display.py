@@ -1,0 +1,47 @@
+"""Progress as lines and as a bar."""
+
+from __future__ import annotations
+
+import io
+
+from rich.console import Console
+
+from envgs_bench.runs.display import Bar, Lines
+
+COUNTS = {"base": 1234, "env": 56}
+
+
+def training(step: int, steps: int) -> dict:
+    state = {"step": step, "steps": steps, "loss": 0.5, "psnr": 21.5, "primitives": COUNTS}
+    return {"stage": "training", **state}
+
+
+def test_lines_are_sparse_and_say_what_matters() -> None:
+    stream = io.StringIO()
+    display = Lines(stream)
+    display.start("room · envgs · seed 0")
+    display.update({"stage": "loading"})
+    for step in range(1, 1001):
+        display.update(training(step, 1000))
+    for step in range(5):
+        display.update({"stage": "scoring", "step": step, "steps": 5})
+    display.stop()
+    lines = stream.getvalue().splitlines()
+    assert len(lines) == 14
+    assert all(line.startswith("room · envgs · seed 0: ") for line in lines)
+    assert "step 500/1000  loss 0.5000  PSNR 21.50  base 1,234  env 56" in lines[7]
+    assert lines[7].endswith("s left")
+    assert lines[-1].endswith("scoring")
+
+
+def test_the_bar_shows_step_loss_psnr_and_primitives() -> None:
+    stream = io.StringIO()
+    display = Bar(Console(file=stream, force_terminal=True, width=200))
+    display.start("room · envgs · seed 0")
+    display.update({"stage": "loading"})
+    display.update(training(30, 1000))
+    display.stop()
+    display.update(training(40, 1000))  # the reader may lag behind the end
+    shown = stream.getvalue()
+    for part in ("room · envgs · seed 0", "training", "30/1000", "loss 0.5000", "PSNR 21.50", "base 1,234", "env 56"):
+        assert part in shown

@@ -1,0 +1,173 @@
+"""A run's folder follows from what determines its result, and from nothing else; its settings are checked."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from envgs_bench.records import Failure
+from envgs_bench.runs import identity, provenance
+from envgs_bench.runs.draft import Draft
+from envgs_bench.runs.identity import code_version, run_id
+from envgs_bench.settings import RunSettings, SettingsError, default_cache_dir, parse_settings
+
+
+def content(**changes: Any) -> dict[str, Any]:
+    given: dict[str, Any] = {
+        "method": {"name": "2dgs", "kind": "2dgs", "settings": {"sh_degree": 2}},
+        "dataset": {"name": None, "kind": "colmap", "root": "captures/fox"},
+        "protocol": "envgs",
+        "seed": 0,
+        "steps": 10,
+        "device": "auto",
+        "timing": {"frames": 50, "seconds": 1.0},
+        "timeout_minutes": None,
+        "runs_dir": "runs",
+        "cache_dir": None,
+        "force": False,
+        "retry_failed": False,
+    }
+    return {**given, **changes}
+
+
+def settings(**changes: Any) -> RunSettings:
+    return parse_settings(content(**changes))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"method": {"name": "2dgs", "kind": "2dgs", "settings": {"sh_degree": 3}}},
+        {"method": {"name": "2dgs", "kind": "3dgs", "settings": {"sh_degree": 2}}},
+        {"dataset": {"name": None, "kind": "colmap", "root": "captures/fox", "width": 10}},
+        {"protocol": "strict"},
+        {"seed": 1},
+        {"steps": 11},
+        {"timing": {"frames": 51, "seconds": 1.0}},
+    ],
+)
+def test_what_determines_the_result_changes_the_identity(changes: dict[str, Any]) -> None:
+    assert run_id(settings(**changes), "cpu") != run_id(settings(), "cpu")
+
+
+def test_the_device_and_the_code_change_the_identity(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = run_id(settings(), "cpu")
+    assert run_id(settings(), "cuda") != before
+    monkeypatch.setattr(identity, "code_version", lambda: "another")
+    assert run_id(settings(), "cpu") != before
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"runs_dir": "elsewhere"},
+        {"cache_dir": "elsewhere"},
+        {"force": True},
+        {"retry_failed": True},
+        {"timeout_minutes": 3},
+        {"overrides": ["seed=0"]},
+        {"device": "cpu"},
+    ],
+)
+def test_what_does_not_determine_the_result_does_not(changes: dict[str, Any]) -> None:
+    assert run_id(settings(**changes), "cpu") == run_id(settings(), "cpu")
+
+
+def test_data_count_by_what_lies_there_and_not_by_where(tmp_path: Path) -> None:
+    def identity_of(root: Path) -> str:
+        data = {"kind": "colmap", "root": str(root)}
+        return run_id(settings(dataset=data, cache_dir=str(tmp_path / "cache")), "cpu")
+
+    for name in ("here", "there"):
+        for folder in ("images", "normals"):
+            (tmp_path / name / folder).mkdir(parents=True)
+        (tmp_path / name / "images" / "a.png").write_bytes(b"1234")
+        (tmp_path / name / "normals" / "a.npy").write_bytes(b"1234")
+    before = identity_of(tmp_path / "here")
+    assert identity_of(tmp_path / "there") == before
+    (tmp_path / "here" / "images" / "b.png").touch()
+    assert identity_of(tmp_path / "here") != before
+    (tmp_path / "there" / "normals" / "a.npy").write_bytes(b"4321")  # other normals have the same size
+    assert identity_of(tmp_path / "there") != before
+
+
+def test_the_code_version_covers_methods_and_kernels() -> None:
+    assert len(code_version()) == 64
+    folders = {part: identity._location(part) for part in identity.RESULT_CODE}
+    assert all(path.exists() for path in folders.values())
+    assert (folders["methods"] / "registry.py").is_file()
+
+
+def test_a_method_of_ones_own_counts_by_its_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "mine_alone").mkdir()
+    for name in ("__init__.py", "method.py", "losses.py"):
+        (tmp_path / "mine_alone" / name).touch()
+    points = EntryPoints([EntryPoint("mine", "mine_alone.method:Method", identity.ENTRY_POINT_GROUP)])
+    monkeypatch.setattr(identity, "entry_points", lambda group: points)
+
+    def identities() -> list[str]:
+        kinds = ("mine", "mine_alone.method:Method")
+        return [run_id(settings(method={"name": "mine", "kind": kind}), "cpu") for kind in kinds]
+
+    before = identities()
+    assert identities() == before
+    (tmp_path / "mine_alone" / "losses.py").write_text("a = 2\n")
+    assert all(now != then for now, then in zip(identities(), before, strict=True))
+
+
+def test_names_are_the_configured_ones_or_the_folders() -> None:
+    assert settings().dataset_name == "fox"
+    assert settings(dataset={"name": "red fox", "kind": "colmap", "root": "x"}).dataset_name == "red-fox"
+    assert settings(dataset={"name": "toy/../room", "kind": "toy"}).dataset_name == "toy/unnamed/room"
+    assert settings(dataset={"kind": "toy"}).dataset_name == "toy"
+    assert settings(method={"name": "../up", "kind": "2dgs"}).method_name == "-up"
+
+
+def test_paths_do_not_depend_on_where_the_run_was_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    given = settings(method={"name": "renders", "kind": "renders", "settings": {"path": "mine"}})
+    assert given.runs_dir == tmp_path / "runs"
+    assert given.dataset["root"] == str(tmp_path / "captures" / "fox")
+    assert given.method.settings["path"] == str(tmp_path / "mine")
+    assert settings(dataset={"kind": "colmap", "root": "~/fox"}).dataset["root"] == str(Path.home() / "fox")
+
+
+def test_the_cache_is_where_the_environment_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ENVGS_BENCH_CACHE", str(tmp_path))
+    assert default_cache_dir() == tmp_path == settings().cache_dir
+    monkeypatch.delenv("ENVGS_BENCH_CACHE")
+    assert default_cache_dir() == Path.home() / ".cache" / "envgs-bench"
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"seed": -1}, "seed=-1"),
+        ({"steps": 0}, "steps=0"),
+        ({"device": "tpu"}, "device='tpu': Input should be 'auto', 'cpu' or 'cuda'"),
+        ({"timeout_minutes": 0}, "timeout_minutes=0"),
+        ({"timing": {"frames": 0, "seconds": 1}}, "timing.frames=0"),
+        ({"method": {"name": "x"}}, "method.kind"),
+        ({"dataset": {}}, "dataset={}: needs a key `kind`"),
+        ({"surplus": 1}, "surplus=1"),
+    ],
+)
+def test_a_wrong_setting_is_named(changes: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(SettingsError) as caught:
+        settings(**changes)
+    assert complaint in str(caught.value)
+
+
+def test_a_record_names_the_commit_that_its_run_began_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The code is read at the start; somebody may commit before the end."""
+    begun = {"commit": "a" * 40, "dirty": False}
+    monkeypatch.setattr(provenance, "checkout", lambda: begun)
+    draft = Draft(tmp_path, settings())
+    monkeypatch.setattr(provenance, "checkout", lambda: {"commit": "b" * 40, "dirty": True})
+    failure = Failure(type="Error", message="", log_tail="")
+    record = draft.write("failed", failure)
+    assert (record.provenance.commit, record.provenance.dirty) == ("a" * 40, False)

@@ -1,0 +1,153 @@
+"""However a run's process ends, there is a record that says so, and the sweep goes on. One sweep, real processes."""
+
+from __future__ import annotations
+
+import csv
+import os
+from pathlib import Path
+
+import pytest
+from fakes.runs import run, set_environment
+
+from envgs_bench.records import find_records, read_record
+from envgs_bench.runs import job
+from envgs_bench.runs.draft import LOG_NAME
+
+KINDS = (
+    "Raises",
+    "Segfaults",
+    "IsKilled",
+    "Exits",
+    "RunsOutOfMemory",
+    "LosesItsLoss",
+    "RendersNaN",
+    "Nobody",
+    "MeanColor",
+)
+SLOW_KINDS = ("Hangs", "IsSlow")
+
+
+class Sweep:
+    """What two sweeps left: one in parallel, and one, of what does not end, in sequence and under a time limit."""
+
+    def __init__(self, root: Path, exit_statuses: tuple[int, int]) -> None:
+        self.root = root
+        self.exit_statuses = exit_statuses
+        paths = [path for folder in ("parallel", "sequence") for path in find_records(root / folder)]
+        self.records = {read_record(path).kind.split(":")[1]: read_record(path) for path in paths}
+        self.folders = {read_record(path).kind.split(":")[1]: path.parent for path in paths}
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
+    root = tmp_path_factory.mktemp("sweep")
+    common = ("method.settings.crash_at=5", "steps=200")
+    parallel = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(job, "GRACE_SECONDS", 6.0)
+        set_environment(patch)
+        first = run(root / "parallel", *common, *parallel, _swept(KINDS), flags=("-m",))
+        second = run(root / "sequence", *common, "timeout_minutes=0.04", _swept(SLOW_KINDS), flags=("-m",))
+    return Sweep(root, (first, second))
+
+
+def _swept(kinds: tuple[str, ...]) -> str:
+    return "method.kind=" + ",".join(f"fakes.methods:{kind}" for kind in kinds)
+
+
+def test_every_job_has_a_record_and_the_exit_status_says_that_some_failed(sweep: Sweep) -> None:
+    assert sorted(sweep.records) == sorted(KINDS + SLOW_KINDS)
+    assert sweep.exit_statuses == (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("kind", "status", "error", "message"),
+    [
+        ("Raises", "failed", "RuntimeError", "the surfels are in a bad mood"),
+        ("Segfaults", "failed", "SIGSEGV", "the process died of SIGSEGV"),
+        ("IsKilled", "out_of_memory", "SIGKILL", "ran out of memory"),
+        ("Exits", "failed", "ProcessError", "exit code 3"),
+        ("RunsOutOfMemory", "out_of_memory", "RuntimeError", "can't allocate memory"),
+        ("IsSlow", "timeout", "TimeUp", "timeout_minutes=0.04"),
+        ("Hangs", "timeout", "TimeUp", "timeout_minutes=0.04 and was killed"),
+        ("Nobody", "failed", "ValueError", "cannot be imported from fakes.methods:Nobody"),
+        ("LosesItsLoss", "diverged", "Diverged", "not finite in 20 steps in a row, up to step 24"),
+        ("RendersNaN", "diverged", "Diverged", "the render of test view view0 is not finite"),
+    ],
+)
+def test_a_failure_has_its_status(sweep: Sweep, kind: str, status: str, error: str, message: str) -> None:
+    record = sweep.records[kind]
+    assert record.status == status
+    assert record.error is not None
+    assert record.error.type == error
+    assert message in record.error.message
+    assert record.metrics is None
+    assert record.protocol.name == "envgs"
+    assert record.provenance.started <= record.provenance.finished
+    assert record.config["method"]["kind"] == f"fakes.methods:{kind}"
+
+
+def test_the_log_is_kept_and_quoted(sweep: Sweep) -> None:
+    error = sweep.records["Raises"].error
+    assert error is not None
+    log = (sweep.folders["Raises"] / LOG_NAME).read_text()
+    assert "learning the mean color of tiny" in log
+    assert "in fail" in log  # the traceback
+    assert error.log_tail == log
+    crash = sweep.records["Segfaults"].error
+    assert crash is not None
+    assert "Segmentation fault" in crash.log_tail  # faulthandler
+
+
+@pytest.mark.parametrize("kind", ["Raises", "IsSlow", "LosesItsLoss", "RunsOutOfMemory"])
+def test_what_was_learned_is_kept(sweep: Sweep, kind: str) -> None:
+    assert (sweep.folders[kind] / "checkpoint" / "color.pt").is_file()
+    cost = sweep.records[kind].cost
+    assert cost is not None
+    assert cost.primitives == {"base": 1, "env": 0}
+
+
+def test_skipped_steps_are_counted(sweep: Sweep) -> None:
+    cost = sweep.records["LosesItsLoss"].cost
+    assert cost is not None
+    assert cost.skipped_steps == 20
+
+
+def test_the_one_that_worked_has_everything(sweep: Sweep) -> None:
+    record, folder = sweep.records["MeanColor"], sweep.folders["MeanColor"]
+    assert record.status == "ok"
+    assert record.error is None
+    assert (record.method, record.dataset, record.seed, record.steps) == ("fake", "tiny", 0, 200)
+    assert record.run_id == folder.name
+    assert folder.parts[-3:-1] == ("tiny", "fake")
+    assert "steps=200" in record.overrides
+    assert record.metrics is not None
+    assert [view.view for view in record.metrics.per_view] == ["view0", "view1"]
+    assert set(record.metrics.mean) == {"psnr", "ssim", "flip", "lpips", "normal_degrees"}
+    assert record.metrics.mean["lpips"] is None
+    assert "lpips" in record.metrics.not_computed
+    assert record.masked["reflective"].fraction == 0.5
+    assert [view.view for view in record.masked["reflective"].per_view] == ["view0"]
+    assert record.timing is not None
+    assert (record.timing.height, record.timing.width) == (24, 32)
+    assert record.cost is not None
+    assert record.cost.model_bytes == 12
+    assert record.cost.peak_primitives == 1
+    assert record.cost.peak_host_bytes > 1e6
+    pictures = {str(path.relative_to(folder)) for path in folder.rglob("*.png")}
+    assert pictures == {
+        f"{kind}/{view}{layer}.png"
+        for view in ("view0", "view1")
+        for kind, layer in (
+            *(("renders", ""), ("targets", ""), ("layers", "-beta")),
+            *(("layers", "-normal"), ("layers", "-depth"), ("layers", "-error")),
+        )
+    } | {"masks/view0-reflective.png"}
+    with (folder / "curve.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == ["step", "seconds", "loss", "psnr", "skipped_steps", "primitives_base", "primitives_env"]
+    assert [int(row["step"]) for row in rows] == list(range(1, 201))
+
+
+def test_nothing_else_is_left_behind(sweep: Sweep) -> None:
+    assert sorted(os.listdir(sweep.root / "parallel")) == ["multirun.yaml", "tiny"]

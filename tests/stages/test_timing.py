@@ -1,0 +1,116 @@
+"""Frame times under a clock that the test turns, so that nothing here depends on this machine's speed."""
+
+import numpy as np
+import pytest
+import torch
+
+from envgs_bench.core import Camera, View
+from envgs_bench.settings import TimingSettings
+from envgs_bench.stages import timing
+from envgs_bench.stages.timing import FrameTimes, contract, time_frames, time_views
+
+
+class Clock:
+    """perf_counter, advanced by whoever does work."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(timing, "perf_counter", clock)
+    return clock
+
+
+def camera(width=8, height=6):
+    return Camera(torch.eye(4), torch.tensor([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]]), width, height)
+
+
+class Renderer:
+    """Takes the given seconds in turn, the last for ever, and remembers which camera it drew."""
+
+    device = torch.device("cpu")
+
+    def __init__(self, clock, *seconds):
+        self.clock, self.seconds, self.drawn, self.prepared = clock, list(seconds), [], 0
+
+    def render(self, camera):
+        self.drawn.append(camera)
+        self.clock.now += self.seconds.pop(0) if len(self.seconds) > 1 else self.seconds[0]
+
+    def prepare(self):
+        self.prepared += 1
+        self.clock.now += 0.25
+
+
+def test_the_first_frame_of_every_view_is_not_counted(clock):
+    cameras = [camera(), camera()]
+    renderer = Renderer(clock, 0.5, 0.01, 0.01, 0.01, 0.7, 0.02)
+    times = time_views(renderer.render, cameras, "cpu", frames=3, seconds=10).times_ms
+    np.testing.assert_allclose(times, [[10] * 3, [20] * 3])
+    assert [c is cameras[0] for c in renderer.drawn] == [True] * 4 + [False] * 4
+
+
+def test_time_ends_a_view_before_its_frames_do(clock):
+    times = time_views(Renderer(clock, 0.3).render, [camera()], "cpu", frames=50, seconds=1.0).times_ms
+    np.testing.assert_allclose(times, [[300] * 4])
+    one = time_views(Renderer(clock, 5.0).render, [camera()], "cpu", frames=50, seconds=1.0).times_ms
+    np.testing.assert_allclose(one, [[5000]])
+
+
+def test_a_scenes_value_is_the_mean_of_medians_and_a_hiccup_shows_in_p95_only():
+    frames = FrameTimes([[10.0] * 9 + [500.0], [30.0] * 10])
+    assert frames.frame_ms == 20
+    assert frames.fps == 50
+    assert frames.frame_ms_p95 == pytest.approx(np.percentile([10.0] * 9 + [500.0] + [30.0] * 10, 95))
+
+
+def test_fps_of_the_mean_is_not_the_mean_of_fps():
+    """Two views of 5 and 32 ms: their frame rates average to 116, but 54 frames are drawn a second."""
+    frames = FrameTimes([[5.0], [32.0]])
+    assert frames.fps == pytest.approx(1000 / 18.5)
+    assert np.mean([1000 / 5, 1000 / 32]) > 2 * frames.fps
+
+
+def test_a_methods_timing_is_complete_and_prepare_is_apart(clock):
+    views = [View(name, camera(), torch.zeros(6, 8, 3, dtype=torch.uint8)) for name in ("a", "b")]
+    renderer = Renderer(clock, 0.02)
+    result = time_frames(renderer, views, TimingSettings(frames=5, seconds=9.0))
+    assert renderer.prepared == 1
+    assert (result.height, result.width) == (6, 8)
+    assert result.prepare_ms == pytest.approx(250)
+    assert result.frame_ms == pytest.approx(20)
+    assert result.fps == pytest.approx(50)
+    assert [(view.view, len(view.times_ms)) for view in result.per_view] == [("a", 5), ("b", 5)]
+    assert "8×6 px" in result.contract
+    assert "5 frames or 9 s" in result.contract
+    with pytest.raises(ValueError, match="no test views"):
+        time_frames(renderer, [], TimingSettings(frames=5, seconds=9.0))
+
+
+def test_contract_says_what_was_timed():
+    text = contract([camera(), camera(16, 12)], "cuda", 50, 1.0)
+    assert "8×6 16×12 px" in text
+    assert "2 views" in text
+    assert "device events" in text
+    assert "perf_counter" in contract([camera()], "cpu", 50, 1.0)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_on_a_gpu_every_frame_is_positive():
+    square = torch.randn(512, 512, device="cuda")
+    times = time_views(lambda camera: square @ square, [camera().to("cuda")] * 2, "cuda", frames=4, seconds=5).times_ms
+    assert [len(view) for view in times] == [4, 4]
+    assert min(map(min, times)) > 0
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_on_a_gpu_time_ends_a_view_although_launching_takes_none():
+    square = torch.randn(8192, 8192, device="cuda")
+    times = time_views(lambda camera: square @ square, [camera().to("cuda")], "cuda", frames=5000, seconds=0.2).times_ms
+    assert len(times[0]) < 5000

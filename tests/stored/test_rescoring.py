@@ -1,0 +1,142 @@
+"""Rescoring: what a protocol makes of a run's pictures is what it would have made of the run."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+from fakes.runs import only_folder, records, run, set_environment
+
+from envgs_bench.cli.main import main
+from envgs_bench.metrics import get_protocol
+from envgs_bench.records import Failure, read_record, write_record
+from envgs_bench.reports import build_report
+from envgs_bench.stages.pictures import save_png
+from envgs_bench.stored.rescoring import read_picture
+
+
+@pytest.fixture(autouse=True)
+def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    set_environment(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one run under the protocol of floats; not to be changed."""
+    folder = tmp_path_factory.mktemp("finished") / "runs"
+    with pytest.MonkeyPatch.context() as patch:
+        set_environment(patch)
+        assert run(folder) == 0
+    return folder
+
+
+def test_a_protocol_that_rounds_gets_the_runs_own_numbers_to_the_last_digit(tmp_path: Path, finished: Path) -> None:
+    assert run(tmp_path / "direct", "protocol=strict") == 0
+    assert main(["rescore", str(finished), "--protocol", "strict", "--out", str(tmp_path / "again")]) == 0
+    (direct,), (again,) = records(tmp_path / "direct"), records(tmp_path / "again")
+    assert again.metrics == direct.metrics
+    assert again.masked == direct.masked
+    assert "reflective" in again.masked
+    assert again.metrics is not None
+    assert "normal_degrees" in again.metrics.mean
+    assert again.protocol == direct.protocol
+
+
+@pytest.mark.parametrize("protocol", ["strict", "inria"])
+def test_pictures_and_checkpoints_agree_where_protocols_round(tmp_path: Path, finished: Path, protocol: str) -> None:
+    command = ["rescore", str(finished), "--protocol", protocol, "--device", "cpu", "--out"]
+    assert main([*command, str(tmp_path / "pictures")]) == 0
+    assert main([*command, str(tmp_path / "checkpoints"), "--redraw"]) == 0
+    (pictures,), (checkpoints,) = records(tmp_path / "pictures"), records(tmp_path / "checkpoints")
+    assert (pictures.metrics, pictures.masked) == (checkpoints.metrics, checkpoints.masked)
+    assert pictures.protocol == checkpoints.protocol
+
+
+def test_a_rescored_record_keeps_the_run_and_leaves_its_folder_alone(tmp_path: Path, finished: Path) -> None:
+    folder = only_folder(finished)
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    assert main(["rescore", str(finished), "--protocol", "strict"]) == 0
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+    strict = finished.with_name("runs-strict")
+    again = strict / folder.relative_to(finished)
+    old, new = read_record(folder), read_record(again)
+    assert (new.timing, new.cost, new.run_id, new.config) == (old.timing, old.cost, old.run_id, old.config)
+    origin = new.provenance.model_dump()["rescored"]
+    assert origin["run"] == str(folder)
+    assert (origin["protocol"]["name"], origin["from"]) == ("envgs", "pictures")
+    report = build_report(strict, tmp_path / "report")
+    assert report.sections[0].protocol.name == "strict"
+    assert list((tmp_path / "report" / "pictures").rglob("*.png"))  # the run's pictures, through the links
+
+
+def test_floats_cannot_be_had_from_pictures_and_the_record_says_so(tmp_path: Path, finished: Path) -> None:
+    for name, other in (("envgs", "inria"), ("nerfbaselines", None)):
+        assert main(["rescore", str(finished), "--protocol", name, "--out", str(tmp_path / name)]) == 0
+        (record,) = records(tmp_path / name)
+        assert record.protocol.name == f"{name}-8bit"
+        assert record.protocol.hash != get_protocol(name).hash
+        assert "rounded to 8 bits" in record.protocol.description
+        assert other is None or record.protocol.hash == get_protocol(other).hash
+
+
+@pytest.mark.parametrize("protocol", ["envgs", "nerfbaselines"])
+def test_views_drawn_again_get_the_runs_own_numbers_under_every_protocol(
+    tmp_path: Path, finished: Path, protocol: str
+) -> None:
+    out = ("--out", str(tmp_path / "again"), "--device", "cpu")
+    assert main(["rescore", str(finished), "--protocol", protocol, "--redraw", *out]) == 0
+    (again,), (run_itself,) = records(tmp_path / "again"), records(finished)
+    assert again.protocol.name == protocol
+    same = (again.metrics, again.masked) == (run_itself.metrics, run_itself.masked)
+    assert same == (protocol == "envgs")
+    assert again.provenance.model_dump()["rescored"]["from"] == "checkpoint"
+    assert (only_folder(tmp_path / "again") / "renders" / "view0.png").is_file()
+
+
+def test_drawing_again_where_pictures_were_linked_leaves_the_run_alone(tmp_path: Path, finished: Path) -> None:
+    folder = only_folder(finished)
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    command = ["rescore", str(finished), "--protocol", "strict", "--out", str(tmp_path / "again"), "--device", "cpu"]
+    assert main(command) == 0
+    assert main([*command, "--redraw"]) == 0
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+
+
+def test_saved_pictures_round_as_protocols_do(tmp_path: Path) -> None:
+    """At and around every halfway point between two bytes, where roundings differ."""
+    halves = (torch.arange(255) + 0.5) / 255
+    values = torch.stack([halves, halves.nextafter(torch.ones(1)), halves.nextafter(torch.zeros(1))])
+    image = values.reshape(3, 255, 1).repeat(8, 1, 3)
+    save_png(tmp_path / "a.png", image)
+    strict, target = get_protocol("strict"), torch.zeros_like(image)
+    assert strict.score(read_picture(tmp_path / "a.png"), target) == strict.score(image, target)
+    assert strict.score(read_picture(tmp_path / "a.png"), read_picture(tmp_path / "a.png"))["psnr"] == 100
+
+
+def test_failed_runs_stay_failures(tmp_path: Path, finished: Path) -> None:
+    shutil.copytree(finished, tmp_path / "runs")
+    folder = only_folder(tmp_path / "runs")
+    failure = Failure(type="RuntimeError", message="in a bad mood", log_tail="")
+    reached = {"metrics": None, "masked": {}, "timing": None}
+    failed = read_record(folder).model_copy(update={"status": "failed", "error": failure, **reached})
+    write_record(folder, failed)
+    for options in ((), ("--redraw",)):
+        assert main(["rescore", str(tmp_path / "runs"), "--protocol", "strict", *options]) == 0
+        (record,) = records(tmp_path / "runs-strict")
+        assert (record.status, record.error) == ("failed", failure)
+        assert record.protocol.name == "strict"
+
+
+def test_missing_pictures_and_wrong_arguments_are_named(
+    tmp_path: Path, finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(finished, tmp_path / "runs")
+    assert main(["rescore", str(tmp_path / "runs"), "--protocol", "paper"]) == 1
+    assert "unknown protocol 'paper', expected one of envgs, strict" in capsys.readouterr().err
+    assert main(["rescore", str(tmp_path / "none"), "--protocol", "strict"]) == 1
+    assert "no such folder" in capsys.readouterr().err
+    shutil.rmtree(only_folder(tmp_path / "runs") / "targets")
+    assert main(["rescore", str(tmp_path / "runs"), "--protocol", "strict"]) == 1
+    assert "view0.png: cannot be read" in capsys.readouterr().err

@@ -1,0 +1,160 @@
+"""Methods that are quick, and that fail in every way a method can. Chosen by import path, each in its own process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import torch
+
+from envgs_bench.core import Camera, Rendering, Scene, Statistics, View
+from envgs_bench.methods.method import Method
+
+
+@dataclass(frozen=True)
+class Settings:
+    rate: float = 0.5  # share of the way to each view's mean color
+    crash_at: int = 0  # step at which a failing method fails
+
+
+class MeanColor(Method):
+    """Draws every view in one color, the running mean of the training views, with one upright surface behind."""
+
+    Settings: ClassVar[type] = Settings
+
+    def initialize(self, scene: Scene, steps: int) -> None:
+        self.color = torch.full((3,), 0.5)
+        print(f"learning the mean color of {scene.name}")
+
+    def training_step(self, view: View, step: int) -> dict[str, float]:
+        difference = view.rgb().mean((0, 1)) - self.color
+        self.color = self.color + self.settings.rate * difference
+        return {"loss": float(difference.square().mean()), "psnr": float(-10 * difference.square().mean().log10())}
+
+    def render(self, camera: Camera) -> Rendering:
+        height, width = camera.height, camera.width
+        flat = torch.ones(height, width)
+        facing = -camera.world_to_camera[2, :3].expand(height, width, 3)
+        return Rendering(
+            color=self.color.expand(height, width, 3),
+            alpha=flat,
+            depth=flat,
+            normal=facing,
+            extras=torch.zeros(height, width, 0),
+            hits=flat.int(),
+            statistics=Statistics(weights=torch.ones(1)),
+            layers={"beta": flat[..., None] / 2},
+        )
+
+    def primitives(self) -> dict[str, int]:
+        return {"base": 1, "env": 0}
+
+    def model_bytes(self) -> dict[str, int]:
+        return {"base": 12, "env": 0}
+
+    def save(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        torch.save(self.color, folder / "color.pt")
+
+    def load(self, folder: Path) -> None:
+        self.color = torch.load(folder / "color.pt")
+
+
+class _Failing(MeanColor):
+    def training_step(self, view: View, step: int) -> dict[str, float]:
+        losses = super().training_step(view, step)
+        return self.fail(losses) if step >= self.settings.crash_at else losses
+
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        raise NotImplementedError
+
+
+class Raises(_Failing):
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        raise RuntimeError("the surfels are in a bad mood")
+
+
+class Segfaults(_Failing):
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        os.kill(os.getpid(), signal.SIGSEGV)
+        return losses
+
+
+class IsKilled(_Failing):
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        os.kill(os.getpid(), signal.SIGKILL)
+        return losses
+
+
+class Exits(_Failing):
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        os._exit(3)
+
+
+class RunsOutOfMemory(_Failing):
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        torch.empty(2**60, dtype=torch.uint8)
+        return losses
+
+
+class IsSlow(_Failing):
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        time.sleep(0.1)
+        return losses
+
+
+class Hangs(_Failing):
+    """In native code that sees no signals."""
+
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        for number in (signal.SIGALRM, signal.SIGINT):
+            signal.signal(number, signal.SIG_IGN)
+        while True:
+            time.sleep(1)
+
+
+class LosesItsLoss(_Failing):
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        self.skipped_steps += 1
+        return {**losses, "loss": float("nan")}
+
+
+class RendersNaN(MeanColor):
+    def render(self, camera: Camera) -> Rendering:
+        rendering = super().render(camera)
+        rendering.color = torch.full_like(rendering.color, float("nan"))
+        return rendering
+
+
+class Announces(MeanColor):
+    """Writes the file `started` into the working folder and is slow, unless the file is there: to be interrupted."""
+
+    def initialize(self, scene: Scene, steps: int) -> None:
+        super().initialize(scene, steps)
+        self.is_slow = not Path("started").exists()
+
+    def training_step(self, view: View, step: int) -> dict[str, float]:
+        if self.is_slow:
+            Path("started").touch()
+            time.sleep(0.1)
+        return super().training_step(view, step)
+
+
+class Forgets(MeanColor):
+    def load(self, folder: Path) -> None:
+        self.color = torch.zeros(3)
+
+
+class IsRandom(MeanColor):
+    def initialize(self, scene: Scene, steps: int) -> None:
+        super().initialize(scene, steps)
+        self.color = torch.rand(3, generator=torch.Generator().manual_seed(time.time_ns() % 2**31))
+
+
+class NamesNoTotal(MeanColor):
+    def training_step(self, view: View, step: int) -> dict[str, float]:
+        return {"rgb": super().training_step(view, step)["loss"]}

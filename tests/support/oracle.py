@@ -1,0 +1,108 @@
+"""What a backend draws beside what the float64 oracle does: scenes, drawings of both, and their comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import torch
+from core_scenes import (
+    FIELDS,
+    ORACLE,
+    Backend,
+    gradients_of,
+    loss_of,
+    random_rays,
+    random_set,
+    rasterized,
+    relative_error,
+    steady,
+    tilted_camera,
+    traced,
+)
+from torch import Tensor
+
+from envgs_bench.core import GaussianSet, Rendering
+
+Draw = Callable[[Backend, GaussianSet, list[Tensor]], Rendering]
+Drawn = tuple[Rendering, dict[str, Tensor]]
+
+TOLERANCE = 1e-3
+CAMERA = tilted_camera(53, 41)
+BACKGROUND = torch.tensor([0.7, 0.2, 0.4])
+
+SINGLE = Backend("torch", torch.float32, "cpu")  # the oracle itself, in the precision of the native backends
+
+
+SCENES = {
+    "few": random_set(12, seed=1),
+    "many": random_set(400, seed=2),
+    "degree-0": random_set(150, degree=0, extras=0, seed=3),
+    "degree-1": random_set(150, degree=1, extras=3, seed=4),
+    "degree-3": random_set(150, degree=3, extras=8, seed=5),
+    "opaque": replace(random_set(300, seed=6), opacities=torch.linspace(0.9, 1.0, 300)),
+    "faint": replace(random_set(300, seed=7), opacities=torch.linspace(0.0, 0.05, 300)),
+    "tiny": replace(random_set(300, seed=8), scales=torch.full((300, 2), 0.01)),
+    "needles": replace(random_set(200, seed=9), scales=torch.tensor([[0.5, 0.01]]).expand(200, 2)),
+}
+
+
+def volumes(surfels: GaussianSet) -> GaussianSet:
+    third = surfels.scales.mean(dim=1, keepdim=True) * torch.linspace(0.1, 1.5, len(surfels))[:, None]
+    return replace(surfels, scales=torch.cat([surfels.scales, third], dim=1))
+
+
+def drawn_with(backend: Backend, gaussians: GaussianSet, draw: Draw, keep: Tensor, rays: tuple[Tensor, ...]) -> Drawn:
+    """What a backend draws, and the gradients of a loss over the kept pixels or rays."""
+    leaves, own_rays = backend.take(gaussians), [backend.take(x) for x in rays]
+    drawn = draw(backend, leaves, own_rays)
+    loss_of(drawn, keep).backward()
+    return drawn, gradients_of(leaves, **dict(zip(("origins", "directions"), own_rays, strict=False)))
+
+
+def compare(one: Drawn, other: Drawn, keep: Tensor) -> None:
+    """Hold every field, statistic and gradient of the kept pixels or rays together."""
+    assert keep.double().mean() > 0.75, "too little of the scene is comparable to say anything"
+    (drawn, gradients), (expected, expected_gradients) = one, other
+    where = keep.to(drawn.alpha.device)
+    assert torch.equal(drawn.hits[where].cpu(), expected.hits[keep])
+    for name in FIELDS:
+        assert relative_error(getattr(drawn, name)[where], getattr(expected, name)[keep]) < TOLERANCE / 10, name
+    for name, gradient in gradients.items():
+        assert gradient.isfinite().all(), name
+        assert relative_error(gradient, expected_gradients[name]) < TOLERANCE, name
+    position, reference = drawn.statistics.position_gradients, expected.statistics.position_gradients
+    assert position is not None
+    assert reference is not None
+    assert relative_error(position, reference) < TOLERANCE
+    if keep.all():
+        assert relative_error(drawn.statistics.weights, expected.statistics.weights) < TOLERANCE
+
+
+def image(low_pass: bool = True) -> Draw:
+    return lambda backend, leaves, rays: backend.rasterize(
+        leaves, backend.take(CAMERA), low_pass=low_pass, background=BACKGROUND
+    )
+
+
+def bundle(backend: Backend, leaves: GaussianSet, rays: list[Tensor]) -> Rendering:
+    return backend.trace(leaves, *rays, t_min=0.5, background=BACKGROUND)
+
+
+@cache
+def oracles_image(scene: str, as_volumes: bool, low_pass: bool) -> tuple[GaussianSet, Tensor, Drawn]:
+    """A scene, the pixels that can be compared, and the oracle's drawing: the same for every backend."""
+    gaussians = volumes(SCENES[scene]) if as_volumes else SCENES[scene]
+    keep = steady(gaussians, rasterized(gaussians, CAMERA, low_pass=low_pass))
+    return gaussians, keep, drawn_with(ORACLE, gaussians, image(low_pass), keep, ())
+
+
+@cache
+def oracles_bundle(scene: str) -> tuple[GaussianSet, tuple[Tensor, ...], Drawn]:
+    """A scene, rays that can be compared (and no others, so that statistics can be too), and the oracle's drawing."""
+    gaussians, (origins, directions) = SCENES[scene], random_rays(1000)
+    keep = steady(gaussians, traced(gaussians, origins, directions, t_min=0.5))
+    assert keep.double().mean() > 0.75
+    rays = origins[keep], directions[keep]
+    return gaussians, rays, drawn_with(ORACLE, gaussians, bundle, keep[keep], rays)
