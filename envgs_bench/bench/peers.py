@@ -50,8 +50,8 @@ def peer_drawing(gaussians: GaussianSet, camera: Camera) -> Callable[[], PeerIma
         color, alpha, normal, *_ = rasterization_2dgs(**fields(scales), **common)
         return PeerImage(color[0], alpha[0, ..., 0], normal[0])
 
-    def volumes() -> PeerImage:
+    def gaussians_3d() -> PeerImage:
         color, alpha, _ = rasterization(**fields(gaussians.scales), **common)
         return PeerImage(color[0], alpha[0, ..., 0])
 
-    return surfels if gaussians.is_surfels else volumes
+    return surfels if gaussians.is_surfels else gaussians_3d

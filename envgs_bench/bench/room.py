@@ -1,4 +1,4 @@
-"""The room: a workload of Gaussians on the walls of a room and on the balls in it, and rays a view's surfaces reflect.
+"""The room: a workload of Gaussians on the walls of a room and on the spheres in it, and rays a view's surfaces reflect.
 
 What a reflective scene asks of the core: surfels of differing size, opacity and tilt, a few layers deep on every
 surface, some thirty blended hits a ray, and rays that start everywhere and fly everywhere.
@@ -16,7 +16,7 @@ from torch.nn.functional import normalize
 from envgs_bench.core import Camera, GaussianSet
 
 LOWER, UPPER = torch.tensor([-4.0, 0.0, -4.0]), torch.tensor([4.0, 4.0, 4.0])  # the room, y up
-BALLS = torch.tensor(  # x, y, z, radius
+SPHERES = torch.tensor(  # x, y, z, radius
     [[0.0, 0.9, 0.0, 0.9], [2.0, 0.5, 1.5, 0.5], [-2.0, 0.4, 1.0, 0.4], [-1.5, 0.6, -2.0, 0.6], [1.5, 0.3, -1.5, 0.3]]
 )
 EYE, TARGET = torch.tensor([3.0, 1.8, 3.0]), torch.tensor([0.0, 0.8, 0.0])
@@ -56,11 +56,11 @@ def room_gaussians(count: int, *, columns: int = 2, seed: int = 0) -> GaussianSe
 
 
 def surface_points(count: int, generator: torch.Generator) -> tuple[Tensor, Tensor, float]:
-    """Points [N, 3] on the room's sides and balls, evenly by area, their inward or outward normals, and the area."""
+    """Points [N, 3] on the room's sides and spheres, evenly by area, their inward or outward normals, and the area."""
     extent = UPPER - LOWER
     axes = torch.arange(3).repeat(2)
     side_areas = (extent.prod() / extent)[axes]
-    areas = torch.cat([side_areas, 4 * math.pi * BALLS[:, 3] ** 2])
+    areas = torch.cat([side_areas, 4 * math.pi * SPHERES[:, 3] ** 2])
     surface = torch.multinomial(areas, max(count, 1), replacement=True, generator=generator)[:count]
 
     on_side = surface < 6
@@ -70,9 +70,9 @@ def surface_points(count: int, generator: torch.Generator) -> tuple[Tensor, Tens
     in_room = LOWER + extent * torch.rand(count, 3, generator=generator)
     on_sides = torch.where(normals != 0, torch.where(upper[:, None], UPPER, LOWER), in_room)
 
-    ball = BALLS[(surface - 6).clamp_min(0)]
+    sphere = SPHERES[(surface - 6).clamp_min(0)]
     outward = normalize(torch.randn(count, 3, generator=generator), dim=1)
-    points = torch.where(on_side[:, None], on_sides, ball[:, :3] + ball[:, 3:] * outward)
+    points = torch.where(on_side[:, None], on_sides, sphere[:, :3] + sphere[:, 3:] * outward)
     return points, torch.where(on_side[:, None], normals, outward), float(areas.sum())
 
 
@@ -84,7 +84,7 @@ def quaternions(frames: Tensor) -> Tensor:
 
 
 def room_camera(width: int, height: int) -> Camera:
-    """A view of the balls from a corner, focal length 0.9 image widths."""
+    """A view of the spheres from a corner, focal length 0.9 image widths."""
     forward = normalize(TARGET - EYE, dim=0)
     right = normalize(torch.linalg.cross(forward, torch.tensor([0.0, 1.0, 0.0])), dim=0)
     pose = torch.eye(4)
@@ -109,17 +109,17 @@ def reflected_rays(width: int, height: int) -> tuple[Tensor, Tensor]:
 
 
 def first_hits(origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
-    """Distances [R] and normals [R, 3] of the nearest side or ball along unit directions [R, 3] from inside."""
+    """Distances [R] and normals [R, 3] of the nearest side or sphere along unit directions [R, 3] from inside."""
     to_sides = (torch.where(directions > 0, UPPER, LOWER) - origins) / directions
     nearest, axis = to_sides.min(dim=1)
     normals = -torch.eye(3)[axis] * directions.sign()
-    for ball in BALLS:
-        offsets = origins - ball[:3]
+    for sphere in SPHERES:
+        offsets = origins - sphere[:3]
         half_b = (offsets * directions).sum(1)
-        discriminant = half_b**2 - (offsets * offsets).sum(1) + ball[3] ** 2
+        discriminant = half_b**2 - (offsets * offsets).sum(1) + sphere[3] ** 2
         distance = -half_b - discriminant.clamp_min(0).sqrt()
         closer = (discriminant > 0) & (distance > 0) & (distance < nearest)
         nearest = torch.where(closer, distance, nearest)
-        outward = (offsets + distance[:, None] * directions) / ball[3]
+        outward = (offsets + distance[:, None] * directions) / sphere[3]
         normals = torch.where(closer[:, None], outward, normals)
     return nearest, normals

@@ -48,7 +48,7 @@ class Planes(NamedTuple):
         return cls(*(like.new_empty(shape) for shape in ((3, pixels), pixels, pixels, (3, pixels), (extras, pixels))))
 
 
-class Drawn(NamedTuple):
+class PassOutput(NamedTuple):
     planes: Planes
     hits: Tensor  # [P] int32
     weights: Tensor  # [N]
@@ -64,7 +64,7 @@ class Gradients(NamedTuple):
 
 
 class Pass(Protocol):
-    def forward(self, keep: bool) -> Drawn:
+    def forward(self, keep: bool) -> PassOutput:
         """Draws; keeps what backward() needs only if `keep`."""
 
     def backward(self, planes: Planes, gradients: tuple[Tensor | None, ...]) -> Gradients:

@@ -59,7 +59,7 @@ def ssim_map(image: Tensor, target: Tensor, padding: str = "zero") -> Tensor:
         raise ValueError(f"a valid SSIM needs at least {WINDOW}×{WINDOW} pixels, got {tuple(image.shape[:2])}")
     pad = _RADIUS if padding == "zero" else 0
     if image.is_cuda and image.dtype == torch.float32 and cuda.why_unavailable() is None:
-        return cuda.similarity(image, target, TAPS, pad, K1**2, K2**2)
+        return cuda.ssim_map(image, target, TAPS, pad, K1**2, K2**2)
     return _SsimMap.apply(image, target, pad)
 
 

@@ -28,12 +28,12 @@ from oracle import (
     SCENES,
     SINGLE,
     TOLERANCE,
-    bundle,
+    ray_batch,
     compare,
     drawn_with,
     image,
-    oracles_bundle,
-    oracles_image,
+    oracle_ray_batch,
+    oracle_image,
 )
 from scipy.spatial.transform import Rotation
 
@@ -47,25 +47,25 @@ def single(request: pytest.FixtureRequest) -> Backend:
 
 
 @pytest.mark.parametrize("low_pass", [True, False], ids=["low-pass", "exact"])
-@pytest.mark.parametrize("as_volumes", [False, True], ids=["surfels", "volumes"])
+@pytest.mark.parametrize("as_gaussians_3d", [False, True], ids=["surfels", "gaussians_3d"])
 @pytest.mark.parametrize("scene", list(SCENES))
-def test_images(single, scene, as_volumes, low_pass):
-    gaussians, keep, expected = oracles_image(scene, as_volumes, low_pass)
+def test_images(single, scene, as_gaussians_3d, low_pass):
+    gaussians, keep, expected = oracle_image(scene, as_gaussians_3d, low_pass)
     compare(drawn_with(single, gaussians, image(low_pass), keep, ()), expected, keep)
 
 
 @pytest.mark.parametrize("scene", list(SCENES))
-def test_bundles_of_rays(single, scene):
-    gaussians, rays, expected = oracles_bundle(scene)
+def test_ray_batches(single, scene):
+    gaussians, rays, expected = oracle_ray_batch(scene)
     keep = torch.ones(len(rays[0])) > 0
-    compare(drawn_with(single, gaussians, bundle, keep, rays), expected, keep)
+    compare(drawn_with(single, gaussians, ray_batch, keep, rays), expected, keep)
 
 
 @pytest.mark.parametrize("scene", list(SCENES))
 def test_embree_finds_the_same_hits(scene):
     """In float64, hit for hit, without leaving any ray out."""
     gaussians, rays, keep = SCENES[scene], random_rays(1000), torch.ones(1000) > 0
-    one, other = (drawn_with(each, gaussians, bundle, keep, rays) for each in (Backend.named("embree"), ORACLE))
+    one, other = (drawn_with(each, gaussians, ray_batch, keep, rays) for each in (Backend.named("embree"), ORACLE))
     compare(one, other, keep)
 
 
@@ -138,7 +138,7 @@ def test_two_images_are_bitwise_equal(rasterizer, columns):
     check_repeats(rasterizer, scene, lambda leaves: rasterizer.rasterize(leaves, camera))
 
 
-def test_two_bundles_are_bitwise_equal(tracer):
+def test_two_ray_batches_are_bitwise_equal(tracer):
     rays = [tracer.take(x) for x in random_rays(1000)]
     check_repeats(tracer, random_set(400), lambda leaves: tracer.trace(leaves, *rays))
 

@@ -11,7 +11,7 @@ import torch
 
 from envgs_bench.bench.cases import Case, chosen_cases, sweep_cases, time_case
 from envgs_bench.bench.core import main
-from envgs_bench.bench.room import BALLS, LOWER, UPPER, first_hits, reflected_rays, room_camera, room_gaussians
+from envgs_bench.bench.room import SPHERES, LOWER, UPPER, first_hits, reflected_rays, room_camera, room_gaussians
 from envgs_bench.bench.tracers import compare, pixel_along
 from envgs_bench.core import trace
 from envgs_bench.core.backends import BACKENDS
@@ -21,21 +21,21 @@ KEYS = {"op", "direction", "backend", "primitives", "width", "height", "median_m
 
 
 def test_the_room_is_on_its_surfaces():
-    """Every center is within a few deviates of a side or a ball, and normals are those of the surface, tilted."""
+    """Every center is within a few deviates of a side or a sphere, and normals are those of the surface, tilted."""
     gaussians = room_gaussians(5000)
     assert len(gaussians) == 5000
     assert gaussians.sh_degree == 2
-    spacing = 0.9 * (256 + 4 * torch.pi * (BALLS[:, 3] ** 2).sum()).item() ** 0.5 / 5000**0.5
+    spacing = 0.9 * (256 + 4 * torch.pi * (SPHERES[:, 3] ** 2).sum()).item() ** 0.5 / 5000**0.5
     to_sides = torch.minimum((gaussians.means - LOWER).abs(), (UPPER - gaussians.means).abs()).amin(1)
-    to_balls = ((gaussians.means[:, None] - BALLS[:, :3]).norm(dim=2) - BALLS[:, 3]).abs().amin(1)
-    assert torch.minimum(to_sides, to_balls).max() < 5 * 0.3 * spacing
-    share = (to_balls < to_sides).double().mean().item()
-    area = 4 * torch.pi * (BALLS[:, 3] ** 2).sum().item()
+    to_spheres = ((gaussians.means[:, None] - SPHERES[:, :3]).norm(dim=2) - SPHERES[:, 3]).abs().amin(1)
+    assert torch.minimum(to_sides, to_spheres).max() < 5 * 0.3 * spacing
+    share = (to_spheres < to_sides).double().mean().item()
+    area = 4 * torch.pi * (SPHERES[:, 3] ** 2).sum().item()
     assert share == pytest.approx(area / (256 + area), abs=0.02)
     assert gaussians.scales.log().std().item() == pytest.approx(0.6, rel=0.05)
     assert gaussians.scales.median().item() == pytest.approx(spacing, rel=0.05)
 
-    on_floor = (gaussians.means[:, 1] < 0.1 * spacing) & (to_balls > 3 * spacing)
+    on_floor = (gaussians.means[:, 1] < 0.1 * spacing) & (to_spheres > 3 * spacing)
     normals = rotation_matrices(gaussians.quaternions[on_floor])[:, :, 2]
     assert (normals[:, 1] > 0.7).double().mean() > 0.95
 
@@ -51,8 +51,8 @@ def test_reflected_rays_start_on_surfaces_and_leave_them():
     origins, directions = (x.reshape(-1, 3) for x in reflected_rays(40, 30))
     torch.testing.assert_close(directions.norm(dim=1), torch.ones(1200))
     inside = (origins > LOWER).all(1) & (origins < UPPER).all(1)
-    outside_balls = ((origins[:, None] - BALLS[:, :3]).norm(dim=2) > BALLS[:, 3]).all(1)
-    assert (inside & outside_balls).double().mean() > 0.99  # at grazing angles roughness may tip a ray inward
+    outside_spheres = ((origins[:, None] - SPHERES[:, :3]).norm(dim=2) > SPHERES[:, 3]).all(1)
+    assert (inside & outside_spheres).double().mean() > 0.99  # at grazing angles roughness may tip a ray inward
     distances, _ = first_hits(origins, directions)
     assert (distances > 0.02).double().mean() > 0.95
 
@@ -64,12 +64,12 @@ def test_first_hits_are_on_the_nearest_surface():
     distances, normals = first_hits(origins, directions)
     points = origins + distances[:, None] * directions
     to_sides = torch.minimum((points - LOWER).abs(), (UPPER - points).abs()).amin(1)
-    to_balls = ((points[:, None] - BALLS[:, :3]).norm(dim=2) - BALLS[:, 3]).abs().amin(1)
-    assert torch.minimum(to_sides, to_balls).max() < 1e-4
+    to_spheres = ((points[:, None] - SPHERES[:, :3]).norm(dim=2) - SPHERES[:, 3]).abs().amin(1)
+    assert torch.minimum(to_sides, to_spheres).max() < 1e-4
     assert ((normals * directions).sum(1) < 0).all()
     for fraction in torch.linspace(0, 0.99, 20):
         on_the_way = origins + fraction * distances[:, None] * directions
-        assert ((on_the_way[:, None] - BALLS[:, :3]).norm(dim=2) > BALLS[:, 3] - 1e-4).all()
+        assert ((on_the_way[:, None] - SPHERES[:, :3]).norm(dim=2) > SPHERES[:, 3] - 1e-4).all()
 
 
 def test_a_ray_meets_some_dozens_of_gaussians():

@@ -45,7 +45,7 @@ def test_an_image_with_more_instances_than_room_is_drawn_again(surfels, monkeypa
 
     camera = plain_camera(97, 65).to("cuda")
     expected = rasterize(surfels, camera)
-    monkeypatch.setattr(raster_pass, "LEAST_ROOM", 16)
+    monkeypatch.setattr(raster_pass, "MIN_CAPACITY", 16)
     monkeypatch.setattr(raster_pass, "_latest_instances", {surfels.device: 0})
     drawn = rasterize(surfels, camera)
     for name in (*FIELDS, "hits"):
@@ -100,16 +100,16 @@ def test_the_cache_is_found_again(monkeypatch, tmp_path):
 def test_drawing_can_be_captured_in_a_graph(surfels, rays):
     camera = plain_camera(97, 65).to("cuda")
     surfels, rays = surfels.map(torch.Tensor.detach), [x.detach() for x in rays]
-    image, bundle = rasterize(surfels, camera), trace(surfels, *rays)  # compiles, and learns how much room is needed
+    image, ray_batch = rasterize(surfels, camera), trace(surfels, *rays)  # compiles, and learns how much room is needed
     torch.cuda.synchronize()
     graph = torch.cuda.CUDAGraph()
     with torch.cuda.graph(graph):
-        captured_image, captured_bundle = rasterize(surfels, camera), trace(surfels, *rays)
+        captured_image, captured_ray_batch = rasterize(surfels, camera), trace(surfels, *rays)
     captured_image.color.zero_()
     for _ in range(2):
         graph.replay()
     torch.cuda.synchronize()
-    for drawn, expected in ((captured_image, image), (captured_bundle, bundle)):
+    for drawn, expected in ((captured_image, image), (captured_ray_batch, ray_batch)):
         for name in (*FIELDS, "hits"):
             assert torch.equal(getattr(drawn, name), getattr(expected, name)), name
 
@@ -166,7 +166,7 @@ def test_normals_of_a_depth_map_are_those_of_the_formula():
 
 
 def test_similarity_is_that_of_the_formula():
-    assert_similar_as_by_formula(backend.similarity, "cuda")
+    assert_similar_as_by_formula(backend.ssim_map, "cuda")
 
 
 @pytest.mark.parametrize("padding", ["zero", "valid"])

@@ -30,12 +30,12 @@ from core_scenes import (
 from cuda_emulator.emulator import ORDERS, EmulatedKernels
 from oracle import (
     TOLERANCE,
-    bundle,
+    ray_batch,
     compare,
     drawn_with,
     image,
-    oracles_bundle,
-    oracles_image,
+    oracle_ray_batch,
+    oracle_image,
 )
 from torch import Tensor
 
@@ -57,9 +57,9 @@ def dressed(gaussians: GaussianSet) -> GaussianSet:
 
 
 @pytest.mark.parametrize("low_pass", [True, False], ids=["low-pass", "exact"])
-@pytest.mark.parametrize("as_volumes", [False, True], ids=["surfels", "volumes"])
-def test_images(backend, as_volumes, low_pass):
-    gaussians, keep, expected = oracles_image("many", as_volumes, low_pass)
+@pytest.mark.parametrize("as_gaussians_3d", [False, True], ids=["surfels", "gaussians_3d"])
+def test_images(backend, as_gaussians_3d, low_pass):
+    gaussians, keep, expected = oracle_image("many", as_gaussians_3d, low_pass)
     compare(drawn_with(backend, gaussians, image(low_pass), keep, ()), expected, keep)
 
 
@@ -80,13 +80,13 @@ def test_a_tile_with_more_surfels_than_a_block_fetches_at_once(emulate):
 
 
 @pytest.mark.parametrize("scene", ["few", "many", "opaque"])
-def test_bundles_of_rays(backend, scene):
-    gaussians, rays, expected = oracles_bundle(scene)
+def test_ray_batches(backend, scene):
+    gaussians, rays, expected = oracle_ray_batch(scene)
     keep = torch.ones(len(rays[0])) > 0
-    compare(drawn_with(backend, gaussians, bundle, keep, rays), expected, keep)
+    compare(drawn_with(backend, gaussians, ray_batch, keep, rays), expected, keep)
 
 
-@pytest.mark.parametrize("kind", ["surfels", "volumes", "rays"])
+@pytest.mark.parametrize("kind", ["surfels", "gaussians_3d", "rays"])
 def test_the_order_of_the_threads_changes_no_bit_of_what_is_drawn(emulate, kind):
     def draw(backend: Backend, leaves: GaussianSet) -> Rendering:
         if kind == "rays":
@@ -96,7 +96,7 @@ def test_the_order_of_the_threads_changes_no_bit_of_what_is_drawn(emulate, kind)
     drawn, gradients = [], []
     for order in ORDERS:
         backend = emulate(order)
-        leaves = backend.take(random_set(300, columns=3 if kind == "volumes" else 2))
+        leaves = backend.take(random_set(300, columns=3 if kind == "gaussians_3d" else 2))
         drawn.append(draw(backend, leaves))
         loss_of(drawn[-1]).backward()
         gradients.append(gradients_of(leaves))
@@ -192,7 +192,7 @@ def test_rays_with_more_hits_than_pages_have_the_same_gradients(backend, monkeyp
 def test_an_image_with_more_instances_than_room_is_drawn_again(backend, monkeypatch):
     surfels, camera = random_set(300), plain_camera(49, 33)
     expected = backend.rasterize(surfels, camera)
-    monkeypatch.setattr(raster_pass, "LEAST_ROOM", 16)
+    monkeypatch.setattr(raster_pass, "MIN_CAPACITY", 16)
     monkeypatch.setattr(raster_pass, "_latest_instances", {torch.device("cpu"): 0})
     drawn = backend.rasterize(surfels, camera)
     assert raster_pass._latest_instances[torch.device("cpu")] > 16
@@ -214,7 +214,7 @@ def test_normals_of_a_depth_map_are_those_of_the_formula(backend):
 
 
 def test_similarity_is_that_of_the_formula(backend):
-    assert_similar_as_by_formula(cuda.similarity, backend.device)
+    assert_similar_as_by_formula(cuda.ssim_map, backend.device)
 
 
 def test_rows_that_begin_anywhere_are_read_right(backend):

@@ -178,7 +178,7 @@ def test_an_edge_on_surfel_is_missed_by_rays_in_and_along_its_plane(tracer):
 def test_an_off_center_principal_point_shifts_the_picture(rasterizer, columns, shift):
     """Moving the principal point by whole pixels is cropping a larger picture.
 
-    All centers are in both pictures: where it is linearized, a volume depends on the picture's extent.
+    All centers are in both pictures: where it is linearized, a 3D Gaussian depends on the picture's extent.
     """
     scene = random_set(60, columns=columns, seed=4)
     scene = replace(scene, means=scene.means * torch.tensor([0.1, 0.1, 1.0]))

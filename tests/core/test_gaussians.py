@@ -69,12 +69,12 @@ def test_embree_does_not_rasterize():
         rasterize(random_set(3), plain_camera(), backend="embree")
 
 
-def test_volumes_cannot_be_traced():
-    volumes = random_set(3, columns=3)
+def test_3d_gaussians_cannot_be_traced():
+    gaussians_3d = random_set(3, columns=3)
     with pytest.raises(ValueError, match=r"trace takes surfels \(scales \[N, 2\]\)"):
-        trace(volumes, *random_rays(2), backend="torch")
+        trace(gaussians_3d, *random_rays(2), backend="torch")
     with pytest.raises(ValueError, match=r"trace takes surfels"):
-        build_bvh(volumes, backend="torch")
+        build_bvh(gaussians_3d, backend="torch")
 
 
 @pytest.mark.parametrize("shapes", [((5, 3), (4, 3)), ((5, 2), (5, 2)), ((), ())])

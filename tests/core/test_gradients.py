@@ -37,7 +37,7 @@ def check_against_differences(render, inputs: list[Tensor]) -> None:
     assert torch.autograd.gradcheck(function, leaves, eps=1e-6, atol=1e-6, rtol=1e-5, check_undefined_grad=False)
 
 
-@pytest.mark.parametrize("columns", [2, 3], ids=["surfels", "volumes"])
+@pytest.mark.parametrize("columns", [2, 3], ids=["surfels", "gaussians_3d"])
 @pytest.mark.parametrize("low_pass", [True, False], ids=["low-pass", "exact"])
 def test_rasterized_gradients_are_differences(columns, low_pass):
     intrinsics = torch.tensor([[8.0, 0.5, 1.2], [0.0, 9.0, 1.1], [0.0, 0.0, 1.0]])
@@ -163,8 +163,8 @@ def normal_of(quaternion: Tensor) -> Tensor:
     return torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
 
 
-def test_volumes_position_gradients_are_the_gradient_times_the_depth(rasterizer):
-    """All hits of a volume share its center's depth."""
+def test_3d_gaussians_position_gradients_are_the_gradient_times_the_depth(rasterizer):
+    """All hits on a 3D Gaussian share its center's depth."""
     gaussians, camera = random_set(30, columns=3, degree=0, seed=3), tilted_camera()
     leaves = rasterizer.take(gaussians)
     drawn = rasterizer.rasterize(leaves, rasterizer.take(camera))

@@ -75,7 +75,7 @@ def test_a_surfel_is_where_its_plane_is_crossed(rasterizer, low_pass, opacity, s
 
 @pytest.mark.parametrize("low_pass", [True, False])
 @pytest.mark.parametrize("mean", [[0.4, 0.1, 2.5], [1.4, -0.7, 1.8]], ids=["inside", "at-border"])
-def test_a_volume_is_projected_with_the_derivative_of_the_projection(rasterizer, low_pass, mean):
+def test_a_3d_gaussian_is_projected_with_the_derivative_of_the_projection(rasterizer, low_pass, mean):
     gaussians, camera = single(3, mean, [0.25, 0.12, 0.06]), tilted_camera()
     exact = replace(camera, world_to_camera=camera.world_to_camera.double(), intrinsics=camera.intrinsics.double())
     point = gaussians.means[0].double()
@@ -98,7 +98,7 @@ def test_a_volume_is_projected_with_the_derivative_of_the_projection(rasterizer,
     assert (alphas > 0).sum() > 20
 
 
-def test_a_volume_far_outside_the_image_is_linearized_at_its_margin(rasterizer):
+def test_a_3d_gaussian_far_outside_the_image_is_linearized_at_its_margin(rasterizer):
     """A center at 80° from the axis, one σ of it inside: J is taken where x/z is (W − cx + 0.15·W)/fx."""
     camera = plain_camera(32, 32, focal=40.0)
     gaussians = replace(
@@ -120,7 +120,7 @@ def test_a_volume_far_outside_the_image_is_linearized_at_its_margin(rasterizer):
     np.testing.assert_allclose(drawn.alpha.detach().cpu(), expected, atol=5e-5)
 
 
-def test_a_volume_shows_the_first_of_its_equally_short_axes(rasterizer):
+def test_a_3d_gaussian_shows_the_first_of_its_equally_short_axes(rasterizer):
     gaussians = single(3, [0.0, 0.0, 3.0], [0.2, 0.1, 0.1])
     rotation = Rotation.from_quat(QUATERNION.double().numpy(), scalar_first=True).as_matrix()
     drawn = rasterizer.rasterize(rasterizer.take(gaussians), rasterizer.take(plain_camera()))

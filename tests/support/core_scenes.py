@@ -12,10 +12,10 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Rendering, depth_normals, rasterize, reflect, trace
 from envgs_bench.core.ssim import K1, K2, TAPS, ssim_map
-from envgs_bench.core.torch.drawing import MAX_ALPHA, Drawing, alphas
+from envgs_bench.core.torch.intersections import MAX_ALPHA, Intersector, alphas
 from envgs_bench.core.torch.search import all_blended_hits
 from envgs_bench.core.torch.surfels import RasterizedSurfels, TracedSurfels
-from envgs_bench.core.torch.volumes import RasterizedVolumes
+from envgs_bench.core.torch.gaussians_3d import RasterizedGaussians3D
 
 FIELDS = ("color", "alpha", "depth", "normal", "extras")
 C0 = 0.28209479177387814
@@ -109,7 +109,7 @@ def tilted_camera(width: int = 37, height: int = 29) -> Camera:
 
 
 def plain_camera(width: int = 33, height: int = 33, focal: float = 40.0) -> Camera:
-    """A camera at the origin, along +z, whose middle pixel looks straight ahead where the size is odd."""
+    """A camera at the origin, along +z, whose middle pixel looks straight in_front where the size is odd."""
     intrinsics = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
     return Camera(torch.eye(4), intrinsics, width, height)
 
@@ -155,7 +155,7 @@ def relative_error(value: Tensor, reference: Tensor) -> float:
     return difference / max(float(reference.norm()), 1e-30) if difference else 0.0
 
 
-def traced(gaussians: GaussianSet, origins: Tensor, directions: Tensor, t_min: float = 0.0) -> Callable[..., Drawing]:
+def traced(gaussians: GaussianSet, origins: Tensor, directions: Tensor, t_min: float = 0.0) -> Callable[..., Intersector]:
     """How `steady` draws rays: a function of a set and a factor on t_min."""
     rays = origins.double().reshape(-1, 3), directions.double().reshape(-1, 3)
     return lambda changed, factor: TracedSurfels(changed, *rays, t_min * factor)
@@ -163,13 +163,13 @@ def traced(gaussians: GaussianSet, origins: Tensor, directions: Tensor, t_min: f
 
 def rasterized(
     gaussians: GaussianSet, camera: Camera, near: float = 0.2, low_pass: bool = True
-) -> Callable[..., Drawing]:
+) -> Callable[..., Intersector]:
     """How `steady` draws an image: a function of a set and a factor on the near plane."""
-    kind = RasterizedSurfels if gaussians.is_surfels else RasterizedVolumes
+    kind = RasterizedSurfels if gaussians.is_surfels else RasterizedGaussians3D
     return lambda changed, factor: kind(changed, camera, near=near * factor, low_pass=low_pass)
 
 
-def steady(gaussians: GaussianSet, draw: Callable[..., Drawing], transmittance_min: float = 1e-4) -> Tensor:
+def steady(gaussians: GaussianSet, draw: Callable[..., Intersector], transmittance_min: float = 1e-4) -> Tensor:
     """Which rays blend the same hits in the same order when the scene is changed by about 1e-4.
 
     Supports end abruptly, hits are sorted, rays are ended by a threshold: on the other rays float32 and float64 may
@@ -194,18 +194,18 @@ def steady(gaussians: GaussianSet, draw: Callable[..., Drawing], transmittance_m
     return same.reshape(draw(exact, 1).shape)
 
 
-def hit_table(drawing: Drawing, transmittance_min: float) -> Tensor:
+def hit_table(intersector: Intersector, transmittance_min: float) -> Tensor:
     """For each ray a row of its hits, int64, padded with −1.
 
     A hit is which primitive, whether its alpha is clamped, and whether the low-pass filter moved it to the center.
     """
-    hits = all_blended_hits(drawing, transmittance_min)
-    means = drawing.gaussians.means[hits.primitives]
-    meeting = drawing.meet(hits.rays, hits.primitives, means)
-    clamped = alphas(drawing.gaussians.opacities[hits.primitives], meeting.rho) >= MAX_ALPHA
-    at_center = (meeting.t == meeting.order) if isinstance(drawing, RasterizedSurfels) else torch.zeros_like(clamped)
+    hits = all_blended_hits(intersector, transmittance_min)
+    means = intersector.gaussians.means[hits.primitives]
+    intersections = intersector.intersect(hits.rays, hits.primitives, means)
+    clamped = alphas(intersector.gaussians.opacities[hits.primitives], intersections.rho) >= MAX_ALPHA
+    at_center = (intersections.t == intersections.order) if isinstance(intersector, RasterizedSurfels) else torch.zeros_like(clamped)
     codes = hits.primitives * 4 + clamped * 2 + at_center
-    counts = torch.bincount(hits.rays, minlength=math.prod(drawing.shape))
+    counts = torch.bincount(hits.rays, minlength=math.prod(intersector.shape))
     columns = torch.arange(len(codes)) - (counts.cumsum(0) - counts)[hits.rays]
     table = torch.full((len(counts), int(counts.max()) if len(counts) else 0), -1)
     table[hits.rays, columns] = codes

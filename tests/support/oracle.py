@@ -48,7 +48,7 @@ SCENES = {
 }
 
 
-def volumes(surfels: GaussianSet) -> GaussianSet:
+def to_gaussians_3d(surfels: GaussianSet) -> GaussianSet:
     third = surfels.scales.mean(dim=1, keepdim=True) * torch.linspace(0.1, 1.5, len(surfels))[:, None]
     return replace(surfels, scales=torch.cat([surfels.scales, third], dim=1))
 
@@ -86,23 +86,23 @@ def image(low_pass: bool = True) -> Draw:
     )
 
 
-def bundle(backend: Backend, leaves: GaussianSet, rays: list[Tensor]) -> Rendering:
+def ray_batch(backend: Backend, leaves: GaussianSet, rays: list[Tensor]) -> Rendering:
     return backend.trace(leaves, *rays, t_min=0.5, background=BACKGROUND)
 
 
 @cache
-def oracles_image(scene: str, as_volumes: bool, low_pass: bool) -> tuple[GaussianSet, Tensor, Drawn]:
+def oracle_image(scene: str, as_gaussians_3d: bool, low_pass: bool) -> tuple[GaussianSet, Tensor, Drawn]:
     """A scene, the pixels that can be compared, and the oracle's drawing: the same for every backend."""
-    gaussians = volumes(SCENES[scene]) if as_volumes else SCENES[scene]
+    gaussians = to_gaussians_3d(SCENES[scene]) if as_gaussians_3d else SCENES[scene]
     keep = steady(gaussians, rasterized(gaussians, CAMERA, low_pass=low_pass))
     return gaussians, keep, drawn_with(ORACLE, gaussians, image(low_pass), keep, ())
 
 
 @cache
-def oracles_bundle(scene: str) -> tuple[GaussianSet, tuple[Tensor, ...], Drawn]:
+def oracle_ray_batch(scene: str) -> tuple[GaussianSet, tuple[Tensor, ...], Drawn]:
     """A scene, rays that can be compared (and no others, so that statistics can be too), and the oracle's drawing."""
     gaussians, (origins, directions) = SCENES[scene], random_rays(1000)
     keep = steady(gaussians, traced(gaussians, origins, directions, t_min=0.5))
     assert keep.double().mean() > 0.75
     rays = origins[keep], directions[keep]
-    return gaussians, rays, drawn_with(ORACLE, gaussians, bundle, keep[keep], rays)
+    return gaussians, rays, drawn_with(ORACLE, gaussians, ray_batch, keep[keep], rays)

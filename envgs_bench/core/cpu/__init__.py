@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..backends import RasterizeOptions, TraceOptions
 from ..camera import Camera
-from ..differentiable import Drawn, Gradients, Planes, SetTensors, draw
+from ..differentiable import PassOutput, Gradients, Planes, SetTensors, draw
 from ..gaussians import GaussianSet
 from ..rendering import Rendering
 from ..trace import Bvh
@@ -64,12 +64,12 @@ class _RasterPass:
             torch.get_num_threads(),
         )
 
-    def forward(self, keep: bool) -> Drawn:
+    def forward(self, keep: bool) -> PassOutput:
         planes = Planes.empty(self.tensors.means, self.pixels, self.tensors.extras.shape[1])
         hits = torch.empty(self.pixels, dtype=torch.int32)
         weights = torch.empty_like(self.tensors.opacities)
         self.native.forward(tuple(planes), hits, weights)
-        return Drawn(planes, hits, weights)
+        return PassOutput(planes, hits, weights)
 
     def backward(self, planes: Planes, gradients: tuple[Tensor | None, ...]) -> Gradients:
         result, position_gradients = _zero_gradients(self.tensors)
@@ -100,13 +100,13 @@ class _TracePass:
             threads,
         )
 
-    def forward(self, keep: bool) -> Drawn:
+    def forward(self, keep: bool) -> PassOutput:
         rays = self.origins.shape[0]
         planes = Planes.empty(self.tensors.means, rays, self.tensors.extras.shape[1])
         hits = torch.empty(rays, dtype=torch.int32)
         weights = torch.empty_like(self.tensors.opacities)
         self.native.forward(tuple(planes), hits, weights, keep)
-        return Drawn(planes, hits, weights)
+        return PassOutput(planes, hits, weights)
 
     def backward(self, planes: Planes, gradients: tuple[Tensor | None, ...]) -> Gradients:
         result, position_gradients = _zero_gradients(self.tensors)

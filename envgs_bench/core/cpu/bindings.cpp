@@ -54,7 +54,7 @@ Planes<const float> planes_of(const GradientPlanes& p) {
             data(std::get<4>(p))};
 }
 
-View view_of(const In& world_to_camera, const In& intrinsics, const In& pixel_to_direction, const In& center, int width,
+PinholeCamera camera_of(const In& world_to_camera, const In& intrinsics, const In& pixel_to_direction, const In& center, int width,
              int height, float near, bool low_pass) {
     const float* m = world_to_camera.data();
     return {{load3(m), load3(m + 4), load3(m + 8)}, {m[3], m[7], m[11]}, load_mat3(intrinsics.data()),
@@ -81,8 +81,8 @@ NB_MODULE(_native, m) {
                             int width, int height, float near, bool low_pass, In background, float transmittance_min,
                             int threads) {
         bool surfels = std::get<2>(set).shape(1) == 2;
-        View view = view_of(world_to_camera, intrinsics, pixel_to_direction, center, width, height, near, low_pass);
-        return make_raster_pass(gaussians_of(set), surfels, view, load3(background.data()), transmittance_min, threads);
+        PinholeCamera camera = camera_of(world_to_camera, intrinsics, pixel_to_direction, center, width, height, near, low_pass);
+        return make_raster_pass(gaussians_of(set), surfels, camera, load3(background.data()), transmittance_min, threads);
     });
 
     nb::class_<Bvh>(m, "Bvh").def("__init__", [](Bvh* self, const InSet& set, int threads) {
@@ -92,7 +92,7 @@ NB_MODULE(_native, m) {
     nb::class_<TracePass>(m, "TracePass")
         .def("__init__", [](TracePass* self, std::shared_ptr<Bvh> bvh, const InSet& set, In origins, In directions,
                             In background, float t_min, float transmittance_min, int threads) {
-            Rays rays = {origins.data(), directions.data(), int(origins.shape(0))};
+            RayBatch rays = {origins.data(), directions.data(), int(origins.shape(0))};
             new (self) TracePass(std::move(bvh), gaussians_of(set), rays, load3(background.data()), t_min,
                                  transmittance_min, threads);
         })

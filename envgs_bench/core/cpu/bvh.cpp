@@ -19,10 +19,10 @@ using Float4 = LaneTypes<4>::Float;
 inline Float4 lower(Float4 a, Float4 b) { return a < b ? a : b; }
 inline Float4 upper(Float4 a, Float4 b) { return a > b ? a : b; }
 
-struct Box {
+struct Aabb {
     Float4 low = Float4{} + kInfinity, high = Float4{} - kInfinity;
 
-    void add(const Box& other) {
+    void add(const Aabb& other) {
         low = lower(low, other.low);
         high = upper(high, other.high);
     }
@@ -33,7 +33,7 @@ struct Box {
 };
 
 struct Item {
-    Box box;  // the fourth lane of `low` holds the primitive's index, that of `high` nothing: see index_of
+    Aabb box;  // the fourth lane of `low` holds the primitive's index, that of `high` nothing: see index_of
 };
 
 inline int index_of(const Item& item) {
@@ -46,17 +46,17 @@ inline int index_of(const Item& item) {
 // Twice the centroid: all that binning needs.
 inline Float4 centroid(const Item& item) { return item.box.low + item.box.high; }
 
-struct Part {
+struct BuildPart {
     int begin, end;
-    Box box, centroids;
+    Aabb box, centroids;
 
     int count() const { return end - begin; }
 };
 
 inline int leaves_for(int count) { return (count + kWidth - 1) / kWidth; }
 
-Part part_of(const std::vector<Item>& items, int begin, int end) {
-    Part part{begin, end, {}, {}};
+BuildPart part_of(const std::vector<Item>& items, int begin, int end) {
+    BuildPart part{begin, end, {}, {}};
     for (int i = begin; i < end; ++i) {
         Float4 c = centroid(items[i]);
         part.box.add(items[i].box);
@@ -66,7 +66,7 @@ Part part_of(const std::vector<Item>& items, int begin, int end) {
 }
 
 // Splits a part of more than eight surfels in two, neither empty.
-std::pair<Part, Part> split(std::vector<Item>& items, const Part& part) {
+std::pair<BuildPart, BuildPart> split(std::vector<Item>& items, const BuildPart& part) {
     Float4 extent = part.centroids.high - part.centroids.low;
     int axis = extent[0] >= extent[1] && extent[0] >= extent[2] ? 0 : extent[1] >= extent[2] ? 1 : 2;
     int middle = (part.begin + part.end) / 2;
@@ -74,7 +74,7 @@ std::pair<Part, Part> split(std::vector<Item>& items, const Part& part) {
 
     int bins = part.count() < kManySurfels ? kMaxBins / 2 : kMaxBins;
     float origin = part.centroids.low[axis], scale = float(bins) * 0.9999f / extent[axis];
-    Box boxes[kMaxBins];
+    Aabb boxes[kMaxBins];
     int counts[kMaxBins] = {};
     for (int i = part.begin; i < part.end; ++i) {
         int bin = int((centroid(items[i])[axis] - origin) * scale);
@@ -82,7 +82,7 @@ std::pair<Part, Part> split(std::vector<Item>& items, const Part& part) {
         ++counts[bin];
     }
     float right_cost[kMaxBins];
-    Box box;
+    Aabb box;
     int count = 0;
     for (int bin = bins - 1; bin > 0; --bin) {
         box.add(boxes[bin]);
@@ -101,7 +101,7 @@ std::pair<Part, Part> split(std::vector<Item>& items, const Part& part) {
         if (cost < best_cost) best_cost = cost, best = bin;
     }
     // The ends of the centroids' box fall into the first and the last bin, so some plane has surfels on both sides.
-    Part left{part.begin, part.begin, {}, {}}, right{part.end, part.end, {}, {}};
+    BuildPart left{part.begin, part.begin, {}, {}}, right{part.end, part.end, {}, {}};
     for (int bin = 0; bin < bins; ++bin) (bin < best ? left : right).box.add(boxes[bin]);
     while (left.end < right.begin) {
         Item& item = items[left.end];
@@ -132,8 +132,8 @@ public:
     explicit Builder(std::vector<Item>& items) : items_(items) {}
 
     // The parts of one node: at most eight, in a fixed order.
-    std::vector<Part> parts_of(const Part& whole) {
-        std::vector<Part> parts = {whole};
+    std::vector<BuildPart> parts_of(const BuildPart& whole) {
+        std::vector<BuildPart> parts = {whole};
         while (parts.size() < kWidth) {
             int largest = -1;
             float area = -1.0f;
@@ -148,12 +148,12 @@ public:
     }
 
     // Appends the tree over `part` and returns it as a child: a node or ~leaf.
-    int build(const Part& part, Subtree& tree) {
+    int build(const BuildPart& part, Subtree& tree) {
         if (part.count() <= kWidth) {
             tree.leaves.push_back({part.begin, part.count()});
             return ~int(tree.leaves.size() - 1);
         }
-        std::vector<Part> parts = parts_of(part);
+        std::vector<BuildPart> parts = parts_of(part);
         int node = int(tree.nodes.size());
         tree.nodes.push_back(node_of(parts));
         for (int i = 0; i < int(parts.size()); ++i) {
@@ -163,7 +163,7 @@ public:
         return node;
     }
 
-    static BvhNode node_of(const std::vector<Part>& parts) {
+    static BvhNode node_of(const std::vector<BuildPart>& parts) {
         BvhNode node;
         for (int i = 0; i < kWidth; ++i) {
             bool used = i < int(parts.size());
@@ -255,7 +255,7 @@ Bvh::Bvh(const Gaussians& g, int threads) : surfels(g.count) {
     if (!count) return;
 
     Builder builder(items);
-    std::vector<Part> parts = builder.parts_of(part_of(items, 0, count));
+    std::vector<BuildPart> parts = builder.parts_of(part_of(items, 0, count));
     std::vector<Subtree> trees(parts.size());
     std::vector<int> roots(parts.size());
     parallel_interleaved(threads, int(parts.size()), [&](int i, int) { roots[i] = builder.build(parts[i], trees[i]); });

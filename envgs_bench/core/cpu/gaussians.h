@@ -2,7 +2,7 @@
 #pragma once
 #include "lanes.h"  // first: the kernels find the lanes' overloads only if they precede them
 
-#include "kernels/gaussian_splat.h"
+#include "kernels/gaussian_3d_splat.h"
 #include "kernels/surfel_splat.h"
 
 namespace envgs {

@@ -21,7 +21,7 @@ using F = PixelFloat;
 using I = PixelInt;
 constexpr int W = kPixelLanes;
 
-struct Surfels {
+struct SurfelKind {
     using Splat = SurfelSplat;
     using Input = SurfelInput;
     template <class R> using Sums = SurfelSums<R>;
@@ -35,10 +35,10 @@ struct Surfels {
     }
 };
 
-struct Gaussians3d {
-    using Splat = GaussianSplat;
-    using Input = GaussianInput;
-    template <class R> using Sums = GaussianSums<R>;
+struct Gaussian3dKind {
+    using Splat = Gaussian3dSplat;
+    using Input = Gaussian3dInput;
+    template <class R> using Sums = Gaussian3dSums<R>;
     static constexpr int scale_count = 3;
     static Input input(const Gaussians& g, int i) {
         return {mean_at(g, i), quaternion_at(g, i), load3(g.scales + 3 * i)};
@@ -51,7 +51,7 @@ struct Gaussians3d {
 
 // A visible primitive, ready to draw. Columns and rows are inclusive.
 template <class Splat>
-struct Drawn {
+struct VisiblePrimitive {
     Splat splat;
     Vec3<float> color, normal;
     int index;
@@ -82,21 +82,21 @@ class TileRasterizer final : public RasterPass {
     static_assert(sizeof(LaneSums) == kSums * sizeof(F));
 
 public:
-    TileRasterizer(const Gaussians& gaussians, const View& view, Vec3<float> background, float transmittance_min,
+    TileRasterizer(const Gaussians& gaussians, const PinholeCamera& camera, Vec3<float> background, float transmittance_min,
                    int threads)
-        : g_(gaussians), view_(view), background_(background), transmittance_min_(transmittance_min),
-          threads_(threads), tiles_x_((view.width + kTile - 1) / kTile), tiles_y_((view.height + kTile - 1) / kTile) {}
+        : g_(gaussians), camera_(camera), background_(background), transmittance_min_(transmittance_min),
+          threads_(threads), tiles_x_((camera.width + kTile - 1) / kTile), tiles_y_((camera.height + kTile - 1) / kTile) {}
 
     void forward(Planes<float> out, int* hits, float* weights) override;
     void backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result) override;
 
 private:
-    struct alignas(64) Tile {
+    struct alignas(64) TileBuffers {
         float transmittance[kTilePixels];
         float color[3][kTilePixels], depth[kTilePixels], normal[3][kTilePixels], extras[kMaxExtras][kTilePixels];
         int hits[kTilePixels];
     };
-    struct alignas(64) GradientTile {
+    struct alignas(64) TileGradientBuffers {
         float transmittance[kTilePixels], remaining[kTilePixels];
         float color[3][kTilePixels], depth[kTilePixels], normal[3][kTilePixels], weight[kTilePixels];
         float extras[kMaxExtras][kTilePixels];
@@ -109,17 +109,17 @@ private:
     void fill_tiles();
     TileRect rect_of(int tile) const {
         int x0 = tile % tiles_x_ * kTile, y0 = tile / tiles_x_ * kTile;
-        return {x0, y0, std::min(kTile, view_.width - x0), std::min(kTile, view_.height - y0)};
+        return {x0, y0, std::min(kTile, camera_.width - x0), std::min(kTile, camera_.height - y0)};
     }
     void draw_tile(int tile, Planes<float> out, int* hits, float* weights);
-    void load_gradients(const TileRect& rect, Planes<const float> out, Planes<const float> gradient, GradientTile& t);
+    void load_gradients(const TileRect& rect, Planes<const float> out, Planes<const float> gradient, TileGradientBuffers& t);
     void differentiate_tile(int tile, Planes<const float> out, Planes<const float> gradient, FloatSums* sums);
-    void finish_primitive(int drawn, const std::vector<std::vector<FloatSums>>& sums, GaussianGradients result);
+    void finish_primitive(int visible_index, const std::vector<std::vector<FloatSums>>& sums, GaussianGradients result);
 
     // Calls visit(offset into the tile's arrays, x of the lanes, y) for each run of W pixels that the primitive may
     // touch and that `live` still marks.
     template <class Visit>
-    void for_each_run(const Drawn<Splat>& p, const TileRect& rect, const uint8_t* live, const Visit& visit) const {
+    void for_each_run(const VisiblePrimitive<Splat>& p, const TileRect& rect, const uint8_t* live, const Visit& visit) const {
         int row0 = std::max(p.row0 - rect.y0, 0), row1 = std::min(p.row1 - rect.y0, rect.height - 1);
         int run0 = std::max(p.column0 - rect.x0, 0) / W, run1 = std::min(p.column1 - rect.x0, rect.width - 1) / W;
         for (int row = row0; row <= row1; ++row)
@@ -129,50 +129,50 @@ private:
     }
 
     Gaussians g_;
-    View view_;
+    PinholeCamera camera_;
     Vec3<float> background_;
     float transmittance_min_;
     int threads_, tiles_x_, tiles_y_;
     F lanes_ = lane_positions();
-    std::vector<Drawn<Splat>> drawn_;      // visible primitives, front to back
+    std::vector<VisiblePrimitive<Splat>> visible_;      // visible primitives, front to back
     std::vector<long> tile_begin_;         // tile -> its part of tile_items_
     std::vector<int> tile_items_;          // indices into drawn_, front to back
 };
 
 template <class Kind>
 void TileRasterizer<Kind>::prepare_primitives() {
-    std::vector<std::vector<Drawn<Splat>>> found(threads_);
+    std::vector<std::vector<VisiblePrimitive<Splat>>> found(threads_);
     parallel_ranges(threads_, g_.count, [&](int begin, int end, int worker) {
         for (int i = begin; i < end; ++i) {
-            Drawn<Splat> d;
+            VisiblePrimitive<Splat> d;
             typename Kind::Input input = Kind::input(g_, i);
-            PixelBox box = prepare(view_, input, g_.opacities[i], d.splat);
+            PixelBox box = prepare(camera_, input, g_.opacities[i], d.splat);
             // Columns whose centers c + 0.5 lie in the box; the comparison also drops boxes that are not finite.
-            if (!(box.x1 >= 0.5f && box.y1 >= 0.5f && box.x0 <= view_.width - 0.5f && box.y0 <= view_.height - 0.5f &&
+            if (!(box.x1 >= 0.5f && box.y1 >= 0.5f && box.x0 <= camera_.width - 0.5f && box.y0 <= camera_.height - 0.5f &&
                   box.x0 <= box.x1))
                 continue;
             d.column0 = int(std::ceil(std::max(box.x0, 0.5f) - 0.5f));
             d.row0 = int(std::ceil(std::max(box.y0, 0.5f) - 0.5f));
-            d.column1 = int(std::floor(std::min(box.x1, view_.width - 0.5f) - 0.5f));
-            d.row1 = int(std::floor(std::min(box.y1, view_.height - 0.5f) - 0.5f));
+            d.column1 = int(std::floor(std::min(box.x1, camera_.width - 0.5f) - 0.5f));
+            d.row1 = int(std::floor(std::min(box.y1, camera_.height - 0.5f) - 0.5f));
             if (d.column0 > d.column1 || d.row0 > d.row1) continue;
             d.index = i;
-            d.color = color_at(g_, i, input.mean - view_.center);
+            d.color = color_at(g_, i, input.mean - camera_.center);
             d.normal = Kind::normal(input);
             found[worker].push_back(d);
         }
     });
     std::vector<SortItem> order;
-    std::vector<const Drawn<Splat>*> all;
+    std::vector<const VisiblePrimitive<Splat>*> all;
     for (const auto& part : found)
-        for (const Drawn<Splat>& d : part) {
+        for (const VisiblePrimitive<Splat>& d : part) {
             order.push_back({sortable_bits(d.splat.depth), uint32_t(all.size())});
             all.push_back(&d);
         }
     radix_sort(order);
-    drawn_.resize(order.size());
+    visible_.resize(order.size());
     parallel_ranges(threads_, int(order.size()), [&](int begin, int end, int) {
-        for (int i = begin; i < end; ++i) drawn_[i] = *all[order[i].value];
+        for (int i = begin; i < end; ++i) visible_[i] = *all[order[i].value];
     });
 }
 
@@ -180,35 +180,35 @@ template <class Kind>
 void TileRasterizer<Kind>::fill_tiles() {
     int tiles = tiles_x_ * tiles_y_;
     tile_begin_.assign(tiles + 1, 0);
-    auto for_each_tile = [&](const Drawn<Splat>& d, auto visit) {
+    auto for_each_tile = [&](const VisiblePrimitive<Splat>& d, auto visit) {
         for (int y = d.row0 / kTile; y <= d.row1 / kTile; ++y)
             for (int x = d.column0 / kTile; x <= d.column1 / kTile; ++x) visit(y * tiles_x_ + x);
     };
-    for (const Drawn<Splat>& d : drawn_) for_each_tile(d, [&](int tile) { ++tile_begin_[tile + 1]; });
+    for (const VisiblePrimitive<Splat>& d : visible_) for_each_tile(d, [&](int tile) { ++tile_begin_[tile + 1]; });
     for (int tile = 0; tile < tiles; ++tile) tile_begin_[tile + 1] += tile_begin_[tile];
     tile_items_.resize(tile_begin_[tiles]);
     std::vector<long> next(tile_begin_.begin(), tile_begin_.end() - 1);
-    for (int i = 0; i < int(drawn_.size()); ++i)
-        for_each_tile(drawn_[i], [&](int tile) { tile_items_[next[tile]++] = i; });
+    for (int i = 0; i < int(visible_.size()); ++i)
+        for_each_tile(visible_[i], [&](int tile) { tile_items_[next[tile]++] = i; });
 }
 
 template <class Kind>
 void TileRasterizer<Kind>::forward(Planes<float> out, int* hits, float* weights) {
     prepare_primitives();
     fill_tiles();
-    std::vector<std::vector<float>> partial(threads_, std::vector<float>(drawn_.size(), 0.0f));
+    std::vector<std::vector<float>> partial(threads_, std::vector<float>(visible_.size(), 0.0f));
     parallel_interleaved(threads_, tiles_x_ * tiles_y_, [&](int tile, int worker) {
         draw_tile(tile, out, hits, partial[worker].data());
     });
     std::fill(weights, weights + g_.count, 0.0f);
-    for (size_t i = 0; i < drawn_.size(); ++i)
-        for (int worker = 0; worker < threads_; ++worker) weights[drawn_[i].index] += partial[worker][i];
+    for (size_t i = 0; i < visible_.size(); ++i)
+        for (int worker = 0; worker < threads_; ++worker) weights[visible_[i].index] += partial[worker][i];
 }
 
 template <class Kind>
 void TileRasterizer<Kind>::draw_tile(int tile_index, Planes<float> out, int* hits, float* weights) {
     TileRect rect = rect_of(tile_index);
-    Tile tile;
+    TileBuffers tile;
     std::memset(&tile, 0, sizeof tile);
     uint8_t live[kTilePixels / W] = {};
     int live_runs = 0;
@@ -217,11 +217,11 @@ void TileRasterizer<Kind>::draw_tile(int tile_index, Planes<float> out, int* hit
         for (int run = 0; run * W < rect.width; ++run) live[row * (kTile / W) + run] = 1, ++live_runs;
     }
     for (long item = tile_begin_[tile_index]; item < tile_begin_[tile_index + 1] && live_runs; ++item) {
-        const Drawn<Splat>& p = drawn_[tile_items_[item]];
+        const VisiblePrimitive<Splat>& p = visible_[tile_items_[item]];
         const float* extras = g_.extras + long(p.index) * g_.extra_count;
         F weight_sum = {};
         for_each_run(p, rect, live, [&](int at, F x, float y) {
-            auto pixel = evaluate(p.splat, x, F{} + y, view_.near);
+            auto pixel = evaluate(p.splat, x, F{} + y, camera_.near);
             F transmittance = load_lanes<F>(tile.transmittance + at);
             I hit = (pixel.rho <= p.splat.support) & (transmittance >= transmittance_min_);
             if (!mask_bits(hit)) return;
@@ -249,10 +249,10 @@ void TileRasterizer<Kind>::draw_tile(int tile_index, Planes<float> out, int* hit
         });
         weights[tile_items_[item]] += sum_lanes(weight_sum);
     }
-    long pixels = long(view_.width) * view_.height;
+    long pixels = long(camera_.width) * camera_.height;
     const float background[3] = {background_.x, background_.y, background_.z};
     for (int row = 0; row < rect.height; ++row) {
-        long to = long(rect.y0 + row) * view_.width + rect.x0;
+        long to = long(rect.y0 + row) * camera_.width + rect.x0;
         for (int x = 0; x < rect.width; ++x) {
             int at = row * kTile + x;
             float alpha = 1.0f - tile.transmittance[at];
@@ -270,8 +270,8 @@ void TileRasterizer<Kind>::draw_tile(int tile_index, Planes<float> out, int* hit
 
 template <class Kind>
 void TileRasterizer<Kind>::load_gradients(const TileRect& rect, Planes<const float> out, Planes<const float> gradient,
-                                          GradientTile& t) {
-    long pixels = long(view_.width) * view_.height;
+                                          TileGradientBuffers& t) {
+    long pixels = long(camera_.width) * camera_.height;
     auto read = [](const float* plane, long at) { return plane ? plane[at] : 0.0f; };
     auto read3 = [&](const float* plane, long at) -> Vec3<float> {
         if (!plane) return {0.0f, 0.0f, 0.0f};
@@ -280,12 +280,12 @@ void TileRasterizer<Kind>::load_gradients(const TileRect& rect, Planes<const flo
     for (int row = 0; row < rect.height; ++row)
         for (int x = 0; x < rect.width; ++x) {
             int to = row * kTile + x;
-            long at = long(rect.y0 + row) * view_.width + rect.x0 + x;
+            long at = long(rect.y0 + row) * camera_.width + rect.x0 + x;
             float alpha = out.alpha[at], depth = out.depth[at];
             SumGradient<float> g = sum_gradient(read3(gradient.color, at), read(gradient.alpha, at),
                                                 read(gradient.depth, at), read3(gradient.normal, at), alpha, depth,
                                                 background_);
-            float total = total_of(g, read3(out.color, at), alpha, depth, read3(out.normal, at), background_);
+            float total = blended_total(g, read3(out.color, at), alpha, depth, read3(out.normal, at), background_);
             t.transmittance[to] = 1.0f;
             t.color[0][to] = g.color.x, t.color[1][to] = g.color.y, t.color[2][to] = g.color.z;
             t.normal[0][to] = g.normal.x, t.normal[1][to] = g.normal.y, t.normal[2][to] = g.normal.z;
@@ -302,7 +302,7 @@ template <class Kind>
 void TileRasterizer<Kind>::differentiate_tile(int tile_index, Planes<const float> out, Planes<const float> gradient,
                                               FloatSums* sums) {
     TileRect rect = rect_of(tile_index);
-    GradientTile tile;
+    TileGradientBuffers tile;
     std::memset(&tile, 0, sizeof tile);
     load_gradients(rect, out, gradient, tile);
     uint8_t live[kTilePixels / W] = {};
@@ -310,12 +310,12 @@ void TileRasterizer<Kind>::differentiate_tile(int tile_index, Planes<const float
     for (int row = 0; row < rect.height; ++row)
         for (int run = 0; run * W < rect.width; ++run) live[row * (kTile / W) + run] = 1, ++live_runs;
     for (long item = tile_begin_[tile_index]; item < tile_begin_[tile_index + 1] && live_runs; ++item) {
-        const Drawn<Splat>& p = drawn_[tile_items_[item]];
+        const VisiblePrimitive<Splat>& p = visible_[tile_items_[item]];
         const float* extras = g_.extras + long(p.index) * g_.extra_count;
         LaneSums sum = {};
         bool touched = false;
         for_each_run(p, rect, live, [&](int at, F x, float y) {
-            auto pixel = evaluate(p.splat, x, F{} + y, view_.near);
+            auto pixel = evaluate(p.splat, x, F{} + y, camera_.near);
             F transmittance = load_lanes<F>(tile.transmittance + at);
             I hit = (pixel.rho <= p.splat.support) & (transmittance >= transmittance_min_);
             if (!mask_bits(hit)) return;
@@ -357,18 +357,18 @@ void TileRasterizer<Kind>::differentiate_tile(int tile_index, Planes<const float
 }
 
 template <class Kind>
-void TileRasterizer<Kind>::finish_primitive(int drawn, const std::vector<std::vector<FloatSums>>& sums,
+void TileRasterizer<Kind>::finish_primitive(int visible_index, const std::vector<std::vector<FloatSums>>& sums,
                                             GaussianGradients result) {
-    FloatSums sum = sums[0][drawn];
+    FloatSums sum = sums[0][visible_index];
     for (int worker = 1; worker < threads_; ++worker) {
-        const float* other = reinterpret_cast<const float*>(&sums[worker][drawn]);
+        const float* other = reinterpret_cast<const float*>(&sums[worker][visible_index]);
         for (int k = 0; k < kSums; ++k) reinterpret_cast<float*>(&sum)[k] += other[k];
     }
-    const Drawn<Splat>& p = drawn_[drawn];
+    const VisiblePrimitive<Splat>& p = visible_[visible_index];
     long i = p.index;
     typename Kind::Input input = Kind::input(g_, p.index);
-    SplatGradient g = finish(view_, input, sum.geometry, sum.normal);
-    Vec3<float> through_color = color_backward_at(g_, p.index, input.mean - view_.center, p.color, sum.color,
+    SplatGradient g = finish(camera_, input, sum.geometry, sum.normal);
+    Vec3<float> through_color = color_backward_at(g_, p.index, input.mean - camera_.center, p.color, sum.color,
                                                   result.sh + 3 * g_.sh_coefficients * i);
     store3(result.means + 3 * i, g.mean + through_color);
     store3(result.position_gradients + 3 * i, g.position_statistic);
@@ -383,22 +383,22 @@ void TileRasterizer<Kind>::finish_primitive(int drawn, const std::vector<std::ve
 template <class Kind>
 void TileRasterizer<Kind>::backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result) {
     std::vector<std::vector<FloatSums>> sums(threads_);
-    parallel(threads_, [&](int worker) { sums[worker].assign(drawn_.size(), FloatSums{}); });
+    parallel(threads_, [&](int worker) { sums[worker].assign(visible_.size(), FloatSums{}); });
     parallel_interleaved(threads_, tiles_x_ * tiles_y_, [&](int tile, int worker) {
         differentiate_tile(tile, out, gradient, sums[worker].data());
     });
-    parallel_ranges(threads_, int(drawn_.size()), [&](int begin, int end, int) {
+    parallel_ranges(threads_, int(visible_.size()), [&](int begin, int end, int) {
         for (int i = begin; i < end; ++i) finish_primitive(i, sums, result);
     });
 }
 
 }  // namespace
 
-std::unique_ptr<RasterPass> make_raster_pass(const Gaussians& gaussians, bool surfels, const View& view,
+std::unique_ptr<RasterPass> make_raster_pass(const Gaussians& gaussians, bool surfels, const PinholeCamera& camera,
                                              Vec3<float> background, float transmittance_min, int threads) {
     if (surfels)
-        return std::make_unique<TileRasterizer<Surfels>>(gaussians, view, background, transmittance_min, threads);
-    return std::make_unique<TileRasterizer<Gaussians3d>>(gaussians, view, background, transmittance_min, threads);
+        return std::make_unique<TileRasterizer<SurfelKind>>(gaussians, camera, background, transmittance_min, threads);
+    return std::make_unique<TileRasterizer<Gaussian3dKind>>(gaussians, camera, background, transmittance_min, threads);
 }
 
 }  // namespace envgs

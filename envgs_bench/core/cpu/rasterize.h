@@ -15,7 +15,7 @@ public:
     virtual void backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result) = 0;
 };
 
-std::unique_ptr<RasterPass> make_raster_pass(const Gaussians& gaussians, bool surfels, const View& view,
+std::unique_ptr<RasterPass> make_raster_pass(const Gaussians& gaussians, bool surfels, const PinholeCamera& camera,
                                              Vec3<float> background, float transmittance_min, int threads);
 
 }  // namespace envgs

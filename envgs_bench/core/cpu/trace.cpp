@@ -3,7 +3,7 @@
 #include <algorithm>
 
 #include "parallel.h"
-#include "walk.h"
+#include "traversal.h"
 
 namespace envgs {
 
@@ -17,7 +17,7 @@ Vec3<float> ray_at(const float* rays, int ray) { return load3(rays + 3l * ray); 
 }  // namespace
 
 // What one worker sums up for a surfel, besides SH and extras.
-struct TracePass::SurfelSums {
+struct TracePass::TracedSurfelSums {
     SurfelMoments<float> moments;
     Vec3<float> normal;
     float opacity;
@@ -25,11 +25,11 @@ struct TracePass::SurfelSums {
 };
 
 struct TracePass::Worker {
-    std::vector<SurfelSums> sums;
+    std::vector<TracedSurfelSums> sums;
     std::vector<float> sh, extras;
 };
 
-TracePass::TracePass(std::shared_ptr<const Bvh> bvh, const Gaussians& gaussians, const Rays& rays,
+TracePass::TracePass(std::shared_ptr<const Bvh> bvh, const Gaussians& gaussians, const RayBatch& rays,
                      Vec3<float> background, float t_min, float transmittance_min, int threads)
     : bvh_(std::move(bvh)), g_(gaussians), rays_(rays), background_(background), t_min_(t_min),
       transmittance_min_(transmittance_min), threads_(threads) {}
@@ -43,11 +43,11 @@ void TracePass::forward(Planes<float> out, int* hits, float* weights, bool keep_
     std::vector<std::vector<float>> partial(threads_);
     parallel(threads_, [&](int worker) {
         partial[worker].assign(g_.count, 0.0f);
-        Walk walk(*bvh_);
+        Traversal traversal(*bvh_);
         for (int chunk = worker; chunk < chunks(); chunk += threads_)
             for (int ray = chunk * kChunk; ray < std::min((chunk + 1) * kChunk, rays_.count); ++ray) {
                 Vec3<float> origin = ray_at(rays_.origins, ray), direction = ray_at(rays_.directions, ray);
-                const std::vector<Hit>& found = walk.hits(origin, direction, t_min_, transmittance_min_);
+                const std::vector<Hit>& found = traversal.hits(origin, direction, t_min_, transmittance_min_);
                 Vec3<float> color = {0, 0, 0}, normal = {0, 0, 0};
                 float transmittance = 1.0f, depth = 0.0f, extras[8] = {};
                 for (const Hit& hit : found) {
@@ -79,7 +79,7 @@ void TracePass::forward(Planes<float> out, int* hits, float* weights, bool keep_
 }
 
 void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<const float> out,
-                                  Planes<const float> gradient, SurfelSums* sums, float* g_sh, float* g_extras,
+                                  Planes<const float> gradient, TracedSurfelSums* sums, float* g_sh, float* g_extras,
                                   RayGradients rays) const {
     long n = rays_.count;
     auto read = [](const float* plane, long at) { return plane ? plane[at] : 0.0f; };
@@ -90,7 +90,7 @@ void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<co
     float final_alpha = out.alpha[ray], depth = out.depth[ray];
     SumGradient<float> g = sum_gradient(read3(gradient.color), read(gradient.alpha, ray), read(gradient.depth, ray),
                                         read3(gradient.normal), final_alpha, depth, background_);
-    float remaining = total_of(g, read3(out.color), final_alpha, depth, read3(out.normal), background_);
+    float remaining = blended_total(g, read3(out.color), final_alpha, depth, read3(out.normal), background_);
     float g_extra[8] = {};
     for (int e = 0; e < g_.extra_count; ++e) {
         g_extra[e] = read(gradient.extras, e * n + ray);
@@ -130,7 +130,7 @@ void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<co
             weight[lane] = transmittance * alpha[lane];
             g_alpha[lane] = blend_backward(alpha[lane], value, transmittance, remaining);
 
-            SurfelSums& sum = sums[i];
+            TracedSurfelSums& sum = sums[i];
             Vec3<float> g_v = color_backward_at(g_, i, v, color, weight[lane] * g.color,
                                                 g_sh + 3l * g_.sh_coefficients * i);
             sum.color_direction = sum.color_direction + g_v;
@@ -147,7 +147,7 @@ void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<co
         add_hit(moments, hit, local);
         const Float8* lanes = reinterpret_cast<const Float8*>(&moments);
         for (int lane = 0; lane < group; ++lane) {
-            SurfelSums& sum = sums[hits[begin + lane]];
+            TracedSurfelSums& sum = sums[hits[begin + lane]];
             float* to = reinterpret_cast<float*>(&sum.moments);
             for (int k = 0; k < 12; ++k) to[k] += lanes[k][lane];
             sum.opacity += ga.opacity[lane];
@@ -168,7 +168,7 @@ void TracePass::backward(Planes<const float> out, Planes<const float> gradient, 
     std::vector<Worker> workers(threads_);
     parallel(threads_, [&](int w) {
         Worker& worker = workers[w];
-        worker.sums.assign(g_.count, SurfelSums{});
+        worker.sums.assign(g_.count, TracedSurfelSums{});
         worker.sh.assign(3l * g_.sh_coefficients * g_.count, 0.0f);
         worker.extras.assign(long(g_.extra_count) * g_.count, 0.0f);
         for (int chunk = w; chunk < chunks(); chunk += threads_) {
@@ -184,9 +184,9 @@ void TracePass::backward(Planes<const float> out, Planes<const float> gradient, 
 }
 
 void TracePass::finish_surfels(int begin, int end, const std::vector<Worker>& workers, GaussianGradients result) const {
-    constexpr int kSums = sizeof(SurfelSums) / sizeof(float);
+    constexpr int kSums = sizeof(TracedSurfelSums) / sizeof(float);
     for (int i = begin; i < end; ++i) {
-        SurfelSums sum = workers[0].sums[i];
+        TracedSurfelSums sum = workers[0].sums[i];
         for (size_t w = 1; w < workers.size(); ++w) {
             const float* other = reinterpret_cast<const float*>(&workers[w].sums[i]);
             for (int k = 0; k < kSums; ++k) reinterpret_cast<float*>(&sum)[k] += other[k];

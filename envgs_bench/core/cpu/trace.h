@@ -7,7 +7,7 @@
 
 namespace envgs {
 
-struct Rays {
+struct RayBatch {
     const float *origins, *directions;  // [R, 3]
     int count;
 };
@@ -20,7 +20,7 @@ struct RayGradients {
 // arrays of `gaussians` and `rays` must outlive it.
 class TracePass {
 public:
-    TracePass(std::shared_ptr<const Bvh> bvh, const Gaussians& gaussians, const Rays& rays, Vec3<float> background,
+    TracePass(std::shared_ptr<const Bvh> bvh, const Gaussians& gaussians, const RayBatch& rays, Vec3<float> background,
               float t_min, float transmittance_min, int threads);
 
     // Fills the planes [R], hits [R] and the blending weights [N]. Hits are remembered only if `keep_hits`.
@@ -29,16 +29,16 @@ public:
 
 private:
     struct Worker;
-    struct SurfelSums;
+    struct TracedSurfelSums;
 
     int chunks() const;
     void differentiate_ray(int ray, const int* hits, int count, Planes<const float> out, Planes<const float> gradient,
-                           SurfelSums* sums, float* g_sh, float* g_extras, RayGradients rays) const;
+                           TracedSurfelSums* sums, float* g_sh, float* g_extras, RayGradients rays) const;
     void finish_surfels(int begin, int end, const std::vector<Worker>& workers, GaussianGradients result) const;
 
     std::shared_ptr<const Bvh> bvh_;
     Gaussians g_;
-    Rays rays_;
+    RayBatch rays_;
     Vec3<float> background_;
     float t_min_, transmittance_min_;
     int threads_;

@@ -11,15 +11,15 @@ from ..differentiable import SetTensors, draw
 from ..gaussians import GaussianSet
 from ..rendering import Rendering
 from ..trace import Bvh
-from .bvh import SurfelTree
+from .bvh import SurfelBvh
 from .compiler import why_unavailable
 from .normals import depth_normals
 from .raster_pass import RasterPass
 from .reflect import reflect
-from .similarity import similarity
+from .ssim import ssim_map
 from .trace_pass import TracePass
 
-__all__ = ["build_bvh", "depth_normals", "rasterize", "reflect", "similarity", "trace", "why_unavailable"]
+__all__ = ["build_bvh", "depth_normals", "rasterize", "reflect", "ssim_map", "trace", "why_unavailable"]
 
 
 def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> Rendering:
@@ -30,7 +30,7 @@ def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions)
 
 def build_bvh(gaussians: GaussianSet) -> Bvh:
     with torch.cuda.device(gaussians.device):
-        return Bvh("cuda", len(gaussians), SurfelTree(SetTensors.of(gaussians)))
+        return Bvh("cuda", len(gaussians), SurfelBvh(SetTensors.of(gaussians)))
 
 
 def trace(
@@ -39,5 +39,5 @@ def trace(
     if bvh is not None and bvh.backend != "cuda":
         raise ValueError(f"the BVH was built by backend {bvh.backend!r}, this is 'cuda': build it with backend='cuda'")
     with torch.cuda.device(gaussians.device):
-        tree = SurfelTree(SetTensors.of(gaussians)) if bvh is None else bvh.handle
+        tree = SurfelBvh(SetTensors.of(gaussians)) if bvh is None else bvh.handle
         return draw(TracePass(gaussians, origins, directions, tree, options), gaussians, origins, directions)

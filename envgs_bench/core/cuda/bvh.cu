@@ -47,20 +47,20 @@ extern "C" __global__ void hilbert_keys(const float* means, const float* opaciti
     keys[i] = support_of(opacities[i]) > 0.0f ? hilbert_position(cell, 10) : 0xffffffffu;
 }
 
-struct Box {
+struct Aabb {
     float low[3], high[3];
 };
 
-ENVGS_FN Box empty_box() {
+ENVGS_FN Aabb empty_box() {
     return {{kInfinity, kInfinity, kInfinity}, {-kInfinity, -kInfinity, -kInfinity}};
 }
 
 // Around the supporting disc: along each axis r·√((s_u·t_u)² + (s_v·t_v)²), and a hair for the rounding of this and of
 // the shafts that it is held against.
-ENVGS_FN Box box_of(const TracedSurfel& s, Vec3<float> axis_u, Vec3<float> axis_v) {
+ENVGS_FN Aabb box_of(const TracedSurfel& s, Vec3<float> axis_u, Vec3<float> axis_v) {
     float u[3] = {axis_u.x, axis_u.y, axis_u.z}, v[3] = {axis_v.x, axis_v.y, axis_v.z};
     float mean[3] = {s.mean.x, s.mean.y, s.mean.z};
-    Box box;
+    Aabb box;
     bool finite = s.support > 0.0f;
     for (int k = 0; k < 3; ++k) {
         float half = square_root(s.support * (u[k] * u[k] + v[k] * v[k]));
@@ -72,7 +72,7 @@ ENVGS_FN Box box_of(const TracedSurfel& s, Vec3<float> axis_u, Vec3<float> axis_
 }
 
 // The union over a warp, written by its first lane.
-ENVGS_FN void store_union(Box box, float2* boxes, int stride, int at) {
+ENVGS_FN void store_union(Aabb box, float2* boxes, int stride, int at) {
 #pragma unroll
     for (int k = 0; k < 3; ++k) {
         float low = warp_min(box.low[k]), high = warp_max(box.high[k]);
@@ -80,7 +80,7 @@ ENVGS_FN void store_union(Box box, float2* boxes, int stride, int at) {
     }
 }
 
-ENVGS_FN float half_area(const Box& b) {
+ENVGS_FN float half_area(const Aabb& b) {
     float x = maximum(b.high[0] - b.low[0], 0.0f), y = maximum(b.high[1] - b.low[1], 0.0f);
     float z = maximum(b.high[2] - b.low[2], 0.0f);
     return x * y + y * z + z * x;
@@ -88,7 +88,7 @@ ENVGS_FN float half_area(const Box& b) {
 
 // The union over runs of `Lanes` threads.
 template <int Lanes>
-__device__ __forceinline__ Box united(Box box) {
+__device__ __forceinline__ Aabb merged(Aabb box) {
 #pragma unroll
     for (int offset = 1; offset < Lanes; offset *= 2)
 #pragma unroll
@@ -101,14 +101,14 @@ __device__ __forceinline__ Box united(Box box) {
 
 // What a warp's threads pass around while they arrange their surfels.
 struct Scratch {
-    Box boxes[32];
+    Aabb boxes[32];
     int threads[32];
 };
 
 // Halves runs of `Lanes` boxes, a thread each: along that of four orders (the centers' coordinates, and size) whose
 // halves have the least area together. `from` is the thread that a box came from; those from `present` on pad.
 template <int Lanes>
-__device__ __forceinline__ void halve(Box& box, int& from, int present, Scratch& scratch) {
+__device__ __forceinline__ void halve(Aabb& box, int& from, int present, Scratch& scratch) {
     float least = kInfinity;
     int chosen = lane_id();
 #pragma unroll 1
@@ -124,7 +124,7 @@ __device__ __forceinline__ void halve(Box& box, int& from, int present, Scratch&
         for (int other = 1; other < Lanes; ++other) place += __shfl_xor_sync(kFullWarp, key, other) < key;
         scratch.boxes[place] = box;
         __syncwarp();
-        float area = half_area(united<Lanes / 2>(scratch.boxes[lane_id()]));
+        float area = half_area(merged<Lanes / 2>(scratch.boxes[lane_id()]));
         area += __shfl_xor_sync(kFullWarp, area, Lanes / 2);
         if (area < least) least = area, chosen = place;
         __syncwarp();
@@ -139,10 +139,10 @@ __device__ __forceinline__ void halve(Box& box, int& from, int present, Scratch&
 // Where `arrange` is set, each 32 neighbors in `order` are put in the order that makes good leaves.
 extern "C" __global__ void __launch_bounds__(256)
     pack_surfels(const float* means, const float* quaternions, const float* scales, const float* opacities, int count,
-                 bool arrange, u32* order, float4* surfels, float2* boxes) {
+                 bool arrange, u32* order, float4* packed_surfels, float2* boxes) {
     Levels levels = Levels::of(count);
     int stride = levels.total(), slot = blockIdx.x * blockDim.x + threadIdx.x, leaf = slot / kLeaf;
-    Box box = empty_box();
+    Aabb box = empty_box();
     TracedSurfel s = {};
     s.support = -1.0f, s.index = -1;
     if (slot < count) {
@@ -169,9 +169,9 @@ extern "C" __global__ void __launch_bounds__(256)
         own_slot += scratch.threads[lane_id()] - lane_id();
         if (own_slot < count) order[own_slot] = s.index;
     }
-    if (leaf < levels.offset[1]) Surfels{surfels}.store(own_slot, s);
-    box = united<kLeaf>(box);
-    __shared__ Box leaves[256 / kLeaf];
+    if (leaf < levels.offset[1]) PackedSurfels{packed_surfels}.store(own_slot, s);
+    box = merged<kLeaf>(box);
+    __shared__ Aabb leaves[256 / kLeaf];
     if (slot % kLeaf == 0) {
         leaves[threadIdx.x / kLeaf] = box;
         if (leaf < levels.offset[1])
@@ -186,11 +186,11 @@ extern "C" __global__ void __launch_bounds__(256)
 }
 
 // Level `level` + 1 from level `level`; further threads pad it.
-extern "C" __global__ void join_boxes(float2* boxes, int count, int level) {
+extern "C" __global__ void merge_boxes(float2* boxes, int count, int level) {
     Levels levels = Levels::of(count);
     int stride = levels.total(), at = blockIdx.x * blockDim.x + threadIdx.x;
     if (at / 32 >= levels.offset[level + 2] - levels.offset[level + 1]) return;
-    Box box = empty_box();
+    Aabb box = empty_box();
     if (levels.offset[level] + at < levels.offset[level + 1])
 #pragma unroll
         for (int k = 0; k < 3; ++k) {

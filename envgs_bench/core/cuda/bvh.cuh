@@ -19,10 +19,10 @@ struct TracedSurfel {
 
 // Surfels by slot, their place in the tree. A leaf keeps the first 16 bytes of all its surfels, then the next: threads
 // that read a surfel each of one leaf read side by side.
-struct Surfels {
-    float4* quarters;
+struct PackedSurfels {
+    float4* packed;
 
-    ENVGS_FN float4* first(u32 slot) const { return quarters + (slot / kLeaf * (4 * kLeaf) + slot % kLeaf); }
+    ENVGS_FN float4* first(u32 slot) const { return packed + (slot / kLeaf * (4 * kLeaf) + slot % kLeaf); }
 
     __device__ __forceinline__ TracedSurfel load(u32 slot) const {
         const float4* at = first(slot);

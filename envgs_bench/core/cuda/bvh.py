@@ -15,7 +15,7 @@ LEAF = 4  # surfels
 HILBERT_BITS = 30
 
 
-class SurfelTree:
+class SurfelBvh:
     """A tree over one state of a set of surfels.
 
     Raises:
@@ -60,7 +60,7 @@ class SurfelTree:
                self.boxes)  # fmt: skip
         for level in range(1, len(self.levels) - 1):
             threads = 32 * self.levels[level + 1]
-            launch("join_boxes", blocks_for(threads, 256), 256, self.boxes, count, level)
+            launch("merge_boxes", blocks_for(threads, 256), 256, self.boxes, count, level)
 
 
 def level_sizes(count: int) -> list[int]:

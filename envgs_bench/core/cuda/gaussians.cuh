@@ -1,7 +1,7 @@
 // What a thread reads of a GaussianSet. SH_COEFFICIENTS and EXTRAS are fixed when a module is compiled, so that a
 // primitive's values stay in registers.
 #pragma once
-#include "kernels/gaussian_splat.h"
+#include "kernels/gaussian_3d_splat.h"
 #include "kernels/surfel_splat.h"
 
 namespace envgs {
@@ -40,14 +40,14 @@ ENVGS_FN void write3(float* planes, long at, long pixels, Vec3<float> v) {
 }
 
 // The sums of a pixel or ray as they grow from front to back.
-struct Blended {
+struct BlendedSums {
     Vec3<float> color, normal;
     float depth, transmittance;
     int hits;
     float extras[kExtras + 1];
 
-    ENVGS_FN static Blended nothing() {
-        Blended sums = {};
+    ENVGS_FN static BlendedSums initial() {
+        BlendedSums sums = {};
         sums.transmittance = 1.0f;
         return sums;
     }
@@ -73,18 +73,18 @@ struct Blended {
 };
 
 // What reaches a pixel or ray from the loss, and its state as the backward pass walks front to back: see blend.h.
-struct Upstream {
+struct UpstreamGradient {
     SumGradient<float> sum;
     float extras[kExtras + 1];
     float transmittance, remaining;
 
-    ENVGS_FN Upstream(const Planes<const float>& out, const Planes<const float>& gradient, long at,
+    ENVGS_FN UpstreamGradient(const Planes<const float>& out, const Planes<const float>& gradient, long at,
                       Vec3<float> background)
         : transmittance(1.0f) {
         float alpha = out.alpha[at], depth = out.depth[at];
         sum = sum_gradient(read3(gradient.color, at, out.pixels), read(gradient.alpha, at), read(gradient.depth, at),
                            read3(gradient.normal, at, out.pixels), alpha, depth, background);
-        remaining = total_of(sum, read3(out.color, at, out.pixels), alpha, depth, read3(out.normal, at, out.pixels),
+        remaining = blended_total(sum, read3(out.color, at, out.pixels), alpha, depth, read3(out.normal, at, out.pixels),
                              background);
 #pragma unroll
         for (int k = 0; k < kExtras; ++k) {

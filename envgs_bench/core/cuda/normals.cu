@@ -8,23 +8,23 @@ struct Stencil {
     Vec3<float> down, right;  // from the upper to the lower neighbor, from the left to the right one
     bool complete;            // inside the border, and all four have a depth
 
-    __device__ Stencil(const View& view, const float* depth, int column, int row) {
-        complete = column > 0 && row > 0 && column < view.width - 1 && row < view.height - 1;
+    __device__ Stencil(const PinholeCamera& camera, const float* depth, int column, int row) {
+        complete = column > 0 && row > 0 && column < camera.width - 1 && row < camera.height - 1;
         if (!complete) return;
-        const float* at = depth + long(row) * view.width + column;
-        float above = at[-view.width], below = at[view.width], left = at[-1], rightmost = at[1];
+        const float* at = depth + long(row) * camera.width + column;
+        float above = at[-camera.width], below = at[camera.width], left = at[-1], rightmost = at[1];
         complete = above > 0.0f && below > 0.0f && left > 0.0f && rightmost > 0.0f;
-        down = below * ray_through(view, column, row + 1) - above * ray_through(view, column, row - 1);
-        right = rightmost * ray_through(view, column + 1, row) - left * ray_through(view, column - 1, row);
+        down = below * ray_through(camera, column, row + 1) - above * ray_through(camera, column, row - 1);
+        right = rightmost * ray_through(camera, column + 1, row) - left * ray_through(camera, column - 1, row);
     }
 };
 
 // `normals` [3, height, width], zero where the stencil is not complete.
 extern "C" __global__ void __launch_bounds__(256)
-    depth_normals(const View* view, const float* depth, float* normals) {
-    int i = blockIdx.x * blockDim.x + threadIdx.x, pixels = view->width * view->height;
+    depth_normals(const PinholeCamera* camera, const float* depth, float* normals) {
+    int i = blockIdx.x * blockDim.x + threadIdx.x, pixels = camera->width * camera->height;
     if (i >= pixels) return;
-    Stencil stencil(*view, depth, i % view->width, i / view->width);
+    Stencil stencil(*camera, depth, i % camera->width, i / camera->width);
     Vec3<float> n = {0.0f, 0.0f, 0.0f};
     if (stencil.complete) {
         n = cross(stencil.down, stencil.right);
@@ -35,22 +35,22 @@ extern "C" __global__ void __launch_bounds__(256)
 
 // From the gradient of `normals`, as planes too, to that of `depth`: a pixel is a neighbor in four stencils.
 extern "C" __global__ void __launch_bounds__(256)
-    differentiate_depth_normals(const View* view, const float* depth, const float* g_normals, float* g_depth) {
-    int i = blockIdx.x * blockDim.x + threadIdx.x, pixels = view->width * view->height;
+    differentiate_depth_normals(const PinholeCamera* camera, const float* depth, const float* g_normals, float* g_depth) {
+    int i = blockIdx.x * blockDim.x + threadIdx.x, pixels = camera->width * camera->height;
     if (i >= pixels) return;
-    int column = i % view->width, row = i / view->width;
+    int column = i % camera->width, row = i / camera->width;
     Vec3<float> g_point = {0.0f, 0.0f, 0.0f};
     for (int side = 0; side < 4; ++side) {
         bool vertical = side < 2, ahead = side % 2;  // the stencil's center lies behind this pixel, or ahead of it
         int step = ahead ? 1 : -1, x = vertical ? column : column + step, y = vertical ? row + step : row;
-        Stencil stencil(*view, depth, x, y);
+        Stencil stencil(*camera, depth, x, y);
         if (!stencil.complete) continue;
-        const float* at = g_normals + long(y) * view->width + x;
+        const float* at = g_normals + long(y) * camera->width + x;
         Vec3<float> n = cross(stencil.down, stencil.right), g = {at[0], at[pixels], at[2l * pixels]};
         float squared = dot(n, n), inverse = rsqrtf(maximum(squared, 1e-24f));
         g = squared > 1e-24f ? normalize_backward(inverse * n, inverse, g) : inverse * g;
         g = vertical ? cross(stencil.right, g) : cross(g, stencil.down);
         g_point = ahead ? g_point - g : g_point + g;
     }
-    g_depth[i] = dot(g_point, ray_through(*view, column, row));
+    g_depth[i] = dot(g_point, ray_through(*camera, column, row));
 }

@@ -10,7 +10,7 @@ from torch.autograd.function import once_differentiable
 
 from ..camera import Camera
 from .launch import Kernels, blocks_for, kernels
-from .raster_pass import make_view
+from .raster_pass import make_camera
 
 
 def depth_normals(depth: Tensor, camera: Camera) -> Tensor:
@@ -23,7 +23,7 @@ class _DepthNormals(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, depth: Tensor, camera: Camera) -> Tensor:
         launch = _kernels(depth)
-        view = make_view(launch, camera, near=0.0, low_pass=False)
+        view = make_camera(launch, camera, near=0.0, low_pass=False)
         depth = depth.contiguous()
         normals = depth.new_empty(3, *depth.shape)
         launch("depth_normals", blocks_for(depth.numel(), 256), 256, view, depth, normals)
@@ -42,4 +42,4 @@ class _DepthNormals(torch.autograd.Function):
 
 
 def _kernels(tensor: Tensor) -> Kernels:
-    return kernels(("view.cu", "normals.cu"), tensor.device)
+    return kernels(("camera.cu", "normals.cu"), tensor.device)

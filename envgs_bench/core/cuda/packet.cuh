@@ -15,14 +15,14 @@
 
 namespace envgs {
 
-constexpr int kListed = 56;               // hits a ray may list in a search; even, at most 64
-constexpr int kRow = kListed + 4;         // rays' lists begin four banks apart
-constexpr int kSpare = 8;                 // free places that cutting must leave
-constexpr int kStack = 100;               // 2²⁴ surfels leave 4 children at the top, then at most 31, 31 and 32
+constexpr int kListCapacity = 56;               // hits a ray may list in a search; even, at most 64
+constexpr int kListStride = kListCapacity + 4;         // rays' lists begin four banks apart
+constexpr int kListSlack = 8;                 // free places that cutting must leave
+constexpr int kStackSize = 100;               // 2²⁴ surfels leave 4 children at the top, then at most 31, 31 and 32
 constexpr int kLeavesAtOnce = 32 / kRays, kPairsAtOnce = 32 / kLeaf;
 constexpr int kLeafRing = 64, kPairRing = 64;
 constexpr float kGroupSlope = 0.12f;      // rays of a group: how far their slopes may differ from the first's
-constexpr float kGroupReach = 1.0f / 24;  // and their origins, as a share of the scene
+constexpr float kGroupOriginDistance = 1.0f / 24;  // and their origins, as a share of the scene
 constexpr float kDepthSteps = 4096.0f;    // a ray's optical depth, −log₂ of its transmittance, is summed in these
 constexpr float kOriginSlack = 2e-6f, kDistanceSlack = 4e-6f;  // of a ray against a box, relative
 
@@ -32,7 +32,7 @@ struct alignas(16) RayState {
     Vec3<float> direction;
     float far_t;
     u32 listed;       // how many hits are listed, and 256 times the optical depth with them, rounded down
-    u32 first_depth;  // optical depth before them
+    u32 initial_depth;  // optical depth before them
     int from_slot;    // −1: hits at from_t itself are taken
     int far_slot;     // −1: hits at far_t itself are taken
     int dropped;      // hits beyond far_t may have been left for another search
@@ -41,9 +41,9 @@ struct alignas(16) RayState {
 
 struct alignas(16) PacketMemory {
     RayState rays[kRays];
-    float t[kRays][kRow];
-    u32 tag[kRays][kRow];     // slot << 8 | alpha in 8 bits, rounded down
-    uint2 stack[kStack];      // where the shaft enters (float), and level << 27 | group
+    float t[kRays][kListStride];
+    u32 tag[kRays][kListStride];     // slot << 8 | alpha in 8 bits, rounded down
+    uint2 stack[kStackSize];      // where the shaft enters (float), and level << 27 | group
     u32 leaves[kLeafRing];    // that the shaft meets, a ring
     u32 pairs[kPairRing];     // leaf << 4 | ray that meets it, a ring
 };
@@ -60,17 +60,17 @@ struct Shaft {
 
 ENVGS_FN float component(Vec3<float> v, int axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
 
-ENVGS_FN u32 depth_of(float transmittance) {
+ENVGS_FN u32 optical_depth(float transmittance) {
     return u32(minimum(maximum(-__log2f(transmittance), 0.0f), 1000.0f) * kDepthSteps);
 }
 
 // Thread l works for ray l % kRays wherever threads stand for rays.
 class Packet {
 public:
-    __device__ Packet(PacketMemory& memory, const Levels& levels, const float2* boxes, Surfels surfels,
-                      const Ray& ray, float t_min, float transmittance_min, float reach)
+    __device__ Packet(PacketMemory& memory, const Levels& levels, const float2* boxes, PackedSurfels surfels,
+                      const Ray& ray, float t_min, float transmittance_min, float max_origin_distance)
         : m_(memory), levels_(levels), boxes_(boxes), surfels_(surfels), own_(memory.rays[lane_id() % kRays]),
-          reach_(reach), end_depth_(depth_of(0.999f * transmittance_min) + 1), stride_(levels.total()) {
+          max_origin_distance_(max_origin_distance), end_depth_(optical_depth(0.999f * transmittance_min) + 1), stride_(levels.total()) {
         Vec3<float> d = ray.direction;
         float least = 1e-12f * maximum(absolute(d.x), maximum(absolute(d.y), absolute(d.z)));
         prepare(ray.origin.x, d.x, least, inverse_.x, entry_.x, exit_.x);
@@ -89,17 +89,17 @@ public:
         if (lane_id() < kRays) {
             own_.far_t = kInfinity, own_.far_slot = -1;
             own_.dropped = 0;
-            own_.first_depth = depth_of(transmittance), own_.listed = own_.first_depth << 8;
+            own_.initial_depth = optical_depth(transmittance), own_.listed = own_.initial_depth << 8;
         }
         __syncwarp();
-        exact_ = __any_sync(kFullWarp, own_.from_slot >= 0);
+        ties_matter_ = __any_sync(kFullWarp, own_.from_slot >= 0);
         Vec3<float> d = own_.direction;
         float size = maximum(absolute(d.x), maximum(absolute(d.y), absolute(d.z)));
         wanted = wanted && size > 0.0f && size < kInfinity;
         for (u32 pending; (pending = __ballot_sync(kFullWarp, wanted) & ((1u << kRays) - 1)) != 0;) {
             Shaft shaft;
-            gather(pending, size, shaft);
-            walk(shaft);
+            form_group(pending, size, shaft);
+            traverse(shaft);
             wanted = wanted && !(shaft.rays >> lane_id() % kRays & 1);
         }
         for (int r = 0; r < kRays; ++r) sort(r);
@@ -123,7 +123,7 @@ private:
     }
 
     // The group of the first pending ray, and the shaft around it.
-    __device__ __forceinline__ void gather(u32 pending, float size, Shaft& s) const {
+    __device__ __forceinline__ void form_group(u32 pending, float size, Shaft& s) const {
         const RayState& leader = m_.rays[__ffs(pending) - 1];
         Vec3<float> o = own_.origin, d = own_.direction, lo = leader.origin, ld = leader.direction;
         float ax = absolute(ld.x), ay = absolute(ld.y), az = absolute(ld.z);
@@ -133,11 +133,11 @@ private:
         float along = s.sign * component(d, s.axis), origin_along = s.sign * component(o, s.axis);
         float inverse = 1.0f / along, leader_inverse = s.sign / component(ld, s.axis);
         float slope[2] = {component(d, b) * inverse, component(d, c) * inverse};
-        bool alike = along > 0.3f * size && absolute(slope[0] - component(ld, b) * leader_inverse) < kGroupSlope &&
+        bool similar = along > 0.3f * size && absolute(slope[0] - component(ld, b) * leader_inverse) < kGroupSlope &&
                      absolute(slope[1] - component(ld, c) * leader_inverse) < kGroupSlope &&
-                     absolute(o.x - lo.x) < reach_ && absolute(o.y - lo.y) < reach_ && absolute(o.z - lo.z) < reach_;
+                     absolute(o.x - lo.x) < max_origin_distance_ && absolute(o.y - lo.y) < max_origin_distance_ && absolute(o.z - lo.z) < max_origin_distance_;
         int ray = lane_id() % kRays;
-        bool member = (pending >> ray & 1) && (alike || ray == __ffs(pending) - 1);
+        bool member = (pending >> ray & 1) && (similar || ray == __ffs(pending) - 1);
         s.rays = __ballot_sync(kFullWarp, member) & ((1u << kRays) - 1);
         float start = origin_along + maximum(own_.from_t, 0.0f) * along;
         s.start = warp_min(member ? start : kInfinity);
@@ -176,18 +176,18 @@ private:
     }
 
     // Whether the shaft meets the box, and where along it.
-    __device__ bool meets(const Shaft& s, const SeenBox& box, float& near) const {
+    __device__ bool overlaps(const Shaft& s, const SeenBox& box, float& near) const {
         near = fmaxf(s.sign < 0.0f ? -box.along.y : box.along.x, s.start);
         float far = fminf(s.sign < 0.0f ? -box.along.x : box.along.y, s.end);
-        bool met = near <= far;
+        bool intersected = near <= far;
         float advance_near = near - s.start, advance_far = far - s.start;
 #pragma unroll
         for (int k = 0; k < 2; ++k) {
             float low = s.low[k] + fminf(s.slope_low[k] * advance_near, s.slope_low[k] * advance_far);
             float high = s.high[k] + fmaxf(s.slope_high[k] * advance_near, s.slope_high[k] * advance_far);
-            met = met & (box.across[k].x <= high) & (box.across[k].y >= low);
+            intersected = intersected & (box.across[k].x <= high) & (box.across[k].y >= low);
         }
-        return met;
+        return intersected;
     }
 
     struct Ring {
@@ -195,7 +195,7 @@ private:
         int count = 0;
     };
 
-    __device__ __forceinline__ void walk(Shaft& s) {
+    __device__ __forceinline__ void traverse(Shaft& s) {
         int depth = 0;
         Ring leaves, pairs;
         uint2 node = make_uint2(__float_as_uint(s.start), u32(levels_.count - 1) << 27);
@@ -209,8 +209,8 @@ private:
                 SeenBox box = fetch(s, 32 * group);
                 __syncwarp();
                 float near;
-                bool met = meets(s, box, near);
-                enqueue<kLeafRing>(m_.leaves, leaves, met, 32 * group + lane_id());
+                bool intersected = overlaps(s, box, near);
+                enqueue<kLeafRing>(m_.leaves, leaves, intersected, 32 * group + lane_id());
                 __syncwarp();
                 while (leaves.count >= kLeavesAtOnce) test_leaves(s, leaves, pairs);
             }
@@ -237,12 +237,12 @@ private:
         float2 x = box[0], y = box[stride_], z = box[2 * stride_];
         leaves.head += kLeavesAtOnce, leaves.count = max(leaves.count - kLeavesAtOnce, 0);
         __syncwarp();
-        float enters = fmaxf(fmaxf(entry(x, inverse_.x, entry_.x), entry(y, inverse_.y, entry_.y)),
+        float t_enter = fmaxf(fmaxf(entry(x, inverse_.x, entry_.x), entry(y, inverse_.y, entry_.y)),
                              fmaxf(entry(z, inverse_.z, entry_.z), own_.from_t));
-        float leaves_at = fminf(fminf(exit(x, inverse_.x, exit_.x), exit(y, inverse_.y, exit_.y)),
+        float t_exit = fminf(fminf(exit(x, inverse_.x, exit_.x), exit(y, inverse_.y, exit_.y)),
                                 fminf(exit(z, inverse_.z, exit_.z), own_.far_t));
-        bool met = enters - kDistanceSlack * absolute(enters) <= leaves_at + kDistanceSlack * absolute(leaves_at);
-        enqueue<kPairRing>(m_.pairs, pairs, valid && met, leaf << 4 | ray);
+        bool intersected = t_enter - kDistanceSlack * absolute(t_enter) <= t_exit + kDistanceSlack * absolute(t_exit);
+        enqueue<kPairRing>(m_.pairs, pairs, valid && intersected, leaf << 4 | ray);
         __syncwarp();
         while (pairs.count >= kPairsAtOnce) test_pairs(s, pairs);
     }
@@ -257,8 +257,8 @@ private:
     // Puts the surfels of the next pairs' leaves before the pairs' rays, a thread a surfel, and lists the hits.
     __device__ __forceinline__ void test_pairs(Shaft& s, Ring& pairs) {
         u32 which = lane_id() / kLeaf;
-        bool met = int(which) < pairs.count;
-        u32 pair = met ? m_.pairs[(pairs.head + which) % kPairRing] : 0;
+        bool intersected = int(which) < pairs.count;
+        u32 pair = intersected ? m_.pairs[(pairs.head + which) % kPairRing] : 0;
         pairs.head += kPairsAtOnce, pairs.count = max(pairs.count - kPairsAtOnce, 0);
         u32 slot = (pair >> 4) * kLeaf + lane_id() % kLeaf;
         int r = pair & 15;
@@ -269,28 +269,28 @@ private:
         __syncwarp();
         PlaneHit<float> hit = intersect(surfel.frame, origin - surfel.mean, direction);
         float rho = hit.u * hit.u + hit.v * hit.v, t = hit.t;
-        met = met & (rho <= surfel.support) & (t >= from_t) & (t <= far_t) & (absolute(hit.d_z) > kDirectionEpsilon);
-        if (exact_) met = met && in_order(ray, t, slot);
-        if (!__any_sync(kFullWarp, met)) return;
+        intersected = intersected & (rho <= surfel.support) & (t >= from_t) & (t <= far_t) & (absolute(hit.d_z) > kDirectionEpsilon);
+        if (ties_matter_) intersected = intersected && within_interval(ray, t, slot);
+        if (!__any_sync(kFullWarp, intersected)) return;
         float alpha = response_alpha(surfel.opacity, rho);
         u32 tag = slot << 8 | u32(alpha * 256.0f);
-        bool crowded = false;
-        if (met) {
-            u32 place = atomicAdd(&ray.listed, (depth_of(1.0f - alpha) << 8) + 1) & 255;
-            crowded = place >= kListed;
-            if (!crowded) m_.t[r][place] = t, m_.tag[r][place] = tag;
+        bool overflowed = false;
+        if (intersected) {
+            u32 place = atomicAdd(&ray.listed, (optical_depth(1.0f - alpha) << 8) + 1) & 255;
+            overflowed = place >= kListCapacity;
+            if (!overflowed) m_.t[r][place] = t, m_.tag[r][place] = tag;
         }
         __syncwarp();
-        u32 left = __ballot_sync(kFullWarp, crowded), moved = left;
-        while (left) left = list_crowded(left, r, t, tag);
+        u32 left = __ballot_sync(kFullWarp, overflowed), moved = left;
+        while (left) left = insert_overflowed(left, r, t, tag);
         u32 ended = __ballot_sync(kFullWarp, own_.listed >> 8 > end_depth_ && !(own_.far_t < kInfinity));
         moved |= ended;
-        for (ended &= (1u << kRays) - 1; ended; ended &= ended - 1) end_at_farthest(__ffs(ended) - 1);
+        for (ended &= (1u << kRays) - 1; ended; ended &= ended - 1) limit_to_farthest(__ffs(ended) - 1);
         if (moved) shrink(s);
     }
 
     // The hits that ray r lists end it: nothing beyond them matters.
-    __device__ __forceinline__ void end_at_farthest(int r) {
+    __device__ __forceinline__ void limit_to_farthest(int r) {
         int n = m_.rays[r].listed & 255, k0 = lane_id(), k1 = lane_id() + 32;
         float farthest = warp_max(fmaxf(k0 < n ? m_.t[r][k0] : -kInfinity, k1 < n ? m_.t[r][k1] : -kInfinity));
         __syncwarp();
@@ -303,16 +303,16 @@ private:
         SeenBox box = fetch(s, levels_.offset[level] + 32 * group);
         __syncwarp();
         float near;
-        u32 met = __ballot_sync(kFullWarp, meets(s, box, near));
+        u32 intersected = __ballot_sync(kFullWarp, overlaps(s, box, near));
         int nearer = 0;
-        for (u32 rest = met; rest; rest &= rest - 1) {
+        for (u32 rest = intersected; rest; rest &= rest - 1) {
             int other = __ffs(rest) - 1;
             float other_near = __shfl_sync(kFullWarp, near, other);
             nearer += other_near < near || (other_near == near && other < lane_id());
         }
-        int above = depth + __popc(met);
+        int above = depth + __popc(intersected);
         __syncwarp();
-        if (met >> lane_id() & 1)
+        if (intersected >> lane_id() & 1)
             m_.stack[above - 1 - nearer] =
                 make_uint2(__float_as_uint(near), u32(level - 1) << 27 | u32(32 * group + lane_id()));
         __syncwarp();
@@ -320,30 +320,30 @@ private:
     }
 
     // At the ends of a ray's interval, the index decides.
-    __device__ __forceinline__ bool in_order(const RayState& ray, float t, u32 slot) const {
+    __device__ __forceinline__ bool within_interval(const RayState& ray, float t, u32 slot) const {
         if (t > ray.from_t && t < ray.far_t) return true;
         int index = surfels_.index(slot);
         if (t == ray.from_t && ray.from_slot >= 0 && surfels_.index(ray.from_slot) >= index) return false;
         return t < ray.far_t || ray.far_slot < 0 || index < surfels_.index(ray.far_slot);
     }
 
-    __device__ static u32 depth_of_tag(u32 tag) { return depth_of(1.0f - (tag & 255) * (1.0f / 256.0f)); }
+    __device__ static u32 optical_depth_of_tag(u32 tag) { return optical_depth(1.0f - (tag & 255) * (1.0f / 256.0f)); }
 
     // Lists hits of threads in `left` whose ray's list is full, those of one ray; returns the threads of other rays.
-    __device__ __forceinline__ u32 list_crowded(u32 left, int ray_of_hit, float t, u32 tag) {
+    __device__ __forceinline__ u32 insert_overflowed(u32 left, int ray_of_hit, float t, u32 tag) {
         int r = __shfl_sync(kFullWarp, ray_of_hit, __ffs(left) - 1);
         RayState& ray = m_.rays[r];
         u32 found = __ballot_sync(kFullWarp, (left >> lane_id() & 1) && ray_of_hit == r);
         left &= ~found;
-        if (lane_id() == 0) ray.listed = kListed;
+        if (lane_id() == 0) ray.listed = kListCapacity;
         __syncwarp();
         for (;;) {
-            cut(r);
+            truncate(r);
             bool remains = (found >> lane_id() & 1) && t <= ray.far_t;
-            found = __ballot_sync(kFullWarp, remains && in_order(ray, t, tag >> 8));
+            found = __ballot_sync(kFullWarp, remains && within_interval(ray, t, tag >> 8));
             if (!found) break;
             int count = ray.listed, place = count + __popc(found & ((1u << lane_id()) - 1));
-            bool taken = (found >> lane_id() & 1) && place < kListed;
+            bool taken = (found >> lane_id() & 1) && place < kListCapacity;
             if (taken) m_.t[r][place] = t, m_.tag[r][place] = tag;
             u32 threads = __ballot_sync(kFullWarp, taken);
             found &= ~threads;
@@ -366,13 +366,13 @@ private:
         float t0 = k0 < n ? ts[k0] : kInfinity, t1 = k1 < n ? ts[k1] : kInfinity;
         u32 tag0 = k0 < n ? tags[k0] : 0, tag1 = k1 < n ? tags[k1] : 0;
         int place0 = 0, place1 = 0;
-        const float4* fours = reinterpret_cast<const float4*>(ts);
+        const float4* values4 = reinterpret_cast<const float4*>(ts);
         if (n <= 32) {
-            for (int k = 0; 4 * k < n; ++k) place0 += nearer_of(fours[k], t0);
+            for (int k = 0; 4 * k < n; ++k) place0 += count_nearer(values4[k], t0);
         } else {
             for (int k = 0; 4 * k < n; ++k) {
-                float4 four = fours[k];
-                place0 += nearer_of(four, t0), place1 += nearer_of(four, t1);
+                float4 value4 = values4[k];
+                place0 += count_nearer(value4, t0), place1 += count_nearer(value4, t1);
             }
         }
         u32 places = __reduce_add_sync(kFullWarp, u32((k0 < n ? place0 : 0) + (k1 < n ? place1 : 0)));
@@ -386,8 +386,8 @@ private:
         __syncwarp();
     }
 
-    __device__ static __forceinline__ int nearer_of(float4 four, float t) {
-        return (four.x < t) + (four.y < t) + (four.z < t) + (four.w < t);
+    __device__ static __forceinline__ int count_nearer(float4 value4, float t) {
+        return (value4.x < t) + (value4.y < t) + (value4.z < t) + (value4.w < t);
     }
 
     // One thread, by (t, index).
@@ -407,41 +407,41 @@ private:
     }
 
     // Cuts ray r's full list to what is certainly blended, or else to the nearest that leave room.
-    __device__ __forceinline__ void cut(int r) {
+    __device__ __forceinline__ void truncate(int r) {
         sort(r);
         RayState& ray = m_.rays[r];
         int k = 2 * lane_id();
         u32 first = 0, second = 0;
-        if (k < kListed) first = depth_of_tag(m_.tag[r][k]), second = depth_of_tag(m_.tag[r][k + 1]);
+        if (k < kListCapacity) first = optical_depth_of_tag(m_.tag[r][k]), second = optical_depth_of_tag(m_.tag[r][k + 1]);
         u32 through = warp_inclusive_sum(first + second);
-        u32 before = ray.first_depth;
+        u32 before = ray.initial_depth;
         u32 ended = __ballot_sync(kFullWarp, before + through > end_depth_);
-        int kept = kListed;
+        int kept = kListCapacity;
         if (ended) {
             int thread = __ffs(ended) - 1;
             u32 through_first = __shfl_sync(kFullWarp, through - second, thread);
             kept = 2 * thread + (before + through_first > end_depth_ ? 1 : 2);
         }
-        bool drops = kept > kListed - kSpare;
-        if (drops) kept = kListed - kSpare;
+        bool drops = kept > kListCapacity - kListSlack;
+        if (drops) kept = kListCapacity - kListSlack;
         __syncwarp();
         if (lane_id() == 0) {
             ray.listed = kept;
             ray.far_t = m_.t[r][kept - 1], ray.far_slot = m_.tag[r][kept - 1] >> 8;
             ray.dropped |= drops;
         }
-        exact_ = true;
+        ties_matter_ = true;
         __syncwarp();
     }
 
     PacketMemory& m_;
     const Levels& levels_;
     const float2* boxes_;
-    Surfels surfels_;
+    PackedSurfels surfels_;
     RayState& own_;
-    float reach_;
+    float max_origin_distance_;
     u32 end_depth_;
-    bool exact_;                       // some ray's interval ends at a surfel: see in_order()
+    bool ties_matter_;                       // some ray's interval ends at a surfel: see in_order()
     int stride_;                       // of the planes of boxes
     Vec3<float> inverse_;              // of the ray's direction
     Vec3<float> entry_, exit_;         // a plane at p of an axis is met at p·inverse + these, at the earliest and latest

@@ -5,8 +5,8 @@
 namespace envgs {
 
 // The direction through the center of a pixel, as `Camera.rays()` has it: camera z = 1.
-ENVGS_FN Vec3<float> ray_through(const View& view, int column, int row) {
-    return view.pixel_to_direction * Vec3<float>{column + 0.5f, row + 0.5f, 1.0f};
+ENVGS_FN Vec3<float> ray_through(const PinholeCamera& camera, int column, int row) {
+    return camera.pixel_to_direction * Vec3<float>{column + 0.5f, row + 0.5f, 1.0f};
 }
 
 }  // namespace envgs

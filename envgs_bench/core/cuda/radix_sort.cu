@@ -5,7 +5,7 @@
 
 using namespace envgs;
 
-constexpr int kThreads = 256, kWarps = kThreads / 32, kItems = 16, kTile = kThreads * kItems;
+constexpr int kThreads = 256, kWarps = kThreads / 32, kItems = 16, kTileKeys = kThreads * kItems;
 constexpr int kDigits = 256;
 
 // histograms[p][d]: how many keys have digit d at pass p. Zeroed by the caller.
@@ -33,11 +33,11 @@ extern "C" __global__ void __launch_bounds__(kThreads) radix_pass(const u32* key
     __shared__ u32 warp_counts[kWarps][kDigits];
     __shared__ u32 tile_offset[kDigits];    // where the tile's digit starts among its sorted keys
     __shared__ u32 global_offset[kDigits];  // where it goes, less tile_offset
-    __shared__ u32 sorted[kTile];
+    __shared__ u32 sorted[kTileKeys];
     u32 n = min(*count, capacity);
     u32 tile = take_ticket(ticket);
-    if (u64(tile) * kTile >= n) return;
-    u32 begin = tile * kTile, here = min(u32(kTile), n - begin);
+    if (u64(tile) * kTileKeys >= n) return;
+    u32 begin = tile * kTileKeys, here = min(u32(kTileKeys), n - begin);
     for (int i = threadIdx.x; i < kWarps * kDigits; i += kThreads) (&warp_counts[0][0])[i] = 0;
 
     u32 keys[kItems], values[kItems], ranks[kItems];
@@ -78,7 +78,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) radix_pass(const u32* key
     }
     u32 total, offset = block_exclusive_sum(sum, total);
     u32 base = block_exclusive_sum(histogram[digit], total);
-    if (digit == 255) sum -= kTile - here;
+    if (digit == 255) sum -= kTileKeys - here;
     // Flags as in sum_before_block, in 32 bits: counts stay below 2³⁰.
     constexpr u32 partial = 1u << 30, complete = 2u << 30, value = partial - 1;
     volatile u32* column = state + digit;

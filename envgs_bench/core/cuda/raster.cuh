@@ -1,11 +1,11 @@
-// What the rasterizer's kernels share: KIND is Surfels or Volumes.
+// What the rasterizer's kernels share: KIND is Surfels or Gaussian3dKind.
 #pragma once
 #include "outline.cuh"
 #include "warp.cuh"
 
 namespace envgs {
 
-struct Surfels {
+struct SurfelKind {
     using Splat = SurfelSplat;
     using Input = SurfelInput;
     using Sums = SurfelSums<float>;
@@ -17,20 +17,20 @@ struct Surfels {
         float inverse;
         return axes_of(normalized(in.quaternion, inverse)).n;
     }
-    ENVGS_FN static Ellipse ellipse(const View& view, const Input& in, const Splat& splat) {
+    ENVGS_FN static Ellipse ellipse(const PinholeCamera& camera, const Input& in, const Splat& splat) {
         float inverse;
         Axes<float> axes = axes_of(normalized(in.quaternion, inverse));
-        return disc_ellipse(view, project(view, in.mean), in.scale_u * axes.u, in.scale_v * axes.v, splat.support);
+        return disc_ellipse(camera, project(camera, in.mean), in.scale_u * axes.u, in.scale_v * axes.v, splat.support);
     }
     ENVGS_FN static float low_pass_radius(const Splat& splat) {
         return splat.screen_support > 0.0f ? square_root(0.5f * splat.support) : -1.0f;
     }
 };
 
-struct Volumes {
-    using Splat = GaussianSplat;
-    using Input = GaussianInput;
-    using Sums = GaussianSums<float>;
+struct Gaussian3dKind {
+    using Splat = Gaussian3dSplat;
+    using Input = Gaussian3dInput;
+    using Sums = Gaussian3dSums<float>;
     static constexpr int scale_count = 3;
     ENVGS_FN static Input input(const Gaussians& g, int i) {
         return {mean_at(g, i), quaternion_at(g, i), load3(g.scales + 3l * i)};
@@ -39,7 +39,7 @@ struct Volumes {
         float inverse;
         return shortest_axis_of(axes_of(normalized(in.quaternion, inverse)), in.scales);
     }
-    ENVGS_FN static Ellipse ellipse(const View&, const Input&, const Splat& s) {
+    ENVGS_FN static Ellipse ellipse(const PinholeCamera&, const Input&, const Splat& s) {
         float scale = s.support / (s.xx * s.yy - s.xy * s.xy);
         return {s.x, s.y, s.yy * scale, -s.xy * scale, s.xx * scale};
     }
@@ -49,7 +49,7 @@ struct Volumes {
 using Kind = KIND;
 
 // A visible primitive, ready to draw.
-struct alignas(16) Record {
+struct alignas(16) VisiblePrimitive {
     Kind::Splat splat;
     Vec3<float> color, normal;
     float extras[kExtras > 0 ? kExtras : 1];

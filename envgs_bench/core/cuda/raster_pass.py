@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..backends import RasterizeOptions
 from ..camera import Camera
-from ..differentiable import Drawn, Gradients, Planes, SetTensors
+from ..differentiable import PassOutput, Gradients, Planes, SetTensors
 from ..gaussians import GaussianSet
 from .launch import Kernels, aligned, blocks_for, kernels, zeroed
 from .sorting import radix_sort
@@ -16,11 +16,11 @@ TILE = 16
 SUMS = 32  # floats a primitive in the backward pass
 OUTLINE_FLOATS = 12
 SPLAT_FLOATS = {2: 18, 3: 9}  # by columns of scales
-VIEW_FLOATS = 64
-LEAST_ROOM = 1 << 20
-BYTES_AN_INSTANCE = 24  # keys and slots, before and after a sorting pass
+CAMERA_FLOATS = 64
+MIN_CAPACITY = 1 << 20
+BYTES_PER_INSTANCE = 24  # keys and slots, before and after a sorting pass
 
-# How many instances the latest image on a device had. An image is drawn with half as much room again, without waiting
+# How many instances the latest image on a device had. An image is drawn with half as much capacity again, without waiting
 # for its own count; should that turn out too little, it is drawn again with enough.
 _latest_instances: dict[torch.device, int] = {}
 
@@ -35,16 +35,16 @@ class RasterPass:
         self.tiles_x, self.tiles_y = blocks_for(camera.width, TILE), blocks_for(camera.height, TILE)
 
     def _kernels(self, *sources: str) -> Kernels:
-        kind = "Surfels" if self.tensors.scales.shape[1] == 2 else "Volumes"
+        kind = "SurfelKind" if self.tensors.scales.shape[1] == 2 else "Gaussian3dKind"
         sh, extras = self.tensors.sh.shape[1], self.tensors.extras.shape[1]
         return kernels(sources, self.device, KIND=kind, SH_COEFFICIENTS=sh, EXTRAS=extras)
 
-    def forward(self, keep: bool) -> Drawn:
+    def forward(self, keep: bool) -> PassOutput:
         camera, count = self.camera, len(self.tensors.means)
         planes = Planes.empty(self.tensors.means, camera.width * camera.height, self.tensors.extras.shape[1])
         hits = planes.alpha.new_empty(planes.alpha.shape, dtype=torch.int32)
         weights = torch.empty_like(self.tensors.opacities)
-        launch = self._kernels("view.cu", "raster_prepare.cu", "tiles.cu", "raster_forward.cu")
+        launch = self._kernels("camera.cu", "primitives.cu", "tile_instances.cu", "draw_tiles.cu")
         self._prepare(launch, weights)
         order = radix_sort(self.depth_keys, None, self.counters[:1], 32)[1] if count else self.depth_keys
         wanted = torch.empty(4, dtype=torch.int32, pin_memory=True)
@@ -52,72 +52,72 @@ class RasterPass:
         if not capturing:
             wanted.copy_(self.counters, non_blocking=True)
             counted = torch.cuda.current_stream().record_event()
-        room = max(_latest_instances.get(self.device, 4 * count) * 3 // 2, LEAST_ROOM)
-        self._draw(launch, order, room, planes, hits, weights)
+        capacity = max(_latest_instances.get(self.device, 4 * count) * 3 // 2, MIN_CAPACITY)
+        self._draw(launch, order, capacity, planes, hits, weights)
         if not capturing:
             counted.synchronize()  # the drawing is still under way
             instances = int(wanted[2:].view(torch.int64))
-            if instances > room:
-                _check_room(instances, self.device)
+            if instances > capacity:
+                _check_memory(instances, self.device)
                 weights.zero_()
                 self._draw(launch, order, instances, planes, hits, weights)
             _latest_instances[self.device] = instances
-        return Drawn(planes, hits, weights)
+        return PassOutput(planes, hits, weights)
 
     def _prepare(self, launch: Kernels, weights: Tensor) -> None:
         tensors, count = self.tensors, len(self.tensors.means)
         blocks = blocks_for(count, 256)
         floats = SPLAT_FLOATS[tensors.scales.shape[1]] + 6 + max(tensors.extras.shape[1], 1)
         empty = tensors.means.new_empty
-        self.records, self.outlines = empty(count, -(-floats // 4) * 4), empty(count, OUTLINE_FLOATS)
-        self.view = make_view(launch, self.camera, self.options.near, self.options.low_pass)
+        self.visible, self.outlines = empty(count, -(-floats // 4) * 4), empty(count, OUTLINE_FLOATS)
+        self.device_camera = make_camera(launch, self.camera, self.options.near, self.options.low_pass)
         self.depth_keys, self.tile_counts, self.slots, self.indices = (
             empty(count, dtype=torch.int32) for _ in range(4)
         )
         self.counters, state, ticket = zeroed(self.device, 4, 2 * blocks, 1)
-        launch("prepare_primitives", blocks, 256, *tensors, count, self.view, self.records, self.outlines,
+        launch("prepare_primitives", blocks, 256, *tensors, count, self.device_camera, self.visible, self.outlines,
                self.depth_keys, self.tile_counts, self.slots, self.indices, weights, self.counters, state,
                ticket)  # fmt: skip
 
-    def _draw(self, launch: Kernels, order: Tensor, room: int, planes: Planes, hits: Tensor, weights: Tensor) -> None:
+    def _draw(self, launch: Kernels, order: Tensor, capacity: int, planes: Planes, hits: Tensor, weights: Tensor) -> None:
         count, tiles = len(self.tensors.means), self.tiles_x * self.tiles_y
         blocks = blocks_for(count, 256)
         state, ticket, self.ranges = zeroed(self.device, 2 * blocks, 1, 2 * tiles)
-        keys, slots = (torch.empty(room, dtype=torch.int32, device=self.device) for _ in range(2))
-        launch("emit_instances", blocks, 256, order, self.outlines, self.tile_counts, self.counters, room,
+        keys, slots = (torch.empty(capacity, dtype=torch.int32, device=self.device) for _ in range(2))
+        launch("emit_instances", blocks, 256, order, self.outlines, self.tile_counts, self.counters, capacity,
                self.tiles_x, keys, slots, state, ticket)  # fmt: skip
         keys, self.instance_slots = radix_sort(keys, slots, self.counters[1:2], max((tiles - 1).bit_length(), 1))
-        launch("find_ranges", blocks_for(room, 256), 256, keys, self.counters, self.ranges)
-        launch("draw_tiles", tiles, 256, self.ranges, self.instance_slots, self.records, self.outlines, self.view,
+        launch("find_tile_ranges", blocks_for(capacity, 256), 256, keys, self.counters, self.ranges)
+        launch("draw_tiles", tiles, 256, self.ranges, self.instance_slots, self.visible, self.outlines, self.device_camera,
                self.tiles_x, float(self.options.transmittance_min), self.background, self.counters, *planes, hits,
                self.indices, weights)  # fmt: skip
 
     def backward(self, planes: Planes, gradients: tuple[Tensor | None, ...]) -> Gradients:
         tensors, count = self.tensors, len(self.tensors.means)
-        launch = self._kernels("raster_prepare.cu", "raster_backward.cu")
+        launch = self._kernels("primitives.cu", "differentiate_tiles.cu")
         sums = tensors.means.new_zeros(count, SUMS)
-        launch("differentiate_tiles", self.tiles_x * self.tiles_y, 256, self.ranges, self.instance_slots, self.records,
-               self.outlines, self.view, self.tiles_x, float(self.options.transmittance_min), self.background, *planes,
+        launch("differentiate_tiles", self.tiles_x * self.tiles_y, 256, self.ranges, self.instance_slots, self.visible,
+               self.outlines, self.device_camera, self.tiles_x, float(self.options.transmittance_min), self.background, *planes,
                *gradients, sums)  # fmt: skip
         result, position = SetTensors(*map(torch.empty_like, tensors)), torch.empty_like(tensors.means)
-        launch("finish_primitives", blocks_for(count, 128), 128, *tensors, count, self.view, self.records, self.slots,
+        launch("finish_primitives", blocks_for(count, 128), 128, *tensors, count, self.device_camera, self.visible, self.slots,
                sums, *result, position)  # fmt: skip
         return Gradients(result, position)
 
 
-def make_view(launch: Kernels, camera: Camera, near: float, low_pass: bool) -> Tensor:
+def make_camera(launch: Kernels, camera: Camera, near: float, low_pass: bool) -> Tensor:
     """The camera as kernels see it, made on the device by view.cu, which `launch` must include."""
-    view = torch.empty(VIEW_FLOATS, device=camera.device)
-    launch("make_view", 1, 1, camera.world_to_camera.contiguous(), camera.intrinsics.contiguous(), camera.width,
+    view = torch.empty(CAMERA_FLOATS, device=camera.device)
+    launch("make_camera", 1, 1, camera.world_to_camera.contiguous(), camera.intrinsics.contiguous(), camera.width,
            camera.height, float(near), low_pass, view)  # fmt: skip
     return view
 
 
-def _check_room(instances: int, device: torch.device) -> None:
+def _check_memory(instances: int, device: torch.device) -> None:
     """Raise before an allocation would: primitives that cover all tiles can ask for any amount of memory."""
     free = torch.cuda.mem_get_info(device)[0]
     free += torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
-    needed = instances * BYTES_AN_INSTANCE
+    needed = instances * BYTES_PER_INSTANCE
     if instances >= 2**31 or needed > free:
         raise torch.OutOfMemoryError(
             f"this image has {instances:,} pairs of a primitive and a tile that it covers, which takes "

@@ -11,7 +11,7 @@ from torch.autograd.function import once_differentiable
 from ..camera import Camera
 from ..rendering import Rendering
 from .launch import Kernels, blocks_for, kernels
-from .raster_pass import make_view
+from .raster_pass import make_camera
 
 
 def reflect(
@@ -30,7 +30,7 @@ class _Reflect(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
         height, width = alpha.shape
         launch = _kernels(alpha)
-        view = make_view(launch, camera, near=0.0, low_pass=False)
+        view = make_camera(launch, camera, near=0.0, low_pass=False)
         alpha, depth, normal, beta = (plane.contiguous() for plane in (alpha, depth, normal, beta))
         origins, directions, weights = (alpha.new_empty(height, width, *shape) for shape in ((3,), (3,), ()))
         on_device = isinstance(beta_min, Tensor)
@@ -55,4 +55,4 @@ class _Reflect(torch.autograd.Function):
 
 
 def _kernels(tensor: Tensor) -> Kernels:
-    return kernels(("view.cu", "reflect.cu"), tensor.device)
+    return kernels(("camera.cu", "reflect.cu"), tensor.device)

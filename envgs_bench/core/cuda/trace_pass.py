@@ -6,15 +6,15 @@ import torch
 from torch import Tensor
 
 from ..backends import TraceOptions
-from ..differentiable import Drawn, Gradients, Planes, SetTensors
+from ..differentiable import PassOutput, Gradients, Planes, SetTensors
 from ..gaussians import GaussianSet
-from .bvh import SurfelTree
+from .bvh import SurfelBvh
 from .launch import Kernels, aligned, blocks_for, kernels
 from .sorting import radix_sort
 
 PACKET = 8  # rays
 PAGE_ROWS = 32  # hits a ray that a page holds
-PAGES_A_PACKET = 2  # at first
+PAGES_PER_PACKET = 2  # at first
 SPARE_PAGES = 64
 
 # Pages that a packet of the latest bundle on a device took. A bundle gets a quarter more; should that turn out too
@@ -24,7 +24,7 @@ _latest_pages: dict[torch.device, float] = {}
 
 class TracePass:
     def __init__(
-        self, gaussians: GaussianSet, origins: Tensor, directions: Tensor, tree: SurfelTree, options: TraceOptions
+        self, gaussians: GaussianSet, origins: Tensor, directions: Tensor, tree: SurfelBvh, options: TraceOptions
     ) -> None:
         tensors = SetTensors.of(gaussians)
         self.tensors = tensors._replace(quaternions=aligned(tensors.quaternions), scales=aligned(tensors.scales))
@@ -38,13 +38,13 @@ class TracePass:
         sh, extras = self.tensors.sh.shape[1], self.tensors.extras.shape[1]
         return kernels(sources, self.device, SH_COEFFICIENTS=sh, EXTRAS=extras)
 
-    def forward(self, keep: bool) -> Drawn:
-        launch = self._kernels("trace_rays.cu", "trace_forward.cu")
+    def forward(self, keep: bool) -> PassOutput:
+        launch = self._kernels("ray_keys.cu", "surfels.cu", "trace_rays.cu")
         self.order = self._order(launch)
         self.appearances = self._appearances(launch)
         pages = 0
         if keep:
-            pages = int(self.packets * _latest_pages.get(self.device, PAGES_A_PACKET) * 1.25) + SPARE_PAGES
+            pages = int(self.packets * _latest_pages.get(self.device, PAGES_PER_PACKET) * 1.25) + SPARE_PAGES
         drawn = self._trace(launch, pages)
         if keep and not torch.cuda.is_current_stream_capturing():
             self._wanted = torch.empty(1, dtype=torch.int32, pin_memory=True)
@@ -67,7 +67,7 @@ class TracePass:
         launch("pack_appearances", blocks_for(packed.numel(), 256), 256, self.tree.order, sh, extras, count, packed)
         return packed
 
-    def _trace(self, launch: Kernels, pages: int) -> Drawn:
+    def _trace(self, launch: Kernels, pages: int) -> PassOutput:
         tensors, tree, options = self.tensors, self.tree, self.options
         planes = Planes.empty(tensors.means, self.rays, tensors.extras.shape[1])
         hits = torch.empty(self.rays, dtype=torch.int32, device=self.device)
@@ -81,20 +81,20 @@ class TracePass:
                float(options.transmittance_min), self.background, *planes, hits, weights, self.page_slots,
                self.page_next, self.page_heads, self.pages_used, pages)  # fmt: skip
         self.weights, self.pages = weights, pages
-        return Drawn(planes, hits, weights)
+        return PassOutput(planes, hits, weights)
 
     def _check_pages(self) -> None:
         self._counted.synchronize()
         used = int(self._wanted)
         _latest_pages[self.device] = used / max(self.packets, 1)
         if used > self.pages:
-            self._trace(self._kernels("trace_rays.cu", "trace_forward.cu"), used)
+            self._trace(self._kernels("ray_keys.cu", "surfels.cu", "trace_rays.cu"), used)
 
     def backward(self, planes: Planes, gradients: tuple[Tensor | None, ...]) -> Gradients:
         if not torch.cuda.is_current_stream_capturing():
             self._check_pages()
         tensors, tree, count = self.tensors, self.tree, self.tree.count
-        launch = self._kernels("trace_rays.cu", "trace_backward.cu")
+        launch = self._kernels("surfels.cu", "differentiate_rays.cu")
         floats = -(-(19 + 3 * tensors.sh.shape[1] + tensors.extras.shape[1]) // 4) * 4
         sums = tensors.means.new_zeros(count, floats)
         g_origins, g_directions = torch.empty_like(self.origins), torch.empty_like(self.directions)

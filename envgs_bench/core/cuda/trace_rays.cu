@@ -1,88 +1,128 @@
-// Before and after the rays: in which order they are traced, how surfels look, and from sums to gradients.
-#include "trace.cuh"
+// Traces: a warp a packet of rays. Hits are found (packet.cuh), then blended nearest first: the threads of a warp share
+// the packet's rays, and blend as many hits of a ray at a time.
+#include "packet.cuh"
 
 using namespace envgs;
 
-// Rays whose two ends are alike get neighboring keys: the origin, and the point where the ray leaves the box of the
-// surfels, which is near to what it hits. Both lie on Hilbert curves, and the key takes three bits of either in turn.
-// The tracer's packets are rays along this order, whatever order the caller's rays come in. Rays without a direction
-// meet nothing and come last.
-extern "C" __global__ void ray_keys(const float* origins, const float* directions, int count,
-                                    const CenterStatistics* statistics, u32* keys) {
-    int i = blockIdx.x * blockDim.x + threadIdx.x;
-    if (i >= count) return;
-    Extent extent(*statistics);
-    Vec3<float> o = load3(origins + 3l * i), d = load3(directions + 3l * i), high = extent.low + extent.size;
-    float x = ((d.x > 0.0f ? high.x : extent.low.x) - o.x) / d.x;
-    float y = ((d.y > 0.0f ? high.y : extent.low.y) - o.y) / d.y;
-    float z = ((d.z > 0.0f ? high.z : extent.low.z) - o.z) / d.z;
-    float leaves = kInfinity;
-    if (x > 0.0f) leaves = minimum(leaves, x);
-    if (y > 0.0f) leaves = minimum(leaves, y);
-    if (z > 0.0f) leaves = minimum(leaves, z);
-    u32 first[3], last[3];
-    extent.quantize(o, 5, first);
-    extent.quantize(o + leaves * d, 6, last);
-    u64 from = hilbert_position(first, 5), to = hilbert_position(last, 6), key = to >> 15;
-    for (int bit = 12; bit >= 0; bit -= 3) key = (key << 3 | (from >> bit & 7)) << 3 | (to >> bit & 7);
-    bool flies = d.x != 0.0f || d.y != 0.0f || d.z != 0.0f;
-    keys[i] = flies ? u32(key >> 1) : ~0u;
-}
+constexpr int kBlocks = 32;            // at a time on a multiprocessor
+constexpr int kThreadsPerRay = 32 / kRays;  // threads a ray; thread l works for ray l % kRays
 
-// surfels' appearances in the tree's order; a thread a float.
-extern "C" __global__ void pack_appearances(const u32* order, const float* sh, const float* extras, int count,
-                                            float* appearances) {
-    long at = long(blockIdx.x) * blockDim.x + threadIdx.x;
-    long slot = at / kAppearance;
-    int k = at % kAppearance;
-    if (slot >= count) return;
-    long i = order[slot];
-    float value = 0.0f;
-    if (k < kShFloats) value = sh[i * kShFloats + k];
-    if (k >= kShFloats && k < kShFloats + kExtras) value = extras[i * kExtras + k - kShFloats];
-    appearances[at] = value;
-}
-
-// Every row of the results is written, zeros where no ray met the surfel.
-extern "C" __global__ void __launch_bounds__(128)
-    finish_surfels(const float* quaternions, const float* scales, int count, const float* weights, const float* sums,
-                   float* g_means, float* g_quaternions, float* g_scales, float* g_opacities, float* g_sh,
-                   float* g_extras, float* position_gradients) {
-    constexpr int row = kTraceSums + 1;  // odd: neighboring threads fall on neighboring banks
-    __shared__ float staged[128 * row];
-    __shared__ bool seen[128];
-    long first = long(blockIdx.x) * 128, i = first + threadIdx.x;
-    int here = min(128l, count - first);
-    seen[threadIdx.x] = threadIdx.x < here && weights[i] > 0.0f;
-    __syncthreads();
-    for (int k = threadIdx.x; k < here * kTraceSums; k += 128) {
-        int owner = k / kTraceSums;
-        staged[owner * row + k % kTraceSums] = seen[owner] ? sums[first * kTraceSums + k] : 0.0f;
+// Products over a ray's threads: of those before this one.
+ENVGS_FN float exclusive_product(float factor) {
+    float through = factor;
+#pragma unroll
+    for (int offset = kRays; offset < 32; offset *= 2) {
+        float below = __shfl_up_sync(kFullWarp, through, offset);
+        if (lane_id() >= offset) through *= below;
     }
-    __syncthreads();
-    if (threadIdx.x < here) {
-        const float* sum = staged + row * threadIdx.x;
-        SurfelGradient<float> g = {};
-        Quaternion<float> g_q = {};
-        if (seen[threadIdx.x]) {
-            float inverse_norm;
-            float4 raw = reinterpret_cast<const float4*>(quaternions)[i];
-            Quaternion<float> q = normalized<float>({raw.x, raw.y, raw.z, raw.w}, inverse_norm);
-            float2 scale = reinterpret_cast<const float2*>(scales)[i];
-            SurfelMoments<float> moments = {load3(sum), load3(sum + 3), load3(sum + 6), load3(sum + 9)};
-            g = surfel_backward(axes_of(q), scale.x, scale.y, moments, load3(sum + kNormalSum));
-            g_q = quaternion_gradient(q, inverse_norm, g.torque);
+    float before = __shfl_up_sync(kFullWarp, through, kRays);
+    return lane_id() < kRays ? 1.0f : before;
+}
+
+template <class T>
+ENVGS_FN T sum_over_ray(T value) {
+#pragma unroll
+    for (int offset = kRays; offset < 32; offset *= 2) value += __shfl_xor_sync(kFullWarp, value, offset);
+    return value;
+}
+
+// The pages of a packet as they fill.
+struct PageWriter {
+    Pages pages;
+    int first = -1, page = -1, rows = 0;
+
+    // Makes room for `kShares` more rows and returns where they begin, or null where there is no room.
+    __device__ u32* more_rows() {
+        if (pages.capacity == 0) return nullptr;
+        int row = rows % kPageRows;
+        if (row == 0) {
+            int taken = lane_id() == 0 ? atomicAdd(pages.used, 1) : 0;
+            taken = __shfl_sync(kFullWarp, taken, 0);
+            if (taken >= pages.capacity) taken = -1;
+            if (rows == 0) first = taken;
+            if (lane_id() == 0 && page >= 0) pages.next[page] = taken;
+            page = taken;
         }
-        store3(g_means + 3 * i, g.mean + load3(sum + kDirectionSum));
-        store3(position_gradients + 3 * i, g.position_statistic);
-        reinterpret_cast<float4*>(g_quaternions)[i] = make_float4(g_q.w, g_q.x, g_q.y, g_q.z);
-        reinterpret_cast<float2*>(g_scales)[i] = make_float2(g.scale_u, g.scale_v);
-        g_opacities[i] = sum[kOpacitySum];
+        rows += kThreadsPerRay;
+        return page < 0 ? nullptr : pages.slots + (long(page) * kPageRows + row) * kRays;
     }
-    for (int k = threadIdx.x; k < here * kShFloats; k += 128)
-        g_sh[first * kShFloats + k] = staged[k / kShFloats * row + kShSums + k % kShFloats];
-#if EXTRAS > 0
-    for (int k = threadIdx.x; k < here * kExtras; k += 128)
-        g_extras[first * kExtras + k] = staged[k / kExtras * row + kShSums + kShFloats + k % kExtras];
-#endif
+};
+
+extern "C" __global__ void __launch_bounds__(32, kBlocks)
+    trace_rays(const float* origins, const float* directions, const u32* order, int rays, float4* packed_surfels,
+               const Appearance* appearances, const float2* boxes, int surfel_count, const CenterStatistics* statistics,
+               float t_min, float transmittance_min, const float* background, float* color, float* alpha, float* depth,
+               float* normal, float* extras, int* hit_counts, float* weights, u32* page_slots, int* page_next,
+               int2* page_heads, u32* pages_used, u32 page_capacity) {
+    __shared__ PacketMemory memory;
+    __shared__ BlendedSums all_sums[kRays];  // not in registers, which the search is short of
+    __shared__ Levels levels;
+    if (threadIdx.x == 0) levels = Levels::of(surfel_count);
+    __syncwarp();
+    PackedSurfels surfels = {packed_surfels};
+    PageWriter writer = {{page_slots, page_next, page_heads, pages_used, page_capacity}};
+    int thread_of_ray = lane_id() / kRays;
+    Ray ray = ordered_ray(origins, directions, order, rays, long(blockIdx.x) * kRays + lane_id() % kRays);
+    int index = ray.index;
+    const RayState& own = memory.rays[lane_id() % kRays];
+    Extent extent(*statistics);
+    float max_origin_distance = kGroupOriginDistance * maximum(extent.size.x, maximum(extent.size.y, extent.size.z));
+    Packet packet(memory, levels, boxes, surfels, ray, t_min, transmittance_min, max_origin_distance);
+    if (thread_of_ray == 0) all_sums[lane_id()] = BlendedSums::initial();
+    float transmittance = 1.0f;
+    bool wanted = index >= 0;
+    while (__any_sync(kFullWarp, wanted)) {
+        packet.search(wanted, transmittance);
+        bool ended = !wanted;
+        int blended = 0;
+        BlendedSums sums = BlendedSums::initial();
+        if (thread_of_ray == 0) sums = all_sums[lane_id()];
+        for (int first = 0; __any_sync(kFullWarp, !ended && first < packet.count()); first += kThreadsPerRay) {
+            int k = first + thread_of_ray;
+            bool listed = !ended && k < packet.count();
+            u32 slot = listed ? packet.slot(k) : 0;
+            TracedSurfel s;
+            PlaneHit<float> hit;
+            float a = 0.0f;
+            if (listed) {
+                s = surfels.load(slot);
+                hit = intersect(s.frame, own.origin - s.mean, own.direction);
+                a = response_alpha(s.opacity, hit.u * hit.u + hit.v * hit.v);
+            }
+            float before = transmittance * exclusive_product(1.0f - a);
+            bool blends = listed && before >= transmittance_min;
+            if (blends) {
+                Appearance appearance = appearances[slot];
+                Vec3<float> c = sh_color<kShDegree>(appearance.values, s.mean - own.origin);
+                sums.add(before * a, c, hit.t, (hit.d_z < 0.0f ? 1.0f : -1.0f) * s.frame.n, appearance.values + kShFloats);
+                atomicAdd(weights + s.index, before * a);
+            }
+            u32* rows = writer.more_rows();
+            if (rows) rows[lane_id()] = blends ? slot : kNoHit;
+            // Which of the ray's threads blended: always the first ones.
+            u32 threads = __ballot_sync(kFullWarp, blends) >> lane_id() % kRays;
+            int count = 0;
+#pragma unroll
+            for (int other = 0; other < kThreadsPerRay; ++other) count += threads >> other * kRays & 1;
+            float after = __shfl_sync(kFullWarp, before * (1.0f - a), max(count - 1, 0) * kRays + lane_id() % kRays);
+            if (count) transmittance = after;
+            blended += count;
+            ended = ended || transmittance < transmittance_min;
+        }
+        sums.color = {sum_over_ray(sums.color.x), sum_over_ray(sums.color.y), sum_over_ray(sums.color.z)};
+        sums.normal = {sum_over_ray(sums.normal.x), sum_over_ray(sums.normal.y), sum_over_ray(sums.normal.z)};
+        sums.depth = sum_over_ray(sums.depth);
+#pragma unroll
+        for (int e = 0; e < kExtras; ++e) sums.extras[e] = sum_over_ray(sums.extras[e]);
+        sums.hits = sum_over_ray(sums.hits);
+        if (thread_of_ray == 0) all_sums[lane_id()] = sums;
+        wanted = wanted && !ended && packet.dropped();
+        packet.resume_after(wanted ? blended - 1 : -1);
+    }
+    if (writer.pages.capacity && lane_id() == 0) page_heads[blockIdx.x] = make_int2(writer.first, writer.rows);
+    if (thread_of_ray > 0 || index < 0) return;
+    BlendedSums sums = all_sums[lane_id()];
+    sums.transmittance = transmittance;
+    Planes<float> out = {color, alpha, depth, normal, extras, rays};
+    sums.store(out, hit_counts, index, load3(background));
 }

@@ -7,7 +7,7 @@ from torch import Tensor
 from ..backends import TraceOptions
 from ..gaussians import GaussianSet
 from ..rendering import Rendering
-from ..torch.blending import shade
+from ..torch.blending import blend_hits
 from ..torch.search import blended_hits
 from ..torch.surfels import TracedSurfels
 from ..trace import Bvh
@@ -31,9 +31,9 @@ def trace(
     if bvh is not None and bvh.backend != "embree":
         raise ValueError(f"the BVH was built by backend {bvh.backend!r}, this is 'embree': build it with its backend")
     rays, primitives = candidate_pairs(gaussians, origins, directions, options.t_min)
-    drawing = TracedSurfels(gaussians, origins, directions, options.t_min)
-    hits = blended_hits(drawing, rays, primitives, options.transmittance_min)
-    return shade(drawing, hits, options.background)
+    intersector = TracedSurfels(gaussians, origins, directions, options.t_min)
+    hits = blended_hits(intersector, rays, primitives, options.transmittance_min)
+    return blend_hits(intersector, hits, options.background)
 
 
 def build_bvh(gaussians: GaussianSet) -> Bvh:

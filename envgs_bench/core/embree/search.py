@@ -1,4 +1,4 @@
-"""All surfels that rays meet, found by Embree."""
+"""All surfels that rays intersect, found by Embree."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from embreex.rtcore_scene import EmbreeScene
 from torch import Tensor
 
 from ..gaussians import GaussianSet
-from ..torch.drawing import cutoffs
+from ..torch.intersections import cutoffs
 from ..torch.rotation import rotation_matrices
 
 INFLATION = 1.001  # Embree works in float32: let it find a little more than the support

@@ -46,7 +46,7 @@ ENVGS_FN SumGradient<R> sum_gradient(Vec3<R> g_color, R g_alpha, R g_depth, Vec3
 
 // S of the pixel (extras are added by the caller): the sums are taken back from the outputs.
 template <class R>
-ENVGS_FN R total_of(SumGradient<R> g, Vec3<R> color, R alpha, R depth, Vec3<R> normal, Vec3<R> background) {
+ENVGS_FN R blended_total(SumGradient<R> g, Vec3<R> color, R alpha, R depth, Vec3<R> normal, Vec3<R> background) {
     Vec3<R> blended = color - (1.0f - alpha) * background;
     return dot(g.color, blended) + g.depth * depth * alpha + dot(g.normal, normal) + g.weight * alpha;
 }

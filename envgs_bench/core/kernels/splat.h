@@ -6,7 +6,7 @@
 
 namespace envgs {
 
-struct View {
+struct PinholeCamera {
     Mat3<float> rotation;            // world to camera
     Vec3<float> translation;
     Mat3<float> intrinsics;
@@ -22,7 +22,7 @@ struct PixelBox {
     float x0, y0, x1, y1;
 };
 
-ENVGS_FN PixelBox united(PixelBox a, PixelBox b) {
+ENVGS_FN PixelBox merged(PixelBox a, PixelBox b) {
     return {minimum(a.x0, b.x0), minimum(a.y0, b.y0), maximum(a.x1, b.x1), maximum(a.y1, b.y1)};
 }
 
@@ -33,13 +33,13 @@ struct Projection {
     Mat3<float> world_to_pixel;      // K·R: homogeneous
 };
 
-ENVGS_FN Projection project(const View& view, Vec3<float> point) {
+ENVGS_FN Projection project(const PinholeCamera& camera, Vec3<float> point) {
     Projection out;
-    out.in_camera = view.rotation * point + view.translation;
-    Vec3<float> h = view.intrinsics * out.in_camera;
+    out.in_camera = camera.rotation * point + camera.translation;
+    Vec3<float> h = camera.intrinsics * out.in_camera;
     out.x = h.x / h.z;
     out.y = h.y / h.z;
-    out.world_to_pixel = view.intrinsics * view.rotation;
+    out.world_to_pixel = camera.intrinsics * camera.rotation;
     return out;
 }
 

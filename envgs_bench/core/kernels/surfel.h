@@ -56,7 +56,7 @@ struct SurfelMoments {
     Vec3<R> g;         // Σ g, g = dL/do' of a hit
     Vec3<R> g_u;       // Σ g·u
     Vec3<R> g_v;       // Σ g·v
-    Vec3<R> traveled;  // Σ g·t
+    Vec3<R> g_t;  // Σ g·t
 };
 
 template <class R>
@@ -64,7 +64,7 @@ ENVGS_FN void add_hit(SurfelMoments<R>& sum, PlaneHit<R> hit, Vec3<R> g) {
     sum.g = sum.g + g;
     sum.g_u = sum.g_u + hit.u * g;
     sum.g_v = sum.g_v + hit.v * g;
-    sum.traveled = sum.traveled + hit.t * g;
+    sum.g_t = sum.g_t + hit.t * g;
 }
 
 template <class R>
@@ -81,7 +81,7 @@ ENVGS_FN SurfelGradient<R> surfel_backward(Axes<R> axes, R scale_u, R scale_v, S
     SurfelGradient<R> out;
     SurfelFrame<R> frame = surfel_frame(axes, scale_u, scale_v);
     out.mean = -(sum.g.x * frame.u + sum.g.y * frame.v + sum.g.z * frame.n);
-    out.position_statistic = -(sum.traveled.x * frame.u + sum.traveled.y * frame.v + sum.traveled.z * frame.n);
+    out.position_statistic = -(sum.g_t.x * frame.u + sum.g_t.y * frame.v + sum.g_t.z * frame.n);
     out.scale_u = -sum.g_u.x / scale_u;
     out.scale_v = -sum.g_v.y / scale_v;
     out.torque = {-scale_v * sum.g_v.z - dot(axes.v, g_normal),

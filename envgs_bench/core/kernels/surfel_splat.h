@@ -41,14 +41,14 @@ struct SurfelInput {
 // The box of the disc ρ ≤ r² in pixels. Where it lies before the camera its outline is an ellipse, whose extent follows
 // from the dual conic r²(h_u h_uᵀ + h_v h_vᵀ) − h_c h_cᵀ, taken about the projected center to keep float accuracy; where
 // it crosses the camera plane, the square around it is clipped at the near plane and projected.
-ENVGS_FN PixelBox disc_box(const View& view, const Projection& center, Vec3<float> axis_u, Vec3<float> axis_v,
+ENVGS_FN PixelBox disc_box(const PinholeCamera& camera, const Projection& center, Vec3<float> axis_u, Vec3<float> axis_v,
                            float r2) {
     PixelBox empty = {1.0f, 1.0f, 0.0f, 0.0f};
     Vec3<float> hu = center.world_to_pixel * axis_u, hv = center.world_to_pixel * axis_v;
     float zc = center.in_camera.z, r = square_root(r2);
-    float reach = r * square_root(hu.z * hu.z + hv.z * hv.z);
-    if (zc + reach < view.near) return empty;
-    if (zc - reach > 0.5f * view.near) {
+    float depth_extent = r * square_root(hu.z * hu.z + hv.z * hv.z);
+    if (zc + depth_extent < camera.near) return empty;
+    if (zc - depth_extent > 0.5f * camera.near) {
         float ux = hu.x - center.x * hu.z, uy = hu.y - center.y * hu.z;
         float vx = hv.x - center.x * hv.z, vy = hv.y - center.y * hv.z;
         float zz = r2 * (hu.z * hu.z + hv.z * hv.z) - zc * zc;
@@ -60,40 +60,40 @@ ENVGS_FN PixelBox disc_box(const View& view, const Projection& center, Vec3<floa
         float slack = 0.01f + 1e-4f * (half_x + half_y);
         return {x - half_x - slack, y - half_y - slack, x + half_x + slack, y + half_y + slack};
     }
-    Vec3<float> hc = view.intrinsics * center.in_camera;
+    Vec3<float> hc = camera.intrinsics * center.in_camera;
     PixelBox box = {kInfinity, kInfinity, -kInfinity, -kInfinity};
     Vec3<float> corner[4] = {hc + r * (hu + hv), hc + r * (hu - hv), hc - r * (hu + hv), hc + r * (hv - hu)};
     for (int i = 0; i < 4; ++i) {
         Vec3<float> a = corner[i], b = corner[(i + 1) & 3];
-        if (a.z >= view.near) box = united(box, {a.x / a.z, a.y / a.z, a.x / a.z, a.y / a.z});
-        if ((a.z >= view.near) != (b.z >= view.near)) {
-            Vec3<float> c = a + ((view.near - a.z) / (b.z - a.z)) * (b - a);
-            box = united(box, {c.x / c.z, c.y / c.z, c.x / c.z, c.y / c.z});
+        if (a.z >= camera.near) box = merged(box, {a.x / a.z, a.y / a.z, a.x / a.z, a.y / a.z});
+        if ((a.z >= camera.near) != (b.z >= camera.near)) {
+            Vec3<float> c = a + ((camera.near - a.z) / (b.z - a.z)) * (b - a);
+            box = merged(box, {c.x / c.z, c.y / c.z, c.x / c.z, c.y / c.z});
         }
     }
     return {box.x0 - 1.0f, box.y0 - 1.0f, box.x1 + 1.0f, box.y1 + 1.0f};
 }
 
 // Returns the pixels that may respond; empty where the surfel cannot be seen.
-ENVGS_FN PixelBox prepare(const View& view, const SurfelInput& in, float opacity, SurfelSplat& splat) {
+ENVGS_FN PixelBox prepare(const PinholeCamera& camera, const SurfelInput& in, float opacity, SurfelSplat& splat) {
     PixelBox empty = {1.0f, 1.0f, 0.0f, 0.0f};
     splat.support = support_of(opacity);
     if (!(splat.support > 0.0f)) return empty;
     float inverse_norm;
     Axes<float> axes = axes_of(normalized(in.quaternion, inverse_norm));
     SurfelFrame<float> frame = surfel_frame(axes, in.scale_u, in.scale_v);
-    Projection center = project(view, in.mean);
+    Projection center = project(camera, in.mean);
     Mat3<float> a = {frame.u, frame.v, frame.n};
-    splat.origin = a * (view.center - in.mean);
-    splat.direction = a * view.pixel_to_direction;
+    splat.origin = a * (camera.center - in.mean);
+    splat.direction = a * camera.pixel_to_direction;
     splat.x = center.x, splat.y = center.y, splat.depth = center.in_camera.z;
     splat.opacity = opacity;
-    splat.screen_support = view.low_pass && splat.depth >= view.near ? splat.support : -1.0f;
-    PixelBox box = disc_box(view, center, in.scale_u * axes.u, in.scale_v * axes.v, splat.support);
+    splat.screen_support = camera.low_pass && splat.depth >= camera.near ? splat.support : -1.0f;
+    PixelBox box = disc_box(camera, center, in.scale_u * axes.u, in.scale_v * axes.v, splat.support);
     if (splat.screen_support > 0.0f) {
         float radius = square_root(0.5f * splat.support) + 0.01f;
         PixelBox screen = {splat.x - radius, splat.y - radius, splat.x + radius, splat.y + radius};
-        box = box.x0 > box.x1 ? screen : united(box, screen);
+        box = box.x0 > box.x1 ? screen : merged(box, screen);
     }
     return box;
 }
@@ -154,14 +154,14 @@ struct SplatGradient {
 };
 
 // g_normal: Σ w·side·dL/dnormal over the pixels, world frame.
-ENVGS_FN SplatGradient finish(const View& view, const SurfelInput& in, const SurfelSums<float>& sum,
+ENVGS_FN SplatGradient finish(const PinholeCamera& camera, const SurfelInput& in, const SurfelSums<float>& sum,
                               Vec3<float> g_normal) {
     float inverse_norm;
     Quaternion<float> q = normalized(in.quaternion, inverse_norm);
     SurfelGradient<float> own = surfel_backward(axes_of(q), in.scale_u, in.scale_v, sum.moments, g_normal);
-    Projection center = project(view, in.mean);
+    Projection center = project(camera, in.mean);
     Vec3<float> screen = {0.0f, 0.0f, 0.0f};
-    if (center.in_camera.z >= view.near) screen = project_backward(center, sum.x, sum.y, sum.depth);
+    if (center.in_camera.z >= camera.near) screen = project_backward(center, sum.x, sum.y, sum.depth);
     return {own.mean + screen, own.position_statistic + center.in_camera.z * screen,
             quaternion_gradient(q, inverse_norm, own.torque), {own.scale_u, own.scale_v, 0.0f}};
 }

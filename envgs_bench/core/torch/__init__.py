@@ -13,11 +13,11 @@ from ..camera import Camera
 from ..gaussians import GaussianSet
 from ..rendering import Rendering
 from ..trace import Bvh
-from .blending import shade
-from .drawing import Drawing
+from .blending import blend_hits
+from .intersections import Intersector
 from .search import all_blended_hits
 from .surfels import RasterizedSurfels, TracedSurfels
-from .volumes import RasterizedVolumes
+from .gaussians_3d import RasterizedGaussians3D
 
 __all__ = ["build_bvh", "rasterize", "trace", "why_unavailable"]
 
@@ -27,10 +27,10 @@ def why_unavailable() -> str | None:
 
 
 def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> Rendering:
-    kind = RasterizedSurfels if gaussians.is_surfels else RasterizedVolumes
-    drawing: Drawing = kind(gaussians, camera, near=options.near, low_pass=options.low_pass)
-    hits = all_blended_hits(drawing, options.transmittance_min)
-    return shade(drawing, hits, options.background)
+    kind = RasterizedSurfels if gaussians.is_surfels else RasterizedGaussians3D
+    intersector: Intersector = kind(gaussians, camera, near=options.near, low_pass=options.low_pass)
+    hits = all_blended_hits(intersector, options.transmittance_min)
+    return blend_hits(intersector, hits, options.background)
 
 
 def trace(
@@ -40,9 +40,9 @@ def trace(
         raise ValueError(
             f"the BVH was built by backend {bvh.backend!r}, this is 'torch': build it with backend='torch'"
         )
-    drawing = TracedSurfels(gaussians, origins, directions, options.t_min)
-    hits = all_blended_hits(drawing, options.transmittance_min)
-    return shade(drawing, hits, options.background)
+    intersector = TracedSurfels(gaussians, origins, directions, options.t_min)
+    hits = all_blended_hits(intersector, options.transmittance_min)
+    return blend_hits(intersector, hits, options.background)
 
 
 def build_bvh(gaussians: GaussianSet) -> Bvh:

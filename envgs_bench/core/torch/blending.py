@@ -8,39 +8,39 @@ import torch
 from torch import Tensor
 
 from ..rendering import Rendering, Statistics
-from .drawing import Drawing, alphas
+from .intersections import Intersector, alphas
 from .search import BlendedHits, transmittances
 
 
-def shade(drawing: Drawing, hits: BlendedHits, background: Tensor) -> Rendering:
-    """Blend the hits of each ray front to back; the rendering's fields are of the drawing's shape."""
-    gaussians, rays, primitives = drawing.gaussians, hits.rays, hits.primitives
+def blend_hits(intersector: Intersector, hits: BlendedHits, background: Tensor) -> Rendering:
+    """Blend the hits of each ray front to back; the rendering's fields are of the intersector's shape."""
+    gaussians, rays, primitives = intersector.gaussians, hits.rays, hits.primitives
     means = gaussians.means[primitives]  # a copy for each hit, so that a backward pass leaves the gradient of each
-    meeting = drawing.meet(rays, primitives, means)
-    alpha = alphas(gaussians.opacities[primitives], meeting.rho)
+    intersections = intersector.intersect(rays, primitives, means)
+    alpha = alphas(gaussians.opacities[primitives], intersections.rho)
     weights = transmittances(rays, alpha) * alpha
 
     def blend(values: Tensor) -> Tensor:
         """Σ w·value of each ray, from one value [P, …] a hit."""
         weighted = weights.reshape(-1, *[1] * (values.ndim - 1)) * values
-        sums = values.new_zeros(prod(drawing.shape), *values.shape[1:]).index_add(0, rays, weighted)
-        return sums.reshape(*drawing.shape, *values.shape[1:])
+        sums = values.new_zeros(prod(intersector.shape), *values.shape[1:]).index_add(0, rays, weighted)
+        return sums.reshape(*intersector.shape, *values.shape[1:])
 
     total = blend(torch.ones_like(weights))
     extras = gaussians.means.new_zeros(len(gaussians), 0) if gaussians.extras is None else gaussians.extras
-    counts = torch.bincount(rays, minlength=prod(drawing.shape))
+    counts = torch.bincount(rays, minlength=prod(intersector.shape))
     weight_sums = weights.new_zeros(len(gaussians)).index_add(0, primitives, weights.detach())
     rendering = Rendering(
-        color=blend(drawing.colors(rays, primitives)) + (1 - total)[..., None] * background,
+        color=blend(intersector.colors(rays, primitives)) + (1 - total)[..., None] * background,
         alpha=total,
-        depth=blend(meeting.t) / torch.where(total > 0, total, 1),
-        normal=blend(drawing.axes[primitives] * meeting.facing[:, None]),
+        depth=blend(intersections.t) / torch.where(total > 0, total, 1),
+        normal=blend(intersector.axes[primitives] * intersections.facing[:, None]),
         extras=blend(extras[primitives]),
-        hits=counts.reshape(drawing.shape).to(torch.int32),
+        hits=counts.reshape(intersector.shape).to(torch.int32),
         statistics=Statistics(weights=weight_sums),
     )
     if means.requires_grad:
-        record_position_gradients(rendering.statistics, means, primitives, meeting.t.detach(), len(gaussians))
+        record_position_gradients(rendering.statistics, means, primitives, intersections.t.detach(), len(gaussians))
     return rendering
 
 

@@ -32,15 +32,15 @@ class Pixels:
     def depths(self, points: Tensor) -> Tensor:
         return self.in_camera(points)[..., 2]
 
-    def offsets(self, rays: Tensor, points: Tensor, ahead: Tensor) -> Tensor:
-        """Pixel centers minus the projections of world points, [..., 2]; of no meaning where a point is not ahead."""
+    def offsets(self, rays: Tensor, points: Tensor, in_front: Tensor) -> Tensor:
+        """Pixel centers minus the projections of world points, [..., 2]; of no meaning where a point is not in_front."""
         in_camera = self.in_camera(points)
         # A point in the camera's plane has no projection: keep its gradient finite.
-        z = torch.where(ahead, in_camera[..., 2], 1)
+        z = torch.where(in_front, in_camera[..., 2], 1)
         homogeneous = torch.stack([in_camera[..., 0] / z, in_camera[..., 1] / z, torch.ones_like(z)], dim=-1)
         return self.positions(rays) - homogeneous @ self.camera.intrinsics[:2].T
 
-    def squared_distance(self, rays: Tensor, points: Tensor, ahead: Tensor) -> Tensor:
+    def squared_distance(self, rays: Tensor, points: Tensor, in_front: Tensor) -> Tensor:
         """Squared distance in pixels of pixel centers from the projections of world points."""
-        offsets = self.offsets(rays, points, ahead)
+        offsets = self.offsets(rays, points, in_front)
         return (offsets * offsets).sum(-1)

@@ -8,7 +8,7 @@ from math import prod
 import torch
 from torch import Tensor
 
-from .drawing import Drawing, alphas, cutoffs
+from .intersections import Intersector, alphas, cutoffs
 
 PAIRS_AT_ONCE = 1 << 20  # bounds the memory of a brute-force search
 
@@ -21,27 +21,27 @@ class BlendedHits:
     primitives: Tensor  # [P] int64
 
 
-def all_blended_hits(drawing: Drawing, transmittance_min: float) -> BlendedHits:
+def all_blended_hits(intersector: Intersector, transmittance_min: float) -> BlendedHits:
     """The blended hits of all rays, by testing each against all primitives."""
-    device = drawing.gaussians.device
-    primitives = torch.arange(len(drawing.gaussians), device=device)
+    device = intersector.gaussians.device
+    primitives = torch.arange(len(intersector.gaussians), device=device)
     rays_at_once = max(1, PAIRS_AT_ONCE // max(1, len(primitives)))
     found = [BlendedHits(primitives[:0], primitives[:0])]
-    for rays in torch.arange(prod(drawing.shape), device=device).split(rays_at_once):
-        found.append(blended_hits(drawing, rays[:, None], primitives[None, :], transmittance_min))
+    for rays in torch.arange(prod(intersector.shape), device=device).split(rays_at_once):
+        found.append(blended_hits(intersector, rays[:, None], primitives[None, :], transmittance_min))
     return BlendedHits(torch.cat([f.rays for f in found]), torch.cat([f.primitives for f in found]))
 
 
 @torch.no_grad()
-def blended_hits(drawing: Drawing, rays: Tensor, primitives: Tensor, transmittance_min: float) -> BlendedHits:
+def blended_hits(intersector: Intersector, rays: Tensor, primitives: Tensor, transmittance_min: float) -> BlendedHits:
     """The blended hits among candidate pairs, given as indices of shapes that broadcast."""
-    opacities = drawing.gaussians.opacities
-    meeting = drawing.meet(rays, primitives, drawing.gaussians.means[primitives])
-    drawn = meeting.possible & (meeting.rho <= cutoffs(opacities)[primitives])
+    opacities = intersector.gaussians.opacities
+    intersections = intersector.intersect(rays, primitives, intersector.gaussians.means[primitives])
+    drawn = intersections.valid & (intersections.rho <= cutoffs(opacities)[primitives])
     rays, primitives = (index.expand_as(drawn)[drawn] for index in (rays, primitives))
-    alpha = alphas(opacities[primitives], meeting.rho[drawn])
+    alpha = alphas(opacities[primitives], intersections.rho[drawn])
 
-    order = front_to_back(rays, meeting.order[drawn], primitives)
+    order = front_to_back(rays, intersections.order[drawn], primitives)
     rays, primitives, alpha = rays[order], primitives[order], alpha[order]
     # The hit that takes the transmittance below the threshold is the last one blended.
     kept = transmittances(rays, alpha) >= transmittance_min

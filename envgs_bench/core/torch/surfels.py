@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ..camera import Camera
 from ..gaussians import GaussianSet
-from .drawing import Drawing, Meeting
+from .intersections import Intersector, Intersections
 from .pixels import Pixels
 from .rotation import rotation_matrices
 from .sh import sh_color
@@ -19,7 +19,7 @@ LOW_PASS_INVERSE_VARIANCE = 2.0  # 1/px²: a screen-space Gaussian of √2/2 px
 
 
 @dataclass(frozen=True)
-class Crossing:
+class PlaneHits:
     """Where rays cross the planes of surfels."""
 
     t: Tensor
@@ -28,7 +28,7 @@ class Crossing:
     exists: Tensor
 
 
-def cross(origins: Tensor, directions: Tensor, means: Tensor, frames: Tensor, scales: Tensor) -> Crossing:
+def intersect_planes(origins: Tensor, directions: Tensor, means: Tensor, frames: Tensor, scales: Tensor) -> PlaneHits:
     """Cross rays o + t·d with the planes of surfels; all arguments' leading shapes broadcast.
 
     t = −(o − p)·n / d·n;  u = (o + t·d − p)·t_u / s_u, v likewise;  ρ = u² + v².
@@ -42,7 +42,7 @@ def cross(origins: Tensor, directions: Tensor, means: Tensor, frames: Tensor, sc
     v = (dot(offsets, tangent_v) + t * dot(directions, tangent_v)) / scales[..., 1]
     rho = u * u + v * v
     facing = torch.where(slope > 0, -1, 1).to(t)
-    return Crossing(t, rho, facing, exists & t.isfinite() & rho.isfinite())
+    return PlaneHits(t, rho, facing, exists & t.isfinite() & rho.isfinite())
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
@@ -50,7 +50,7 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 
-class TracedSurfels(Drawing):
+class TracedSurfels(Intersector):
     """Surfels along arbitrary rays, in the order of their hits."""
 
     def __init__(self, gaussians: GaussianSet, origins: Tensor, directions: Tensor, t_min: float) -> None:
@@ -59,18 +59,18 @@ class TracedSurfels(Drawing):
         self.frames = rotation_matrices(gaussians.quaternions)
         self.axes = self.frames[:, :, 2]
 
-    def meet(self, rays: Tensor, primitives: Tensor, means: Tensor) -> Meeting:
-        crossing = cross(
+    def intersect(self, rays: Tensor, primitives: Tensor, means: Tensor) -> Intersections:
+        plane = intersect_planes(
             self.origins[rays], self.directions[rays], means, self.frames[primitives], self.gaussians.scales[primitives]
         )
-        possible = crossing.exists & (crossing.t >= self.t_min)
-        return Meeting(crossing.t, crossing.rho, order=crossing.t, facing=crossing.facing, possible=possible)
+        valid = plane.exists & (plane.t >= self.t_min)
+        return Intersections(plane.t, plane.rho, order=plane.t, facing=plane.facing, valid=valid)
 
     def colors(self, rays: Tensor, primitives: Tensor) -> Tensor:
         return sh_color(self.gaussians.sh[primitives], self.gaussians.means[primitives] - self.origins[rays])
 
 
-class RasterizedSurfels(Drawing):
+class RasterizedSurfels(Intersector):
     """Surfels as a camera sees them, in the order of their centers' depth."""
 
     def __init__(self, gaussians: GaussianSet, camera: Camera, near: float, low_pass: bool) -> None:
@@ -81,21 +81,21 @@ class RasterizedSurfels(Drawing):
         self.axes = self.frames[:, :, 2]
         self.color_of = sh_color(gaussians.sh, gaussians.means - self.pixels.center)
 
-    def meet(self, rays: Tensor, primitives: Tensor, means: Tensor) -> Meeting:
+    def intersect(self, rays: Tensor, primitives: Tensor, means: Tensor) -> Intersections:
         frames, scales = self.frames[primitives], self.gaussians.scales[primitives]
-        crossing = cross(self.pixels.center, self.pixels.directions[rays], means, frames, scales)
-        possible = crossing.exists & (crossing.t >= self.near)
-        t, rho = crossing.t, crossing.rho
+        plane = intersect_planes(self.pixels.center, self.pixels.directions[rays], means, frames, scales)
+        valid = plane.exists & (plane.t >= self.near)
+        t, rho = plane.t, plane.rho
         depths = self.pixels.depths(means)
         if self.low_pass:
-            ahead = (depths >= self.near) & (depths > 0)
-            squared_px = self.pixels.squared_distance(rays, means, ahead)
+            in_front = (depths >= self.near) & (depths > 0)
+            squared_px = self.pixels.squared_distance(rays, means, in_front)
             on_screen = LOW_PASS_INVERSE_VARIANCE * squared_px
-            smaller = ahead & (~possible | (on_screen < rho))
+            smaller = in_front & (~valid | (on_screen < rho))
             t = torch.where(smaller, depths, t)
             rho = torch.where(smaller, on_screen, rho)
-            possible = possible | ahead
-        return Meeting(t, rho, order=depths.expand_as(t), facing=crossing.facing, possible=possible)
+            valid = valid | in_front
+        return Intersections(t, rho, order=depths.expand_as(t), facing=plane.facing, valid=valid)
 
     def colors(self, rays: Tensor, primitives: Tensor) -> Tensor:
         return self.color_of[primitives]

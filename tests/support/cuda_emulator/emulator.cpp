@@ -26,11 +26,11 @@ enum Order { ascending, descending, shuffled };
 // Threads that wait for each other: a warp or a block.
 struct Group {
     unsigned living = 0, arrived = 0;
-    unsigned meetings = 0;  // how many are over
+    unsigned phase = 0;  // how many are over
     Operation operation = Operation::none;
 };
 struct Warp : Group {
-    Meeting two[2];  // some lanes may not have read the last meeting's values when others come to the next
+    WarpExchange two[2];  // some lanes may not have read the last exchange's values when others come to the next
 };
 struct Block : Group {
     bool any[2];
@@ -42,9 +42,9 @@ struct Thread {
     jmp_buf place;     // where it goes on
     bool has_run = false, ended = true;
     const Group* waits_for = nullptr;
-    unsigned meeting = 0;  // that it waits for the end of
+    unsigned phase = 0;  // the group's phase at which it began to wait
 
-    bool can_run() const { return !ended && !(waits_for && waits_for->meetings == meeting); }
+    bool can_run() const { return !ended && !(waits_for && waits_for->phase == phase); }
 };
 
 Thread threads[kMaxThreads];
@@ -59,7 +59,7 @@ char error[400];
 void close_if_complete(Group& group) {
     if (group.arrived == 0 || group.arrived < group.living) return;
     group.arrived = 0;
-    ++group.meetings;
+    ++group.phase;
 }
 
 void fail_block(const char* message) {
@@ -98,7 +98,7 @@ void arrive(Group& group, Operation operation) {
     if (group.operation != operation)
         fail("threads of one group are at different operations (%d and %d)", int(group.operation), int(operation));
     Thread& self = threads[threadIdx.x];
-    self.waits_for = &group, self.meeting = group.meetings;
+    self.waits_for = &group, self.phase = group.phase;
     close_if_complete(group);
     if (!self.can_run()) to_scheduler(self);
     self.waits_for = nullptr;
@@ -164,18 +164,18 @@ void on_bad_address(int) { fail("reads or writes outside all memory"); }
 
 }  // namespace
 
-const Meeting& meet_warp(Operation operation, uint64_t value) {
+const WarpExchange& synchronize_warp(Operation operation, uint64_t value) {
     Warp& warp = warps[threadIdx.x / 32];
-    Meeting& meeting = warp.two[warp.meetings & 1];
-    if (warp.arrived == 0) meeting.present = 0;
-    meeting.present |= 1u << (threadIdx.x & 31);
-    meeting.values[threadIdx.x & 31] = value;
+    WarpExchange& exchange = warp.two[warp.phase & 1];
+    if (warp.arrived == 0) exchange.present = 0;
+    exchange.present |= 1u << (threadIdx.x & 31);
+    exchange.values[threadIdx.x & 31] = value;
     arrive(warp, operation);
-    return meeting;
+    return exchange;
 }
 
-bool meet_block(Operation operation, bool value) {
-    bool& any = block.any[block.meetings & 1];
+bool synchronize_block(Operation operation, bool value) {
+    bool& any = block.any[block.phase & 1];
     if (block.arrived == 0) any = false;
     any |= value;
     arrive(block, operation);

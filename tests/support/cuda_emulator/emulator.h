@@ -59,7 +59,7 @@ namespace emulator {
 enum class Operation { none, barrier, barrier_or, sync, ballot, match, shuffle, add, least, greatest };
 
 // What the lanes of a warp brought to an operation; those that had ended brought nothing.
-struct Meeting {
+struct WarpExchange {
     uint64_t values[32];
     unsigned present;
 
@@ -70,9 +70,9 @@ struct Meeting {
 };
 
 // Returns once all living lanes of the warp have come to the same operation.
-const Meeting& meet_warp(Operation operation, uint64_t value);
+const WarpExchange& synchronize_warp(Operation operation, uint64_t value);
 // The same for the block; whether any thread brought true.
-bool meet_block(Operation operation, bool value);
+bool synchronize_block(Operation operation, bool value);
 // Ends the launch with an error.
 [[noreturn]] void fail(const char* format, ...);
 
@@ -90,7 +90,7 @@ T from_word(uint64_t word) {
     return value;
 }
 
-inline void need_full(unsigned mask) {
+inline void require_full_warp(unsigned mask) {
     if (mask != ~0u) fail("a warp's operation has mask %#x, only whole warps are emulated", mask);
 }
 
@@ -133,14 +133,14 @@ const char* launch(void (*kernel)(Parameters...), unsigned blocks, unsigned thre
         return emulator::launch(name, blocks, threads, order, arguments);                                          \
     }
 
-inline void __syncthreads() { emulator::meet_block(emulator::Operation::barrier, false); }
-inline int __syncthreads_or(int value) { return emulator::meet_block(emulator::Operation::barrier_or, value); }
-inline void __syncwarp() { emulator::meet_warp(emulator::Operation::sync, 0); }
+inline void __syncthreads() { emulator::synchronize_block(emulator::Operation::barrier, false); }
+inline int __syncthreads_or(int value) { return emulator::synchronize_block(emulator::Operation::barrier_or, value); }
+inline void __syncwarp() { emulator::synchronize_warp(emulator::Operation::sync, 0); }
 
 inline unsigned __ballot_sync(unsigned mask, bool value) {
-    emulator::need_full(mask);
+    emulator::require_full_warp(mask);
     unsigned lanes = 0;
-    emulator::meet_warp(emulator::Operation::ballot, value).each([&](int lane, uint64_t one) {
+    emulator::synchronize_warp(emulator::Operation::ballot, value).each([&](int lane, uint64_t one) {
         lanes |= unsigned(one) << lane;
     });
     return lanes;
@@ -149,10 +149,10 @@ inline int __any_sync(unsigned mask, bool value) { return __ballot_sync(mask, va
 
 template <class T>
 unsigned __match_any_sync(unsigned mask, T value) {
-    emulator::need_full(mask);
+    emulator::require_full_warp(mask);
     uint64_t own = emulator::to_word(value);
     unsigned lanes = 0;
-    emulator::meet_warp(emulator::Operation::match, own).each([&](int lane, uint64_t one) {
+    emulator::synchronize_warp(emulator::Operation::match, own).each([&](int lane, uint64_t one) {
         if (one == own) lanes |= 1u << lane;
     });
     return lanes;
@@ -160,10 +160,10 @@ unsigned __match_any_sync(unsigned mask, T value) {
 
 template <class T>
 T __shfl_sync(unsigned mask, T value, int source) {
-    emulator::need_full(mask);
-    const emulator::Meeting& meeting = emulator::meet_warp(emulator::Operation::shuffle, emulator::to_word(value));
-    if (!(meeting.present >> (source & 31) & 1)) emulator::fail("a shuffle reads from lane %d, which has ended", source);
-    return emulator::from_word<T>(meeting.values[source & 31]);
+    emulator::require_full_warp(mask);
+    const emulator::WarpExchange& exchange = emulator::synchronize_warp(emulator::Operation::shuffle, emulator::to_word(value));
+    if (!(exchange.present >> (source & 31) & 1)) emulator::fail("a shuffle reads from lane %d, which has ended", source);
+    return emulator::from_word<T>(exchange.values[source & 31]);
 }
 template <class T>
 T __shfl_xor_sync(unsigned mask, T value, int bits) {
@@ -176,21 +176,21 @@ T __shfl_up_sync(unsigned mask, T value, int offset) {
 }
 
 inline unsigned __reduce_add_sync(unsigned mask, unsigned value) {
-    emulator::need_full(mask);
+    emulator::require_full_warp(mask);
     unsigned sum = 0;
-    emulator::meet_warp(emulator::Operation::add, value).each([&](int, uint64_t one) { sum += unsigned(one); });
+    emulator::synchronize_warp(emulator::Operation::add, value).each([&](int, uint64_t one) { sum += unsigned(one); });
     return sum;
 }
 inline unsigned __reduce_min_sync(unsigned mask, unsigned value) {
-    emulator::need_full(mask);
-    emulator::meet_warp(emulator::Operation::least, value).each([&](int, uint64_t one) {
+    emulator::require_full_warp(mask);
+    emulator::synchronize_warp(emulator::Operation::least, value).each([&](int, uint64_t one) {
         value = min(value, unsigned(one));
     });
     return value;
 }
 inline unsigned __reduce_max_sync(unsigned mask, unsigned value) {
-    emulator::need_full(mask);
-    emulator::meet_warp(emulator::Operation::greatest, value).each([&](int, uint64_t one) {
+    emulator::require_full_warp(mask);
+    emulator::synchronize_warp(emulator::Operation::greatest, value).each([&](int, uint64_t one) {
         value = max(value, unsigned(one));
     });
     return value;

@@ -34,7 +34,7 @@ ORDERS = ("ascending", "descending", "shuffled")  # as in emulator.cpp
 HERE = Path(__file__).parent
 KERNEL = re.compile(r'extern "C" __global__ void\s+(?:__launch_bounds__\([^)]*\)\s+)?(\w+)\(')
 # of the backend, that allocate or wait
-MODULES = ("", ".bvh", ".normals", ".raster_pass", ".reflect", ".similarity", ".sorting", ".trace_pass")
+MODULES = ("", ".bvh", ".normals", ".raster_pass", ".reflect", ".sorting", ".ssim", ".trace_pass")
 CHECKS = ("alignment", "bounds")
 FLAGS = (
     "-std=c++20", "-O1", "-fPIC", "-w",
@@ -174,13 +174,13 @@ class HostTorch:
         return getattr(torch, name)
 
     def empty(self, *size: Any, pin_memory: bool = False, **options: Any) -> Tensor:
-        return spoiled(torch.empty(*size, **options))
+        return poisoned(torch.empty(*size, **options))
 
     def empty_like(self, other: Tensor) -> Tensor:
-        return spoiled(torch.empty_like(other))
+        return poisoned(torch.empty_like(other))
 
 
-def spoiled(memory: Tensor) -> Tensor:
+def poisoned(memory: Tensor) -> Tensor:
     return memory.fill_(torch.nan if memory.is_floating_point() else -1)
 
 
@@ -200,7 +200,7 @@ def emulated(builds: Path, order: str) -> Iterator[Backend]:
         patch.setattr(launch, "Kernels", partial(EmulatedKernels, builds=builds, order=order))
         for module in modules:
             patch.setattr(module, "torch", HostTorch())
-        patch.setattr(raster_pass, "LEAST_ROOM", 1 << 12)  # every place has a thread
+        patch.setattr(raster_pass, "MIN_CAPACITY", 1 << 12)  # every place has a thread
         patch.setattr(raster_pass, "_latest_instances", {})
         patch.setattr(trace_pass, "_latest_pages", {})
         launch.kernels.cache_clear()

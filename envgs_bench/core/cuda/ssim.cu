@@ -3,7 +3,7 @@
 
 constexpr int kWindow = 11, kTileWidth = 32, kTileHeight = 16;
 constexpr int kLoadedWidth = kTileWidth + kWindow - 1, kLoadedHeight = kTileHeight + kWindow - 1;
-constexpr int kLoaded = kLoadedHeight * kLoadedWidth, kRows = kLoadedHeight * kTileWidth, kTile = kTileHeight * kTileWidth;
+constexpr int kLoaded = kLoadedHeight * kLoadedWidth, kRows = kLoadedHeight * kTileWidth, kTilePixels = kTileHeight * kTileWidth;
 
 // A channel of an image, zero beyond its borders.
 struct Channel {
@@ -31,8 +31,8 @@ struct Tile {
 // `similarity` [C, H + 2·pad − 10, W + 2·pad − 10] of two images [C, H, W]. Where `slopes` [3, C, …] is given, it becomes
 // the gradient of each value with respect to the blurred x, x² + y² and x·y, half of it for the first and last.
 extern "C" __global__ void __launch_bounds__(256)
-    compare_images(const float* image, const float* target, int channels, int height, int width, int pad,
-                   const float* taps, float c1, float c2, float* similarity, float* slopes) {
+    ssim_map(const float* image, const float* target, int channels, int height, int width, int pad,
+                   const float* taps, float c1, float c2, float* similarity, float* partials) {
     __shared__ float xs[kLoaded], ys[kLoaded], rows[4][kRows];
     int out_height = height + 2 * pad - (kWindow - 1), out_width = width + 2 * pad - (kWindow - 1);
     Tile tile(out_height, out_width);
@@ -56,7 +56,7 @@ extern "C" __global__ void __launch_bounds__(256)
     }
     __syncthreads();
     long values = long(out_height) * out_width;
-    for (int i = threadIdx.x; i < kTile; i += 256) {
+    for (int i = threadIdx.x; i < kTilePixels; i += 256) {
         int row = tile.top + i / kTileWidth, column = tile.left + i % kTileWidth;
         if (row >= out_height || column >= out_width) continue;
         float sums[4] = {};
@@ -69,17 +69,17 @@ extern "C" __global__ void __launch_bounds__(256)
         float scale = 1.0f / (b1 * b2), value = a1 * a2 * scale;
         long at = tile.channel * values + long(row) * out_width + column;
         similarity[at] = value;
-        if (!slopes) continue;
+        if (!partials) continue;
         float to_squares = -value / b2;
-        slopes[at] = (a2 - a1) * mean_y * scale - (to_squares + value / b1) * mean_x;
-        slopes[channels * values + at] = to_squares;
-        slopes[2 * channels * values + at] = a1 * scale;
+        partials[at] = (a2 - a1) * mean_y * scale - (to_squares + value / b1) * mean_x;
+        partials[channels * values + at] = to_squares;
+        partials[2 * channels * values + at] = a1 * scale;
     }
 }
 
 // `g_image` [C, H, W] from `compare_images`' slopes and the gradient of its values.
 extern "C" __global__ void __launch_bounds__(256)
-    differentiate_comparison(const float* image, const float* target, const float* gradient, const float* slopes,
+    differentiate_ssim_map(const float* image, const float* target, const float* gradient, const float* partials,
                              int channels, int height, int width, int pad, const float* taps, float* g_image) {
     __shared__ float loaded[3][kLoaded], rows[3][kRows];
     int map_height = height + 2 * pad - (kWindow - 1), map_width = width + 2 * pad - (kWindow - 1);
@@ -93,8 +93,8 @@ extern "C" __global__ void __launch_bounds__(256)
         int row = tile.top - border + i / kLoadedWidth, column = tile.left - border + i % kLoadedWidth;
         float upstream = g.at(row, column);
         for (int term = 0; term < 3; ++term) {
-            Channel slope = {slopes + (long(term) * channels + tile.channel) * values, map_height, map_width};
-            loaded[term][i] = upstream * slope.at(row, column);
+            Channel partial = {partials + (long(term) * channels + tile.channel) * values, map_height, map_width};
+            loaded[term][i] = upstream * partial.at(row, column);
         }
     }
     __syncthreads();
@@ -108,7 +108,7 @@ extern "C" __global__ void __launch_bounds__(256)
     __syncthreads();
     long first_pixel = long(tile.channel) * height * width;
     Channel x = {image + first_pixel, height, width}, y = {target + first_pixel, height, width};
-    for (int i = threadIdx.x; i < kTile; i += 256) {
+    for (int i = threadIdx.x; i < kTilePixels; i += 256) {
         int row = tile.top + i / kTileWidth, column = tile.left + i % kTileWidth;
         if (row >= height || column >= width) continue;
         float sums[3] = {};

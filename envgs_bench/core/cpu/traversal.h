@@ -24,15 +24,15 @@ struct Hit {
     int index() const { return int(uint32_t(key)); }
 };
 
-class Walk {
+class Traversal {
 public:
-    explicit Walk(const Bvh& bvh) : bvh_(bvh) {}
+    explicit Traversal(const Bvh& bvh) : bvh_(bvh) {}
 
     // The hits that a ray blends, in order. Valid until the next call.
     const std::vector<Hit>& hits(Vec3<float> origin, Vec3<float> direction, float t_min, float transmittance_min);
 
 private:
-    struct Pending {
+    struct StackEntry {
         float t;        // where the ray enters the box
         float nearest;  // the smallest t of this entry and of those below it
         int child;
@@ -40,22 +40,22 @@ private:
 
     void visit_node(const BvhNode& node);
     void visit_leaf(const BvhLeaf& leaf);
-    bool settle(float safe);
+    bool finalize_hits(float t_end);
     void push(float t, int child) {
         float below = stack_.empty() ? kInfinity : stack_.back().nearest;
         stack_.push_back({t, minimum(t, below), child});
     }
 
     const Bvh& bvh_;
-    std::vector<Pending> stack_;
+    std::vector<StackEntry> stack_;
     std::vector<Hit> found_;    // sorted; those before settled_ were handed on
-    size_t settled_ = 0;
+    size_t finalized_ = 0;
     std::vector<Hit> blended_;
     Vec3<float> origin_, direction_, inverse_;
     float t_min_, transmittance_, transmittance_min_;
 };
 
-inline void Walk::visit_node(const BvhNode& node) {
+inline void Traversal::visit_node(const BvhNode& node) {
     auto slab = [&](int axis, float origin, float inverse, Float8& enter, Float8& leave) {
         Float8 a = (load_lanes<Float8>(node.low[axis]) - origin) * inverse;
         Float8 b = (load_lanes<Float8>(node.high[axis]) - origin) * inverse;
@@ -83,7 +83,7 @@ inline void Walk::visit_node(const BvhNode& node) {
     for (int i = 0; i < count; ++i) push(t[order[i]], node.child[order[i]]);
 }
 
-inline void Walk::visit_leaf(const BvhLeaf& leaf) {
+inline void Traversal::visit_leaf(const BvhLeaf& leaf) {
     auto rows = [](const float (&m)[3][8]) -> Vec3<Float8> {
         return {load_lanes<Float8>(m[0]), load_lanes<Float8>(m[1]), load_lanes<Float8>(m[2])};
     };
@@ -103,15 +103,15 @@ inline void Walk::visit_leaf(const BvhLeaf& leaf) {
         Hit entry = {uint64_t(t[lane] & 0x7fffffffu) << 32 | uint32_t(leaf.index[lane]), alpha[lane]};
         found_.push_back(entry);
         size_t at = found_.size() - 1;
-        for (; at > settled_ && found_[at - 1].key > entry.key; --at) found_[at] = found_[at - 1];
+        for (; at > finalized_ && found_[at - 1].key > entry.key; --at) found_[at] = found_[at - 1];
         found_[at] = entry;
     }
 }
 
 // Hands on what lies nearer than `safe`; true when the ray has ended.
-inline bool Walk::settle(float safe) {
-    while (settled_ < found_.size() && found_[settled_].t() < safe) {
-        const Hit& hit = found_[settled_++];
+inline bool Traversal::finalize_hits(float t_end) {
+    while (finalized_ < found_.size() && found_[finalized_].t() < t_end) {
+        const Hit& hit = found_[finalized_++];
         blended_.push_back(hit);
         transmittance_ *= 1.0f - hit.alpha;
         if (transmittance_ < transmittance_min_) return true;
@@ -119,7 +119,7 @@ inline bool Walk::settle(float safe) {
     return false;
 }
 
-inline const std::vector<Hit>& Walk::hits(Vec3<float> origin, Vec3<float> direction, float t_min,
+inline const std::vector<Hit>& Traversal::hits(Vec3<float> origin, Vec3<float> direction, float t_min,
                                           float transmittance_min) {
     // A component of 0 would make 0·∞ of a box that touches the ray; a tiny one only makes it very far away.
     auto inverse = [](float x) { return 1.0f / (std::fabs(x) > 1e-20f ? x : std::copysign(1e-20f, x)); };
@@ -132,20 +132,20 @@ inline const std::vector<Hit>& Walk::hits(Vec3<float> origin, Vec3<float> direct
     stack_.clear();
     found_.clear();
     blended_.clear();
-    settled_ = 0;
-    bool flies = direction.x != 0.0f || direction.y != 0.0f || direction.z != 0.0f;
-    if (bvh_.nodes.empty() || !flies) return blended_;
+    finalized_ = 0;
+    bool has_direction = direction.x != 0.0f || direction.y != 0.0f || direction.z != 0.0f;
+    if (bvh_.nodes.empty() || !has_direction) return blended_;
     push(t_min, 0);
     while (!stack_.empty()) {
-        Pending next = stack_.back();
+        StackEntry next = stack_.back();
         stack_.pop_back();
-        if (settle(next.nearest)) return blended_;
+        if (finalize_hits(next.nearest)) return blended_;
         if (next.child >= 0)
             visit_node(bvh_.nodes[next.child]);
         else
             visit_leaf(bvh_.leaves[~next.child]);
     }
-    settle(kInfinity);
+    finalize_hits(kInfinity);
     return blended_;
 }
 

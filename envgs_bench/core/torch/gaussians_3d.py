@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..camera import Camera
 from ..gaussians import GaussianSet
-from .drawing import Drawing, Meeting
+from .intersections import Intersector, Intersections
 from .pixels import Pixels
 from .rotation import rotation_matrices
 from .sh import sh_color
@@ -16,7 +16,7 @@ LOW_PASS_VARIANCE = 0.3  # px², added to a projected covariance
 FRUSTUM_MARGIN = 0.3  # of the half width (height): how far outside the image the projection is linearized
 
 
-class RasterizedVolumes(Drawing):
+class RasterizedGaussians3D(Intersector):
     """3D Gaussians as a camera sees them, in the order of their centers' depth."""
 
     def __init__(self, gaussians: GaussianSet, camera: Camera, near: float, low_pass: bool) -> None:
@@ -32,34 +32,34 @@ class RasterizedVolumes(Drawing):
         self.color_of = sh_color(gaussians.sh, offsets)
         self.facing = torch.where((self.axes * offsets).sum(-1) > 0, -1, 1).to(offsets)
 
-    def meet(self, rays: Tensor, primitives: Tensor, means: Tensor) -> Meeting:
+    def intersect(self, rays: Tensor, primitives: Tensor, means: Tensor) -> Intersections:
         depths = self.pixels.depths(means)
-        ahead = (depths >= self.near) & (depths > 0)
-        jacobian = self.jacobian(means, ahead) @ self.pixels.camera.world_to_camera[:3, :3]
+        in_front = (depths >= self.near) & (depths > 0)
+        jacobian = self.jacobian(means, in_front) @ self.pixels.camera.world_to_camera[:3, :3]
         covariance = jacobian @ self.covariances[primitives] @ jacobian.mT
         if self.low_pass:
             covariance = covariance + LOW_PASS_VARIANCE * torch.eye(2).to(covariance)
         a, b, c = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
         determinant = a * c - b * b
-        possible = ahead & (determinant > 0)
-        x, y = self.pixels.offsets(rays, means, ahead).unbind(-1)
-        rho = (c * x * x - 2 * b * x * y + a * y * y) / torch.where(possible, determinant, 1)
+        valid = in_front & (determinant > 0)
+        x, y = self.pixels.offsets(rays, means, in_front).unbind(-1)
+        rho = (c * x * x - 2 * b * x * y + a * y * y) / torch.where(valid, determinant, 1)
         depths = depths.expand_as(rho)
-        return Meeting(
-            depths, rho, order=depths, facing=self.facing[primitives].expand_as(rho), possible=possible.expand_as(rho)
+        return Intersections(
+            depths, rho, order=depths, facing=self.facing[primitives].expand_as(rho), valid=valid.expand_as(rho)
         )
 
-    def jacobian(self, means: Tensor, ahead: Tensor) -> Tensor:
+    def jacobian(self, means: Tensor, in_front: Tensor) -> Tensor:
         """d(pixel position) / d(camera-frame position) at the centers [..., 3], [..., 2, 3].
 
-        The position where it is taken is held within the image and a margin: further out the approximation explodes.
+        The position where it is taken is clamped_slope within the image and a margin: further out the approximation explodes.
         """
         x, y, z = self.pixels.in_camera(means).unbind(-1)
-        z = torch.where(ahead, z, 1)
+        z = torch.where(in_front, z, 1)
         camera = self.pixels.camera
         k = camera.intrinsics
-        slope_x = held(x / z, k[0, 0], k[0, 2], camera.width)
-        slope_y = held(y / z, k[1, 1], k[1, 2], camera.height)
+        slope_x = clamped_slope(x / z, k[0, 0], k[0, 2], camera.width)
+        slope_y = clamped_slope(y / z, k[1, 1], k[1, 2], camera.height)
         zero, inverse = torch.zeros_like(z), 1 / z
         of_slopes = torch.stack([inverse, zero, -slope_x * inverse, zero, inverse, -slope_y * inverse], dim=-1)
         return k[:2, :2] @ of_slopes.unflatten(-1, (2, 3))
@@ -68,7 +68,7 @@ class RasterizedVolumes(Drawing):
         return self.color_of[primitives]
 
 
-def held(slope: Tensor, focal: Tensor, center: Tensor, size: int) -> Tensor:
+def clamped_slope(slope: Tensor, focal: Tensor, center: Tensor, size: int) -> Tensor:
     """x/z (or y/z) clamped to the image's extent and FRUSTUM_MARGIN of its half size on either side."""
     margin = FRUSTUM_MARGIN * size / 2
     return slope.clamp(float(-(center + margin) / focal), float((size - center + margin) / focal))

@@ -4,14 +4,14 @@
 using namespace envgs;
 
 // Pixels whose centers lie in the box; false where there are none, or the box is not finite.
-ENVGS_FN bool pixels_of(const View& view, PixelBox box, PixelRect& rect) {
-    if (!(box.x1 >= 0.5f && box.y1 >= 0.5f && box.x0 <= view.width - 0.5f && box.y0 <= view.height - 0.5f &&
+ENVGS_FN bool pixels_of(const PinholeCamera& camera, PixelBox box, PixelRect& rect) {
+    if (!(box.x1 >= 0.5f && box.y1 >= 0.5f && box.x0 <= camera.width - 0.5f && box.y0 <= camera.height - 0.5f &&
           box.x0 <= box.x1))
         return false;
     rect.column0 = int(ceilf(maximum(box.x0, 0.5f) - 0.5f));
     rect.row0 = int(ceilf(maximum(box.y0, 0.5f) - 0.5f));
-    rect.column1 = int(floorf(minimum(box.x1, view.width - 0.5f) - 0.5f));
-    rect.row1 = int(floorf(minimum(box.y1, view.height - 0.5f) - 0.5f));
+    rect.column1 = int(floorf(minimum(box.x1, camera.width - 0.5f) - 0.5f));
+    rect.row1 = int(floorf(minimum(box.y1, camera.height - 0.5f) - 0.5f));
     return rect.column0 <= rect.column1 && rect.row0 <= rect.row1;
 }
 
@@ -19,31 +19,31 @@ ENVGS_FN bool pixels_of(const View& view, PixelBox box, PixelRect& rect) {
 // tiles; slots [N] tells where a primitive went, −1 where nowhere, and indices [visible] the way back.
 extern "C" __global__ void __launch_bounds__(256)
     prepare_primitives(const float* means, const float* quaternions, const float* scales, const float* opacities,
-                       const float* sh, const float* extras, int count, const View* view_at, Record* records,
+                       const float* sh, const float* extras, int count, const PinholeCamera* camera_at, VisiblePrimitive* primitives,
                        Outline* outlines, u32* depth_keys, u32* tile_counts, int* slots, int* indices, float* weights,
                        Counters* counters, u64* state, u32* ticket) {
-    __shared__ View view;
+    __shared__ PinholeCamera camera;
     __shared__ u32 first_slot;
     u32 block = take_ticket(ticket);
-    for (int i = threadIdx.x; i < sizeof(View) / 4; i += blockDim.x)
-        reinterpret_cast<u32*>(&view)[i] = reinterpret_cast<const u32*>(view_at)[i];
+    for (int i = threadIdx.x; i < sizeof(PinholeCamera) / 4; i += blockDim.x)
+        reinterpret_cast<u32*>(&camera)[i] = reinterpret_cast<const u32*>(camera_at)[i];
     __syncthreads();
     Gaussians g = {means, quaternions, scales, opacities, sh, extras, count};
     int i = block * blockDim.x + threadIdx.x;
-    Record record;
+    VisiblePrimitive primitive;
     Outline outline;
     u32 tiles = 0;
     Vec3<float> to_center;
     if (i < count) {
         Kind::Input input = Kind::input(g, i);
-        PixelBox box = prepare(view, input, opacities[i], record.splat);
-        if (pixels_of(view, box, outline.box)) {
-            outline.ellipse = Kind::ellipse(view, input, record.splat);
-            outline.x = record.splat.x, outline.y = record.splat.y;
-            outline.radius = Kind::low_pass_radius(record.splat);
+        PixelBox box = prepare(camera, input, opacities[i], primitive.splat);
+        if (pixels_of(camera, box, outline.box)) {
+            outline.ellipse = Kind::ellipse(camera, input, primitive.splat);
+            outline.x = primitive.splat.x, outline.y = primitive.splat.y;
+            outline.radius = Kind::low_pass_radius(primitive.splat);
             tiles = count_tiles(outline);
-            record.normal = Kind::normal(input);
-            to_center = input.mean - view.center;
+            primitive.normal = Kind::normal(input);
+            to_center = input.mean - camera.center;
         }
     }
     u32 total, before = block_exclusive_sum(tiles > 0, total);
@@ -61,14 +61,14 @@ extern "C" __global__ void __launch_bounds__(256)
         return;
     }
     u32 slot = first_slot + before;
-    record.color = sh_color<kShDegree>(sh + long(kShFloats) * i, to_center);
+    primitive.color = sh_color<kShDegree>(sh + long(kShFloats) * i, to_center);
 #pragma unroll
-    for (int k = 0; k < kExtras; ++k) record.extras[k] = extras[long(kExtras) * i + k];
+    for (int k = 0; k < kExtras; ++k) primitive.extras[k] = extras[long(kExtras) * i + k];
     slots[i] = slot;
     indices[slot] = i;
-    records[slot] = record;
+    primitives[slot] = primitive;
     outlines[slot] = outline;
-    depth_keys[slot] = sortable_bits(record.splat.depth);
+    depth_keys[slot] = sortable_bits(primitive.splat.depth);
     tile_counts[slot] = tiles;
 }
 
@@ -76,14 +76,14 @@ extern "C" __global__ void __launch_bounds__(256)
 // written, zeros where the primitive was not visible.
 extern "C" __global__ void __launch_bounds__(128)
     finish_primitives(const float* means, const float* quaternions, const float* scales, const float* opacities,
-                      const float* sh, const float* extras, int count, const View* view_at, const Record* records,
+                      const float* sh, const float* extras, int count, const PinholeCamera* camera_at, const VisiblePrimitive* primitives,
                       const int* slots, const float* sums, float* g_means, float* g_quaternions, float* g_scales,
                       float* g_opacities, float* g_sh, float* g_extras, float* position_gradients) {
     constexpr int row = kShFloats | 1;  // odd: neighboring threads fall on neighboring banks
     __shared__ float staged[128 * row];
-    __shared__ View view;
-    for (int i = threadIdx.x; i < sizeof(View) / 4; i += blockDim.x)
-        reinterpret_cast<u32*>(&view)[i] = reinterpret_cast<const u32*>(view_at)[i];
+    __shared__ PinholeCamera camera;
+    for (int i = threadIdx.x; i < sizeof(PinholeCamera) / 4; i += blockDim.x)
+        reinterpret_cast<u32*>(&camera)[i] = reinterpret_cast<const u32*>(camera_at)[i];
     float* g_own_sh = staged + row * threadIdx.x;
     for (int k = 0; k < kShFloats; ++k) g_own_sh[k] = 0.0f;
     __syncthreads();
@@ -98,16 +98,16 @@ extern "C" __global__ void __launch_bounds__(128)
             float values[kSumsStride];
 #pragma unroll
             for (int k = 0; k < kSumsStride / 4; ++k) {
-                float4 four = from[k];
-                values[4 * k] = four.x, values[4 * k + 1] = four.y, values[4 * k + 2] = four.z;
-                values[4 * k + 3] = four.w;
+                float4 value4 = from[k];
+                values[4 * k] = value4.x, values[4 * k + 1] = value4.y, values[4 * k + 2] = value4.z;
+                values[4 * k + 3] = value4.w;
             }
 #pragma unroll
             for (int k = 0; k < kSums; ++k) reinterpret_cast<float*>(&sum)[k] = values[k];
             Kind::Input input = Kind::input(g, i);
-            own = finish(view, input, sum.geometry, sum.normal);
-            own.mean = own.mean + sh_color_backward<kShDegree>(sh + kShFloats * i, input.mean - view.center,
-                                                               records[slot].color, sum.color, g_own_sh);
+            own = finish(camera, input, sum.geometry, sum.normal);
+            own.mean = own.mean + sh_color_backward<kShDegree>(sh + kShFloats * i, input.mean - camera.center,
+                                                               primitives[slot].color, sum.color, g_own_sh);
         }
         store3(g_means + 3 * i, own.mean);
         store3(position_gradients + 3 * i, own.position_statistic);

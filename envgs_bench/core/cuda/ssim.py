@@ -14,16 +14,16 @@ from .launch import blocks_for, kernels
 TILE_WIDTH, TILE_HEIGHT = 32, 16  # as in similarity.cu
 
 
-def similarity(image: Tensor, target: Tensor, taps: tuple[float, ...], pad: int, c1: float, c2: float) -> Tensor:
+def ssim_map(image: Tensor, target: Tensor, taps: tuple[float, ...], pad: int, c1: float, c2: float) -> Tensor:
     """SSIM [H', W', C] of two images [H, W, C] after `pad` zeros on every side, with the 11 `taps` as its window.
 
     H' = H + 2·pad − 10. Differentiable in `image`. Images that lie in memory a plane a channel are not copied.
     """
     with torch.cuda.device(image.device):
-        return _Similarity.apply(image.movedim(2, 0), target.movedim(2, 0), taps, pad, c1, c2).movedim(0, 2)
+        return _SsimKernel.apply(image.movedim(2, 0), target.movedim(2, 0), taps, pad, c1, c2).movedim(0, 2)
 
 
-class _Similarity(torch.autograd.Function):
+class _SsimKernel(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any, image: Tensor, target: Tensor, taps: tuple[float, ...], pad: int, c1: float, c2: float
@@ -31,22 +31,22 @@ class _Similarity(torch.autograd.Function):
         (channels, height, width), lost = image.shape, len(taps) - 1 - 2 * pad
         image, target, window = image.contiguous(), target.contiguous(), _on_device(taps, image.device)
         values = image.new_empty(channels, height - lost, width - lost)
-        slopes = image.new_empty(3, *values.shape) if ctx.needs_input_grad[0] else None
-        launch = kernels(("similarity.cu",), image.device)
-        launch("compare_images", _tiles(values), 256, image, target, channels, height, width, pad, window, c1, c2,
-               values, slopes)  # fmt: skip
-        ctx.save_for_backward(image, target, slopes, window)
+        partials = image.new_empty(3, *values.shape) if ctx.needs_input_grad[0] else None
+        launch = kernels(("ssim.cu",), image.device)
+        launch("ssim_map", _tiles(values), 256, image, target, channels, height, width, pad, window, c1, c2,
+               values, partials)  # fmt: skip
+        ctx.save_for_backward(image, target, partials, window)
         ctx.pad = pad
         return values
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        image, target, slopes, window = ctx.saved_tensors
+        image, target, partials, window = ctx.saved_tensors
         g_image = torch.empty_like(image)
         with torch.cuda.device(image.device):
-            launch = kernels(("similarity.cu",), image.device)
-            launch("differentiate_comparison", _tiles(g_image), 256, image, target, gradient.contiguous(), slopes,
+            launch = kernels(("ssim.cu",), image.device)
+            launch("differentiate_ssim_map", _tiles(g_image), 256, image, target, gradient.contiguous(), partials,
                    *image.shape, ctx.pad, window, g_image)  # fmt: skip
         return g_image, None, None, None, None, None
 

@@ -1,4 +1,4 @@
-"""What the kinds of drawing (rasterized surfels, traced surfels, rasterized volumes) have in common."""
+"""What the kinds of intersector (rasterized surfels, traced surfels, rasterized gaussians_3d) have in common."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ MAX_ALPHA = 0.99
 
 
 @dataclass(frozen=True)
-class Meeting:
-    """Where rays meet primitives. All fields have one shape, that of the rays and primitives asked about."""
+class Intersections:
+    """Where rays intersect primitives. All fields have one shape, that of the rays and primitives asked about."""
 
     t: Tensor  # distance along the ray, in units of its direction's length; for a camera's rays, camera-frame depth
     rho: Tensor  # squared distance from the primitive's center, in standard deviations
     order: Tensor  # hits of a ray are blended in ascending order of this, equal ones by index
     facing: Tensor  # ±1: what turns the primitive's normal toward the viewer
-    possible: Tensor  # bool: false where the ray misses whatever rho says (edge-on, behind the near plane)
+    valid: Tensor  # bool: false where the ray misses whatever rho says (edge-on, behind the near plane)
 
 
-class Drawing(ABC):
+class Intersector(ABC):
     """One call's input: primitives, and the rays they are seen along."""
 
     gaussians: GaussianSet
@@ -34,7 +34,7 @@ class Drawing(ABC):
     axes: Tensor  # [N, 3] unit normals, sign arbitrary
 
     @abstractmethod
-    def meet(self, rays: Tensor, primitives: Tensor, means: Tensor) -> Meeting:
+    def intersect(self, rays: Tensor, primitives: Tensor, means: Tensor) -> Intersections:
         """Rays and primitives, given by index, of shapes that broadcast; `means` are those primitives' [..., 3]."""
 
     @abstractmethod

@@ -9,7 +9,7 @@ constexpr float kDilation = 0.3f;        // px² added to V by the low-pass
 constexpr float kFrustumMargin = 0.3f;   // the affine approximation is taken at most this far outside the image,
                                          // as a share of its half size
 
-struct GaussianSplat {
+struct Gaussian3dSplat {
     float x, y, depth;       // the projected center
     float xx, xy, yy;        // V⁻¹
     float side;              // +1 where the shortest axis faces the camera, else −1
@@ -17,19 +17,19 @@ struct GaussianSplat {
 };
 
 template <class R>
-struct GaussianPixel {
+struct Gaussian3dPixel {
     R dx, dy;
     R rho, t, side;
 };
 
 template <class R>
-struct GaussianSums {
+struct Gaussian3dSums {
     R xx, xy, yy;  // Σ dL/dρ·δδᵀ
     R x, y;        // Σ dL/dρ·δ
     R depth;       // Σ dL/dt
 };
 
-struct GaussianInput {
+struct Gaussian3dInput {
     Vec3<float> mean;
     Quaternion<float> quaternion;
     Vec3<float> scales;
@@ -44,21 +44,21 @@ struct AffineProjection {
 
 ENVGS_FN float clamped(float value, float low, float high) { return minimum(maximum(value, low), high); }
 
-ENVGS_FN AffineProjection affine_projection(const View& view, Vec3<float> in_camera) {
-    float fx = view.intrinsics.row0.x, skew = view.intrinsics.row0.y, cx = view.intrinsics.row0.z;
-    float fy = view.intrinsics.row1.y, cy = view.intrinsics.row1.z;
-    float margin_x = kFrustumMargin * 0.5f * view.width / fx, margin_y = kFrustumMargin * 0.5f * view.height / fy;
+ENVGS_FN AffineProjection affine_projection(const PinholeCamera& camera, Vec3<float> in_camera) {
+    float fx = camera.intrinsics.row0.x, skew = camera.intrinsics.row0.y, cx = camera.intrinsics.row0.z;
+    float fy = camera.intrinsics.row1.y, cy = camera.intrinsics.row1.z;
+    float margin_x = kFrustumMargin * 0.5f * camera.width / fx, margin_y = kFrustumMargin * 0.5f * camera.height / fy;
     AffineProjection a;
     float x = in_camera.x / in_camera.z, y = in_camera.y / in_camera.z;
-    a.tx = clamped(x, -cx / fx - margin_x, (view.width - cx) / fx + margin_x);
-    a.ty = clamped(y, -cy / fy - margin_y, (view.height - cy) / fy + margin_y);
+    a.tx = clamped(x, -cx / fx - margin_x, (camera.width - cx) / fx + margin_x);
+    a.ty = clamped(y, -cy / fy - margin_y, (camera.height - cy) / fy + margin_y);
     a.free_x = a.tx == x;
     a.free_y = a.ty == y;
     float inverse = 1.0f / in_camera.z;
     Vec3<float> j0 = {fx * inverse, skew * inverse, -(fx * a.tx + skew * a.ty) * inverse};
     Vec3<float> j1 = {0.0f, fy * inverse, -fy * a.ty * inverse};
-    a.t0 = transposed_times(view.rotation, j0);
-    a.t1 = transposed_times(view.rotation, j1);
+    a.t0 = transposed_times(camera.rotation, j0);
+    a.t1 = transposed_times(camera.rotation, j1);
     return a;
 }
 
@@ -77,43 +77,43 @@ struct Covariance2d {
     float xx, xy, yy;
 };
 
-ENVGS_FN Covariance2d covariance(const View& view, const AffineProjection& a, Axes<float> axes, Vec3<float> s) {
+ENVGS_FN Covariance2d covariance(const PinholeCamera& camera, const AffineProjection& a, Axes<float> axes, Vec3<float> s) {
     // Rows of T·R·S: V is their Gram matrix.
     Vec3<float> m0 = {s.x * dot(a.t0, axes.u), s.y * dot(a.t0, axes.v), s.z * dot(a.t0, axes.n)};
     Vec3<float> m1 = {s.x * dot(a.t1, axes.u), s.y * dot(a.t1, axes.v), s.z * dot(a.t1, axes.n)};
-    float dilation = view.low_pass ? kDilation : 0.0f;
+    float dilation = camera.low_pass ? kDilation : 0.0f;
     return {dot(m0, m0) + dilation, dot(m0, m1), dot(m1, m1) + dilation};
 }
 
-ENVGS_FN PixelBox prepare(const View& view, const GaussianInput& in, float opacity, GaussianSplat& splat) {
+ENVGS_FN PixelBox prepare(const PinholeCamera& camera, const Gaussian3dInput& in, float opacity, Gaussian3dSplat& splat) {
     PixelBox empty = {1.0f, 1.0f, 0.0f, 0.0f};
     splat.support = support_of(opacity);
     splat.opacity = opacity;
     if (!(splat.support > 0.0f)) return empty;
-    Projection center = project(view, in.mean);
+    Projection center = project(camera, in.mean);
     splat.x = center.x, splat.y = center.y, splat.depth = center.in_camera.z;
-    if (!(splat.depth >= view.near)) return empty;
+    if (!(splat.depth >= camera.near)) return empty;
     float inverse_norm;
     Axes<float> axes = axes_of(normalized(in.quaternion, inverse_norm));
-    Covariance2d v = covariance(view, affine_projection(view, center.in_camera), axes, in.scales);
+    Covariance2d v = covariance(camera, affine_projection(camera, center.in_camera), axes, in.scales);
     float determinant = v.xx * v.yy - v.xy * v.xy;
     if (!(determinant > 0.0f)) return empty;
     float inverse = 1.0f / determinant;
     splat.xx = v.yy * inverse, splat.xy = -v.xy * inverse, splat.yy = v.xx * inverse;
-    splat.side = dot(shortest_axis_of(axes, in.scales), in.mean - view.center) < 0.0f ? 1.0f : -1.0f;
+    splat.side = dot(shortest_axis_of(axes, in.scales), in.mean - camera.center) < 0.0f ? 1.0f : -1.0f;
     float half_x = square_root(splat.support * v.xx) + 0.01f, half_y = square_root(splat.support * v.yy) + 0.01f;
     return {splat.x - half_x, splat.y - half_y, splat.x + half_x, splat.y + half_y};
 }
 
 template <class R>
-ENVGS_FN GaussianPixel<R> evaluate(const GaussianSplat& s, R x, R y, float /*near*/) {
+ENVGS_FN Gaussian3dPixel<R> evaluate(const Gaussian3dSplat& s, R x, R y, float /*near*/) {
     R dx = x - s.x, dy = y - s.y;
     R rho = dx * (s.xx * dx + 2.0f * s.xy * dy) + s.yy * dy * dy;
     return {dx, dy, rho, broadcast<R>(s.depth), broadcast<R>(s.side)};
 }
 
 template <class R, class Mask>
-ENVGS_FN void add_pixel(GaussianSums<R>& sum, GaussianPixel<R> p, Mask hit, R g_rho, R g_t) {
+ENVGS_FN void add_pixel(Gaussian3dSums<R>& sum, Gaussian3dPixel<R> p, Mask hit, R g_rho, R g_t) {
     R g = select(hit, g_rho, broadcast<R>(0.0f));
     R gx = g * p.dx, gy = g * p.dy;
     sum.xx += gx * p.dx;
@@ -124,14 +124,14 @@ ENVGS_FN void add_pixel(GaussianSums<R>& sum, GaussianPixel<R> p, Mask hit, R g_
     sum.depth += select(hit, g_t, broadcast<R>(0.0f));
 }
 
-ENVGS_FN SplatGradient finish(const View& view, const GaussianInput& in, const GaussianSums<float>& sum,
+ENVGS_FN SplatGradient finish(const PinholeCamera& camera, const Gaussian3dInput& in, const Gaussian3dSums<float>& sum,
                               Vec3<float> g_normal) {
     float inverse_norm;
     Quaternion<float> q = normalized(in.quaternion, inverse_norm);
     Axes<float> axes = axes_of(q);
-    Projection center = project(view, in.mean);
-    AffineProjection a = affine_projection(view, center.in_camera);
-    Covariance2d v = covariance(view, a, axes, in.scales);
+    Projection center = project(camera, in.mean);
+    AffineProjection a = affine_projection(camera, center.in_camera);
+    Covariance2d v = covariance(camera, a, axes, in.scales);
     float inverse_det = 1.0f / (v.xx * v.yy - v.xy * v.xy);
     float cxx = v.yy * inverse_det, cxy = -v.xy * inverse_det, cyy = v.xx * inverse_det;
     // dL/dV = −V⁻¹·(Σ g δδᵀ)·V⁻¹
@@ -154,16 +154,16 @@ ENVGS_FN SplatGradient finish(const View& view, const GaussianInput& in, const G
     // dL/dT = 2·dL/dV·T·Σ, rows; then J's dependence on the center.
     Vec3<float> r0 = {2.0f * s2.x * w0.x, 2.0f * s2.y * w0.y, 2.0f * s2.z * w0.z};
     Vec3<float> r1 = {2.0f * s2.x * w1.x, 2.0f * s2.y * w1.y, 2.0f * s2.z * w1.z};
-    Vec3<float> g_j0 = view.rotation * (r0.x * axes.u + r0.y * axes.v + r0.z * axes.n);
-    Vec3<float> g_j1 = view.rotation * (r1.x * axes.u + r1.y * axes.v + r1.z * axes.n);
-    float fx = view.intrinsics.row0.x, skew = view.intrinsics.row0.y, fy = view.intrinsics.row1.y;
+    Vec3<float> g_j0 = camera.rotation * (r0.x * axes.u + r0.y * axes.v + r0.z * axes.n);
+    Vec3<float> g_j1 = camera.rotation * (r1.x * axes.u + r1.y * axes.v + r1.z * axes.n);
+    float fx = camera.intrinsics.row0.x, skew = camera.intrinsics.row0.y, fy = camera.intrinsics.row1.y;
     float inverse = 1.0f / center.in_camera.z;
     float g_tx = a.free_x ? -fx * inverse * g_j0.z : 0.0f;
     float g_ty = a.free_y ? -inverse * (skew * g_j0.z + fy * g_j1.z) : 0.0f;
     float g_z = -inverse * inverse * (fx * g_j0.x + skew * g_j0.y + fy * g_j1.y) +
                 inverse * inverse * ((fx * a.tx + skew * a.ty) * g_j0.z + fy * a.ty * g_j1.z) -
                 inverse * (g_tx * a.tx + g_ty * a.ty);
-    Vec3<float> through_j = transposed_times(view.rotation, {inverse * g_tx, inverse * g_ty, g_z});
+    Vec3<float> through_j = transposed_times(camera.rotation, {inverse * g_tx, inverse * g_ty, g_z});
     float g_x = -2.0f * (cxx * sum.x + cxy * sum.y), g_y = -2.0f * (cxy * sum.x + cyy * sum.y);
     Vec3<float> mean = project_backward(center, g_x, g_y, sum.depth) + through_j;
     return {mean, center.in_camera.z * mean, quaternion_gradient(q, inverse_norm, torque), g_scales};

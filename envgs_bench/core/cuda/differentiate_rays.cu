@@ -3,47 +3,47 @@
 
 using namespace envgs;
 
-ENVGS_FN void add_four(float* to, float4 four) {
+ENVGS_FN void atomic_add4(float* to, float4 value4) {
 #if __CUDA_ARCH__ >= 900
-    asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};" ::"l"(to), "f"(four.x), "f"(four.y), "f"(four.z),
-                 "f"(four.w)
+    asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};" ::"l"(to), "f"(value4.x), "f"(value4.y), "f"(value4.z),
+                 "f"(value4.w)
                  : "memory");
 #else
-    atomicAdd(to, four.x), atomicAdd(to + 1, four.y), atomicAdd(to + 2, four.z), atomicAdd(to + 3, four.w);
+    atomicAdd(to, value4.x), atomicAdd(to + 1, value4.y), atomicAdd(to + 2, value4.z), atomicAdd(to + 3, value4.w);
 #endif
 }
 
 // What one hit of each of a warp's rays adds: a row a thread, in shared memory. Neighboring rays hit the same surfels,
 // whose rows are added up here and leave in one piece: a team of threads takes a surfel, a thread four columns.
 struct WarpRows {
-    static constexpr int kFours = kTraceSums / 4;
-    static constexpr int kTeam = kFours <= 8 ? 8 : kFours <= 16 ? 16 : 32;  // threads
-    static constexpr int kStride = kFours | 1;  // odd: eight rows' fours lie in different banks
+    static constexpr int kFloat4s = kTraceSums / 4;
+    static constexpr int kTeam = kFloat4s <= 8 ? 8 : kFloat4s <= 16 ? 16 : 32;  // threads
+    static constexpr int kStride = kFloat4s | 1;  // odd: eight rows' fours lie in different banks
 
-    float4 fours[32][kStride];
+    float4 values4[32][kStride];
 
     // The whole warp. Rows of threads whose `surfel` is negative do not count.
     __device__ __forceinline__ void add_to(float* sums, int surfel) {
         int column = lane_id() % kTeam, team = lane_id() / kTeam;
         __syncwarp();
-        u32 alike = __match_any_sync(kFullWarp, surfel);
-        u32 firsts = __ballot_sync(kFullWarp, surfel >= 0 && lane_id() == __ffs(alike) - 1);
+        u32 same_surfel = __match_any_sync(kFullWarp, surfel);
+        u32 firsts = __ballot_sync(kFullWarp, surfel >= 0 && lane_id() == __ffs(same_surfel) - 1);
         while (firsts) {
             int first = 0;
-            bool works = false;
+            bool active = false;
 #pragma unroll
             for (int t = 0; t < 32 / kTeam; ++t) {  // the next surfels, one a team
-                if (t == team && firsts) first = __ffs(firsts) - 1, works = column < kFours;
+                if (t == team && firsts) first = __ffs(firsts) - 1, active = column < kFloat4s;
                 firsts &= firsts - 1;
             }
-            u32 group = __shfl_sync(kFullWarp, alike, first);
+            u32 group = __shfl_sync(kFullWarp, same_surfel, first);
             int to = __shfl_sync(kFullWarp, surfel, first);
             float4 sum = {0.0f, 0.0f, 0.0f, 0.0f};
-            for (group = works ? group : 0; group; group &= group - 1) {
-                float4 four = fours[__ffs(group) - 1][column];
-                sum.x += four.x, sum.y += four.y, sum.z += four.z, sum.w += four.w;
+            for (group = active ? group : 0; group; group &= group - 1) {
+                float4 value4 = values4[__ffs(group) - 1][column];
+                sum.x += value4.x, sum.y += value4.y, sum.z += value4.z, sum.w += value4.w;
             }
-            if (works) add_four(sums + long(kTraceSums) * to + 4 * column, sum);
+            if (active) atomic_add4(sums + long(kTraceSums) * to + 4 * column, sum);
         }
         __syncwarp();
     }
@@ -51,7 +51,7 @@ struct WarpRows {
 
 extern "C" __global__ void __launch_bounds__(128)
     differentiate_rays(const float* origins, const float* directions, const u32* order, int rays,
-                       float4* quarters, const Appearance* appearances, const float* background,
+                       float4* packed_surfels, const Appearance* appearances, const float* background,
                        const float* color, const float* alpha, const float* depth, const float* normal,
                        const float* extras, const float* g_color, const float* g_alpha, const float* g_depth,
                        const float* g_normal, const float* g_extras, const u32* page_slots, const int* page_next,
@@ -61,12 +61,12 @@ extern "C" __global__ void __launch_bounds__(128)
     WarpRows& rows_of_warp = rows_of_warps[warp_id()];
     long place = long(blockIdx.x) * blockDim.x + threadIdx.x;
     bool exists = place < rays;
-    Surfels surfels = {quarters};
+    PackedSurfels surfels = {packed_surfels};
     Ray ray = ordered_ray(origins, directions, order, rays, place);
     long at = exists ? ray.index : 0;
     Planes<const float> out = {color, alpha, depth, normal, extras, rays};
     Planes<const float> gradient = {g_color, g_alpha, g_depth, g_normal, g_extras, rays};
-    Upstream g(out, gradient, at, load3(background));
+    UpstreamGradient g(out, gradient, at, load3(background));
     // Hits were lost for want of pages: gradients that cannot be mistaken for the right ones.
     if (*pages_used > page_capacity) g.transmittance = __int_as_float(0x7fc00000);
     Vec3<float> g_origin = {0.0f, 0.0f, 0.0f}, g_direction = {0.0f, 0.0f, 0.0f};
@@ -87,14 +87,14 @@ extern "C" __global__ void __launch_bounds__(128)
         int index = -1;
         if (slot != kNoHit) {
             TracedSurfel s = surfels.load(slot);
-            Appearance look = appearances[slot];
+            Appearance appearance = appearances[slot];
             PlaneHit<float> hit = intersect(s.frame, ray.origin - s.mean, ray.direction);
             float a = response_alpha(s.opacity, hit.u * hit.u + hit.v * hit.v);
             float side = hit.d_z < 0.0f ? 1.0f : -1.0f;
             Vec3<float> v = s.mean - ray.origin;
-            Vec3<float> c = sh_color<kShDegree>(look.values, v);
+            Vec3<float> c = sh_color<kShDegree>(appearance.values, v);
             float weight = g.transmittance * a;
-            float value = g.value(c, hit.t, side * s.frame.n, look.values + kShFloats);
+            float value = g.value(c, hit.t, side * s.frame.n, appearance.values + kShFloats);
             AlphaGradient<float> own = alpha_backward(s.opacity, a, blend_backward(a, value, g.transmittance, g.remaining));
             Vec3<float> local = intersect_backward(hit, dot(s.frame.u, ray.direction), dot(s.frame.v, ray.direction),
                                                    weight * g.sum.depth, 2.0f * own.rho * hit.u,
@@ -103,17 +103,17 @@ extern "C" __global__ void __launch_bounds__(128)
             SurfelMoments<float> moments = {};
             add_hit(moments, hit, local);
             store3(sum, moments.g), store3(sum + 3, moments.g_u), store3(sum + 6, moments.g_v);
-            store3(sum + 9, moments.traveled);
+            store3(sum + 9, moments.g_t);
             store3(sum + kNormalSum, (side * weight) * g.sum.normal);
             sum[kOpacitySum] = own.opacity;
-            Vec3<float> g_v = sh_color_backward<kShDegree>(look.values, v, c, weight * g.sum.color, sum + kShSums);
+            Vec3<float> g_v = sh_color_backward<kShDegree>(appearance.values, v, c, weight * g.sum.color, sum + kShSums);
             store3(sum + kDirectionSum, g_v);
 #pragma unroll
             for (int e = 0; e < kExtras; ++e) sum[kShSums + kShFloats + e] = weight * g.extras[e];
             index = s.index;
 #pragma unroll
-            for (int k = 0; k < WarpRows::kFours; ++k)
-                rows_of_warp.fours[lane_id()][k] = make_float4(sum[4 * k], sum[4 * k + 1], sum[4 * k + 2], sum[4 * k + 3]);
+            for (int k = 0; k < WarpRows::kFloat4s; ++k)
+                rows_of_warp.values4[lane_id()][k] = make_float4(sum[4 * k], sum[4 * k + 1], sum[4 * k + 2], sum[4 * k + 3]);
 
             Vec3<float> world = local.x * s.frame.u + local.y * s.frame.v + local.z * s.frame.n;
             g_origin = g_origin + world - g_v;

@@ -1,25 +1,25 @@
 // Differentiates: the walk of the forward pass once more, front to back (see blend.h). What a primitive's pixels of one
 // warp add to its gradient is summed in the warp, and leaves as one coalesced row of atomic additions.
-#include "tile_walk.cuh"
+#include "tile_primitives.cuh"
 
 using namespace envgs;
 
 extern "C" __global__ void __launch_bounds__(256)
-    differentiate_tiles(const uint2* ranges, const u32* instance_slots, const Record* records, const Outline* outlines,
-                        const View* view_at, int tiles_x, float transmittance_min, const float* background,
+    differentiate_tiles(const uint2* ranges, const u32* instance_slots, const VisiblePrimitive* primitives, const Outline* outlines,
+                        const PinholeCamera* camera_at, int tiles_x, float transmittance_min, const float* background,
                         const float* color, const float* alpha, const float* depth, const float* normal,
                         const float* extras, const float* g_color, const float* g_alpha, const float* g_depth,
                         const float* g_normal, const float* g_extras, float* sums) {
-    const View& view = *view_at;
-    Pixel pixel = own_pixel(view, blockIdx.x, tiles_x);
-    long pixels = long(view.width) * view.height;
+    const PinholeCamera& camera = *camera_at;
+    Pixel pixel = own_pixel(camera, blockIdx.x, tiles_x);
+    long pixels = long(camera.width) * camera.height;
     Planes<const float> out = {color, alpha, depth, normal, extras, pixels};
     Planes<const float> gradient = {g_color, g_alpha, g_depth, g_normal, g_extras, pixels};
-    Upstream g(out, gradient, pixel.inside ? pixel.at : 0, load3(background));
-    float x = pixel.x + 0.5f, y = pixel.y + 0.5f, near = view.near;
+    UpstreamGradient g(out, gradient, pixel.inside ? pixel.at : 0, load3(background));
+    float x = pixel.x + 0.5f, y = pixel.y + 0.5f, near = camera.near;
     bool live = pixel.inside;
-    walk_tile(ranges[blockIdx.x], instance_slots, records, outlines, blockIdx.x % tiles_x * kTile,
-              blockIdx.x / tiles_x * kTile, live, [&](const Record& p, u32 slot) {
+    for_each_primitive(ranges[blockIdx.x], instance_slots, primitives, outlines, blockIdx.x % tiles_x * kTile,
+              blockIdx.x / tiles_x * kTile, live, [&](const VisiblePrimitive& p, u32 slot) {
                   auto at = evaluate(p.splat, x, y, near);
                   bool hit = live && at.rho <= p.splat.support;
                   if (!__any_sync(kFullWarp, hit)) return;

@@ -4,10 +4,10 @@
 using namespace envgs;
 
 // One thread. The camera stays on the device, so that drawing never waits for it.
-extern "C" __global__ void make_view(const float* world_to_camera, const float* intrinsics, int width, int height,
-                                     float near, int low_pass, View* view) {
+extern "C" __global__ void make_camera(const float* world_to_camera, const float* intrinsics, int width, int height,
+                                     float near, int low_pass, PinholeCamera* camera) {
     const float* m = world_to_camera;
-    View v;
+    PinholeCamera v;
     v.rotation = {load3(m), load3(m + 4), load3(m + 8)};
     v.translation = {m[3], m[7], m[11]};
     v.intrinsics = load_mat3(intrinsics);
@@ -19,5 +19,5 @@ extern "C" __global__ void make_view(const float* world_to_camera, const float* 
                            {0.0f, 0.0f, 1.0f}};
     v.pixel_to_direction = transposed(v.rotation) * inverse;
     v.width = width, v.height = height, v.near = near, v.low_pass = low_pass;
-    *view = v;
+    *camera = v;
 }

@@ -15,12 +15,12 @@ struct Pixel {
     bool inside;
 };
 
-ENVGS_FN Pixel own_pixel(const View& view, int tile, int tiles_x) {
+ENVGS_FN Pixel own_pixel(const PinholeCamera& camera, int tile, int tiles_x) {
     Pixel p;
     p.x = tile % tiles_x * kTile + (warp_id() & 1) * 8 + (lane_id() & 7);
     p.y = tile / tiles_x * kTile + (warp_id() >> 1) * 4 + (lane_id() >> 3);
-    p.at = long(p.y) * view.width + p.x;
-    p.inside = p.x < view.width && p.y < view.height;
+    p.at = long(p.y) * camera.width + p.x;
+    p.inside = p.x < camera.width && p.y < camera.height;
     return p;
 }
 
@@ -40,9 +40,9 @@ ENVGS_FN u32 touched_warps(const Outline& outline, int x0, int y0) {
 // Calls visit(record, slot) for each primitive that may touch the warp, all lanes together, until every pixel of the
 // block is done; `live` is this thread's, and visit() may end it.
 template <class Visit>
-ENVGS_FN void walk_tile(uint2 range, const u32* instance_slots, const Record* records, const Outline* outlines, int x0,
+ENVGS_FN void for_each_primitive(uint2 range, const u32* instance_slots, const VisiblePrimitive* primitives, const Outline* outlines, int x0,
                         int y0, const bool& live, const Visit& visit) {
-    __shared__ Record batch[kBatch];
+    __shared__ VisiblePrimitive batch[kBatch];
     __shared__ u32 batch_slots[kBatch];
     __shared__ unsigned char batch_warps[kBatch];
     for (u32 begin = range.x; begin < range.y; begin += kBatch) {
@@ -51,7 +51,7 @@ ENVGS_FN void walk_tile(uint2 range, const u32* instance_slots, const Record* re
         batch_warps[threadIdx.x] = 0;
         if (at < range.y) {
             u32 slot = instance_slots[at];
-            batch[threadIdx.x] = records[slot];
+            batch[threadIdx.x] = primitives[slot];
             batch_slots[threadIdx.x] = slot;
             batch_warps[threadIdx.x] = touched_warps(outlines[slot], x0, y0);
         }

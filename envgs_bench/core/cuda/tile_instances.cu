@@ -32,7 +32,7 @@ extern "C" __global__ void __launch_bounds__(256)
 }
 
 // ranges [tiles]: first and past-the-last instance. Zeroed before, for the tiles without any.
-extern "C" __global__ void find_ranges(const u32* tile_keys, const Counters* counters, uint2* ranges) {
+extern "C" __global__ void find_tile_ranges(const u32* tile_keys, const Counters* counters, uint2* ranges) {
     u32 n = counters->drawn_instances, i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i >= n) return;
     u32 tile = tile_keys[i];

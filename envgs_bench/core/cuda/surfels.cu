@@ -1,0 +1,62 @@
+// Before and after the rays: in which order they are traced, how surfels look, and from sums to gradients.
+#include "trace.cuh"
+
+using namespace envgs;
+
+// surfels' appearances in the tree's order; a thread a float.
+extern "C" __global__ void pack_appearances(const u32* order, const float* sh, const float* extras, int count,
+                                            float* appearances) {
+    long at = long(blockIdx.x) * blockDim.x + threadIdx.x;
+    long slot = at / kAppearance;
+    int k = at % kAppearance;
+    if (slot >= count) return;
+    long i = order[slot];
+    float value = 0.0f;
+    if (k < kShFloats) value = sh[i * kShFloats + k];
+    if (k >= kShFloats && k < kShFloats + kExtras) value = extras[i * kExtras + k - kShFloats];
+    appearances[at] = value;
+}
+
+// Every row of the results is written, zeros where no ray met the surfel.
+extern "C" __global__ void __launch_bounds__(128)
+    finish_surfels(const float* quaternions, const float* scales, int count, const float* weights, const float* sums,
+                   float* g_means, float* g_quaternions, float* g_scales, float* g_opacities, float* g_sh,
+                   float* g_extras, float* position_gradients) {
+    constexpr int row = kTraceSums + 1;  // odd: neighboring threads fall on neighboring banks
+    __shared__ float staged[128 * row];
+    __shared__ bool seen[128];
+    long first = long(blockIdx.x) * 128, i = first + threadIdx.x;
+    int here = min(128l, count - first);
+    seen[threadIdx.x] = threadIdx.x < here && weights[i] > 0.0f;
+    __syncthreads();
+    for (int k = threadIdx.x; k < here * kTraceSums; k += 128) {
+        int owner = k / kTraceSums;
+        staged[owner * row + k % kTraceSums] = seen[owner] ? sums[first * kTraceSums + k] : 0.0f;
+    }
+    __syncthreads();
+    if (threadIdx.x < here) {
+        const float* sum = staged + row * threadIdx.x;
+        SurfelGradient<float> g = {};
+        Quaternion<float> g_q = {};
+        if (seen[threadIdx.x]) {
+            float inverse_norm;
+            float4 raw = reinterpret_cast<const float4*>(quaternions)[i];
+            Quaternion<float> q = normalized<float>({raw.x, raw.y, raw.z, raw.w}, inverse_norm);
+            float2 scale = reinterpret_cast<const float2*>(scales)[i];
+            SurfelMoments<float> moments = {load3(sum), load3(sum + 3), load3(sum + 6), load3(sum + 9)};
+            g = surfel_backward(axes_of(q), scale.x, scale.y, moments, load3(sum + kNormalSum));
+            g_q = quaternion_gradient(q, inverse_norm, g.torque);
+        }
+        store3(g_means + 3 * i, g.mean + load3(sum + kDirectionSum));
+        store3(position_gradients + 3 * i, g.position_statistic);
+        reinterpret_cast<float4*>(g_quaternions)[i] = make_float4(g_q.w, g_q.x, g_q.y, g_q.z);
+        reinterpret_cast<float2*>(g_scales)[i] = make_float2(g.scale_u, g.scale_v);
+        g_opacities[i] = sum[kOpacitySum];
+    }
+    for (int k = threadIdx.x; k < here * kShFloats; k += 128)
+        g_sh[first * kShFloats + k] = staged[k / kShFloats * row + kShSums + k % kShFloats];
+#if EXTRAS > 0
+    for (int k = threadIdx.x; k < here * kExtras; k += 128)
+        g_extras[first * kExtras + k] = staged[k / kExtras * row + kShSums + kShFloats + k % kExtras];
+#endif
+}
