@@ -28,12 +28,12 @@ from oracle import (
     SCENES,
     SINGLE,
     TOLERANCE,
-    ray_batch,
     compare,
     drawn_with,
     image,
-    oracle_ray_batch,
     oracle_image,
+    oracle_ray_batch,
+    ray_batch,
 )
 from scipy.spatial.transform import Rotation
 

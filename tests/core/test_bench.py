@@ -11,7 +11,7 @@ import torch
 
 from envgs_bench.bench.cases import Case, chosen_cases, sweep_cases, time_case
 from envgs_bench.bench.core import main
-from envgs_bench.bench.room import SPHERES, LOWER, UPPER, first_hits, reflected_rays, room_camera, room_gaussians
+from envgs_bench.bench.room import LOWER, SPHERES, UPPER, first_hits, reflected_rays, room_camera, room_gaussians
 from envgs_bench.bench.tracers import compare, pixel_along
 from envgs_bench.core import trace
 from envgs_bench.core.backends import BACKENDS

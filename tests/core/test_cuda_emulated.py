@@ -30,12 +30,12 @@ from core_scenes import (
 from cuda_emulator.emulator import ORDERS, EmulatedKernels
 from oracle import (
     TOLERANCE,
-    ray_batch,
     compare,
     drawn_with,
     image,
-    oracle_ray_batch,
     oracle_image,
+    oracle_ray_batch,
+    ray_batch,
 )
 from torch import Tensor
 

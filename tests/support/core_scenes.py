@@ -12,10 +12,10 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Rendering, depth_normals, rasterize, reflect, trace
 from envgs_bench.core.ssim import K1, K2, TAPS, ssim_map
+from envgs_bench.core.torch.gaussians_3d import RasterizedGaussians3D
 from envgs_bench.core.torch.intersections import MAX_ALPHA, Intersector, alphas
 from envgs_bench.core.torch.search import all_blended_hits
 from envgs_bench.core.torch.surfels import RasterizedSurfels, TracedSurfels
-from envgs_bench.core.torch.gaussians_3d import RasterizedGaussians3D
 
 FIELDS = ("color", "alpha", "depth", "normal", "extras")
 C0 = 0.28209479177387814
@@ -155,7 +155,9 @@ def relative_error(value: Tensor, reference: Tensor) -> float:
     return difference / max(float(reference.norm()), 1e-30) if difference else 0.0
 
 
-def traced(gaussians: GaussianSet, origins: Tensor, directions: Tensor, t_min: float = 0.0) -> Callable[..., Intersector]:
+def traced(
+    gaussians: GaussianSet, origins: Tensor, directions: Tensor, t_min: float = 0.0
+) -> Callable[..., Intersector]:
     """How `steady` draws rays: a function of a set and a factor on t_min."""
     rays = origins.double().reshape(-1, 3), directions.double().reshape(-1, 3)
     return lambda changed, factor: TracedSurfels(changed, *rays, t_min * factor)
@@ -203,7 +205,11 @@ def hit_table(intersector: Intersector, transmittance_min: float) -> Tensor:
     means = intersector.gaussians.means[hits.primitives]
     intersections = intersector.intersect(hits.rays, hits.primitives, means)
     clamped = alphas(intersector.gaussians.opacities[hits.primitives], intersections.rho) >= MAX_ALPHA
-    at_center = (intersections.t == intersections.order) if isinstance(intersector, RasterizedSurfels) else torch.zeros_like(clamped)
+    at_center = (
+        (intersections.t == intersections.order)
+        if isinstance(intersector, RasterizedSurfels)
+        else torch.zeros_like(clamped)
+    )
     codes = hits.primitives * 4 + clamped * 2 + at_center
     counts = torch.bincount(hits.rays, minlength=math.prod(intersector.shape))
     columns = torch.arange(len(codes)) - (counts.cumsum(0) - counts)[hits.rays]

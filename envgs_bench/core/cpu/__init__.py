@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..backends import RasterizeOptions, TraceOptions
 from ..camera import Camera
-from ..differentiable import PassOutput, Gradients, Planes, SetTensors, draw
+from ..differentiable import Gradients, PassOutput, Planes, SetTensors, draw
 from ..gaussians import GaussianSet
 from ..rendering import Rendering
 from ..trace import Bvh

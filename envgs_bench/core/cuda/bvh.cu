@@ -6,8 +6,11 @@
 using namespace envgs;
 
 // statistics: `low` preset to all ones, the rest to zero.
-extern "C" __global__ void __launch_bounds__(256)
-    center_statistics(const float* means, int count, CenterStatistics* statistics) {
+extern "C" __global__ void __launch_bounds__(256) center_statistics(
+    const float* means,  // [N, 3] centers, world units
+    int count,  // N
+    CenterStatistics* statistics  // [1] `low` set to all ones before, the rest to zero
+) {
     float low[3], high[3], sum[3] = {}, squares[3] = {}, finite = 0.0f;
     for (int k = 0; k < 3; ++k) low[k] = kInfinity, high[k] = -kInfinity;
     for (int i = blockIdx.x * blockDim.x + threadIdx.x; i < count; i += gridDim.x * blockDim.x) {
@@ -38,8 +41,13 @@ extern "C" __global__ void __launch_bounds__(256)
     if (threadIdx.x < 7) atomicAdd(statistics->sum + threadIdx.x, (&block.sum[0])[threadIdx.x]);
 }
 
-extern "C" __global__ void hilbert_keys(const float* means, const float* opacities, int count,
-                                        const CenterStatistics* statistics, u32* keys) {
+extern "C" __global__ void hilbert_keys(
+    const float* means,  // [N, 3] centers, world units
+    const float* opacities,  // [N] in [0, 1]
+    int count,  // N
+    const CenterStatistics* statistics,  // [1] extent of the centers
+    u32* keys  // [N] position along the curve, 30 bits; all ones where never visible
+) {
     int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i >= count) return;
     u32 cell[3];
@@ -137,9 +145,17 @@ __device__ __forceinline__ void halve(Aabb& box, int& from, int present, Scratch
 
 // order [count]: the primitives along the curve. A thread a surfel; further threads pad leaves and the two lowest levels.
 // Where `arrange` is set, each 32 neighbors in `order` are put in the order that makes good leaves.
-extern "C" __global__ void __launch_bounds__(256)
-    pack_surfels(const float* means, const float* quaternions, const float* scales, const float* opacities, int count,
-                 bool arrange, u32* order, float4* packed_surfels, float2* boxes) {
+extern "C" __global__ void __launch_bounds__(256) pack_surfels(
+    const float* means,  // [N, 3] centers, world units
+    const float* quaternions,  // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
+    const float* scales,  // [N, 2] standard deviations, world units; rows begin at 8 bytes
+    const float* opacities,  // [N] in [0, 1]
+    int count,  // N
+    bool arrange,  // whether 32 neighbors in `order` are reordered into good leaves; else `order` is kept
+    u32* order,  // [N] indices of surfels along the curve; reordered where `arrange` is set
+    float4* packed_surfels,  // [leaves, 4, kLeaf] see PackedSurfels
+    float2* boxes  // [3, boxes] (low, high) of each box and axis, world units: see Levels
+) {
     Levels levels = Levels::of(count);
     int stride = levels.total(), slot = blockIdx.x * blockDim.x + threadIdx.x, leaf = slot / kLeaf;
     Aabb box = empty_box();
@@ -186,7 +202,11 @@ extern "C" __global__ void __launch_bounds__(256)
 }
 
 // Level `level` + 1 from level `level`; further threads pad it.
-extern "C" __global__ void merge_boxes(float2* boxes, int count, int level) {
+extern "C" __global__ void merge_boxes(
+    float2* boxes,  // [3, boxes] (low, high) of each box and axis, world units: see Levels
+    int count,  // N surfels
+    int level  // the level to merge; its parents are written
+) {
     Levels levels = Levels::of(count);
     int stride = levels.total(), at = blockIdx.x * blockDim.x + threadIdx.x;
     if (at / 32 >= levels.offset[level + 2] - levels.offset[level + 1]) return;

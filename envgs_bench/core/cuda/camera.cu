@@ -4,8 +4,15 @@
 using namespace envgs;
 
 // One thread. The camera stays on the device, so that drawing never waits for it.
-extern "C" __global__ void make_camera(const float* world_to_camera, const float* intrinsics, int width, int height,
-                                     float near, int low_pass, PinholeCamera* camera) {
+extern "C" __global__ void make_camera(
+    const float* world_to_camera,  // [4, 4] rigid
+    const float* intrinsics,  // [3, 3] pixels
+    int width,  // pixels
+    int height,  // pixels
+    float near,  // nearest depth that is drawn, world units
+    int low_pass,  // whether to anti-alias
+    PinholeCamera* camera  // [1]
+) {
     const float* m = world_to_camera;
     PinholeCamera v;
     v.rotation = {load3(m), load3(m + 4), load3(m + 8)};

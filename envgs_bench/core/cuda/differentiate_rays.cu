@@ -49,14 +49,33 @@ struct WarpRows {
     }
 };
 
-extern "C" __global__ void __launch_bounds__(128)
-    differentiate_rays(const float* origins, const float* directions, const u32* order, int rays,
-                       float4* packed_surfels, const Appearance* appearances, const float* background,
-                       const float* color, const float* alpha, const float* depth, const float* normal,
-                       const float* extras, const float* g_color, const float* g_alpha, const float* g_depth,
-                       const float* g_normal, const float* g_extras, const u32* page_slots, const int* page_next,
-                       const int2* page_heads, const u32* pages_used, u32 page_capacity, float* sums,
-                       float* g_origins, float* g_directions) {
+extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
+    const float* origins,  // [R, 3] world units
+    const float* directions,  // [R, 3] world frame, any length; zero hits nothing
+    const u32* order,  // [R] indices of rays; packets take eight in this order
+    int rays,  // R
+    float4* packed_surfels,  // [leaves, 4, kLeaf] see PackedSurfels
+    const Appearance* appearances,  // [N] by slot
+    const float* background,  // [3] in [0, 1]
+    const float* color,  // [3, R] blended color, 1 is white
+    const float* alpha,  // [R] in [0, 1]
+    const float* depth,  // [R] expected t in units of |direction|, 0 where nothing is hit
+    const float* normal,  // [3, R] world frame, blended, not normalized
+    const float* extras,  // [E, R] blended extras
+    const float* g_color,  // [3, R] dL/dcolor, null for zero
+    const float* g_alpha,  // [R] dL/dalpha, null for zero
+    const float* g_depth,  // [R] dL/ddepth, null for zero
+    const float* g_normal,  // [3, R] dL/dnormal, null for zero
+    const float* g_extras,  // [E, R] dL/dextras, null for zero
+    const u32* page_slots,  // [page_capacity, kPageRows, kRays] slots of hits, kNoHit where a ray has none
+    const int* page_next,  // [page_capacity] the page that follows; −1: none
+    const int2* page_heads,  // [packets] first page, number of rows
+    const u32* pages_used,  // [1] pages asked for; above page_capacity hits were lost
+    u32 page_capacity,  // pages there is room for; 0: hits are not kept
+    float* sums,  // [N, kTraceSums] by index, zeroed before
+    float* g_origins,  // [R, 3] dL/dorigins
+    float* g_directions  // [R, 3] dL/ddirections
+) {
     __shared__ WarpRows rows_of_warps[128 / 32];
     WarpRows& rows_of_warp = rows_of_warps[warp_id()];
     long place = long(blockIdx.x) * blockDim.x + threadIdx.x;

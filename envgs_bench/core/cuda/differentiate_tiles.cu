@@ -4,12 +4,27 @@
 
 using namespace envgs;
 
-extern "C" __global__ void __launch_bounds__(256)
-    differentiate_tiles(const uint2* ranges, const u32* instance_slots, const VisiblePrimitive* primitives, const Outline* outlines,
-                        const PinholeCamera* camera_at, int tiles_x, float transmittance_min, const float* background,
-                        const float* color, const float* alpha, const float* depth, const float* normal,
-                        const float* extras, const float* g_color, const float* g_alpha, const float* g_depth,
-                        const float* g_normal, const float* g_extras, float* sums) {
+extern "C" __global__ void __launch_bounds__(256) differentiate_tiles(
+    const uint2* ranges,  // [tiles] first and past-the-last instance
+    const u32* instance_slots,  // [instances] slot of the primitive, sorted by tile, then depth
+    const VisiblePrimitive* primitives,  // [visible] by slot
+    const Outline* outlines,  // [visible] by slot, pixels
+    const PinholeCamera* camera_at,  // [1]
+    int tiles_x,  // tiles in a row of the image
+    float transmittance_min,  // a pixel is finished below this
+    const float* background,  // [3] in [0, 1]
+    const float* color,  // [3, P] blended color, 1 is white
+    const float* alpha,  // [P] in [0, 1]
+    const float* depth,  // [P] expected camera-frame z, 0 where nothing is hit
+    const float* normal,  // [3, P] world frame, blended, not normalized
+    const float* extras,  // [E, P] blended extras
+    const float* g_color,  // [3, P] dL/dcolor, null for zero
+    const float* g_alpha,  // [P] dL/dalpha, null for zero
+    const float* g_depth,  // [P] dL/ddepth, null for zero
+    const float* g_normal,  // [3, P] dL/dnormal, null for zero
+    const float* g_extras,  // [E, P] dL/dextras, null for zero
+    float* sums  // [visible, kSumsStride] PrimitiveSums by slot, zeroed before
+) {
     const PinholeCamera& camera = *camera_at;
     Pixel pixel = own_pixel(camera, blockIdx.x, tiles_x);
     long pixels = long(camera.width) * camera.height;

@@ -3,11 +3,25 @@
 
 using namespace envgs;
 
-extern "C" __global__ void __launch_bounds__(256)
-    draw_tiles(const uint2* ranges, const u32* instance_slots, const VisiblePrimitive* primitives, const Outline* outlines,
-               const PinholeCamera* camera_at, int tiles_x, float transmittance_min, const float* background,
-               const Counters* counters, float* color, float* alpha, float* depth, float* normal, float* extras,
-               int* hit_counts, const int* indices, float* weights) {
+extern "C" __global__ void __launch_bounds__(256) draw_tiles(
+    const uint2* ranges,  // [tiles] first and past-the-last instance
+    const u32* instance_slots,  // [instances] slot of the primitive, sorted by tile, then depth
+    const VisiblePrimitive* primitives,  // [visible] by slot
+    const Outline* outlines,  // [visible] by slot, pixels
+    const PinholeCamera* camera_at,  // [1]
+    int tiles_x,  // tiles in a row of the image
+    float transmittance_min,  // a pixel is finished below this
+    const float* background,  // [3] in [0, 1]
+    const Counters* counters,  // [1]
+    float* color,  // [3, P] blended color, 1 is white
+    float* alpha,  // [P] in [0, 1]
+    float* depth,  // [P] expected camera-frame z, 0 where nothing is hit
+    float* normal,  // [3, P] world frame, blended, not normalized
+    float* extras,  // [E, P] blended extras
+    int* hit_counts,  // [P] hits blended
+    const int* indices,  // [visible] by slot: the primitive's index
+    float* weights  // [N] sums of the blending weights, zeroed before
+) {
     const PinholeCamera& camera = *camera_at;
     Pixel pixel = own_pixel(camera, blockIdx.x, tiles_x);
     float x = pixel.x + 0.5f, y = pixel.y + 0.5f, near = camera.near;

@@ -20,8 +20,11 @@ struct Stencil {
 };
 
 // `normals` [3, height, width], zero where the stencil is not complete.
-extern "C" __global__ void __launch_bounds__(256)
-    depth_normals(const PinholeCamera* camera, const float* depth, float* normals) {
+extern "C" __global__ void __launch_bounds__(256) depth_normals(
+    const PinholeCamera* camera,  // [1]
+    const float* depth,  // [H, W] camera-frame z, 0 where nothing is hit
+    float* normals  // [3, H, W] unit, world frame, facing the camera; 0 where the stencil is incomplete
+) {
     int i = blockIdx.x * blockDim.x + threadIdx.x, pixels = camera->width * camera->height;
     if (i >= pixels) return;
     Stencil stencil(*camera, depth, i % camera->width, i / camera->width);
@@ -34,8 +37,12 @@ extern "C" __global__ void __launch_bounds__(256)
 }
 
 // From the gradient of `normals`, as planes too, to that of `depth`: a pixel is a neighbor in four stencils.
-extern "C" __global__ void __launch_bounds__(256)
-    differentiate_depth_normals(const PinholeCamera* camera, const float* depth, const float* g_normals, float* g_depth) {
+extern "C" __global__ void __launch_bounds__(256) differentiate_depth_normals(
+    const PinholeCamera* camera,  // [1]
+    const float* depth,  // [H, W] camera-frame z, 0 where nothing is hit
+    const float* g_normals,  // [3, H, W] dL/dnormals
+    float* g_depth  // [H, W] dL/ddepth
+) {
     int i = blockIdx.x * blockDim.x + threadIdx.x, pixels = camera->width * camera->height;
     if (i >= pixels) return;
     int column = i % camera->width, row = i / camera->width;

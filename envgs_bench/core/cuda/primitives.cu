@@ -17,11 +17,26 @@ ENVGS_FN bool pixels_of(const PinholeCamera& camera, PixelBox box, PixelRect& re
 
 // Visible primitives move up in the order of their index: their records, outlines, depths as sort keys and numbers of
 // tiles; slots [N] tells where a primitive went, −1 where nowhere, and indices [visible] the way back.
-extern "C" __global__ void __launch_bounds__(256)
-    prepare_primitives(const float* means, const float* quaternions, const float* scales, const float* opacities,
-                       const float* sh, const float* extras, int count, const PinholeCamera* camera_at, VisiblePrimitive* primitives,
-                       Outline* outlines, u32* depth_keys, u32* tile_counts, int* slots, int* indices, float* weights,
-                       Counters* counters, u64* state, u32* ticket) {
+extern "C" __global__ void __launch_bounds__(256) prepare_primitives(
+    const float* means,  // [N, 3] centers, world units
+    const float* quaternions,  // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
+    const float* scales,  // [N, 2] of surfels, [N, 3] of 3D Gaussians: standard deviations, world units
+    const float* opacities,  // [N] in [0, 1]
+    const float* sh,  // [N, K, 3] SH coefficients
+    const float* extras,  // [N, E] further values to blend
+    int count,  // N
+    const PinholeCamera* camera_at,  // [1]
+    VisiblePrimitive* primitives,  // [N] room for all; slots [0, visible) are written
+    Outline* outlines,  // [N] by slot, pixels
+    u32* depth_keys,  // [N] by slot: the center's depth as sortable bits
+    u32* tile_counts,  // [N] by slot: tiles that may be touched
+    int* slots,  // [N] each primitive's slot; −1 where not visible
+    int* indices,  // [N] by slot: the primitive's index
+    float* weights,  // [N] set to zero
+    Counters* counters,  // [1] zeroed before
+    u64* state,  // [blocks] prefix sums of earlier blocks, zeroed before
+    u32* ticket  // [1] blocks started so far, zeroed before
+) {
     __shared__ PinholeCamera camera;
     __shared__ u32 first_slot;
     u32 block = take_ticket(ticket);
@@ -74,11 +89,26 @@ extern "C" __global__ void __launch_bounds__(256)
 
 // Per primitive: from the sums over its pixels to the gradients of what it was given by. Every row of the results is
 // written, zeros where the primitive was not visible.
-extern "C" __global__ void __launch_bounds__(128)
-    finish_primitives(const float* means, const float* quaternions, const float* scales, const float* opacities,
-                      const float* sh, const float* extras, int count, const PinholeCamera* camera_at, const VisiblePrimitive* primitives,
-                      const int* slots, const float* sums, float* g_means, float* g_quaternions, float* g_scales,
-                      float* g_opacities, float* g_sh, float* g_extras, float* position_gradients) {
+extern "C" __global__ void __launch_bounds__(128) finish_primitives(
+    const float* means,  // [N, 3] centers, world units
+    const float* quaternions,  // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
+    const float* scales,  // [N, 2] of surfels, [N, 3] of 3D Gaussians: standard deviations, world units
+    const float* opacities,  // [N] in [0, 1]
+    const float* sh,  // [N, K, 3] SH coefficients
+    const float* extras,  // [N, E] further values to blend
+    int count,  // N
+    const PinholeCamera* camera_at,  // [1]
+    const VisiblePrimitive* primitives,  // [visible] by slot
+    const int* slots,  // [N] each primitive's slot; −1 where not visible
+    const float* sums,  // [visible, kSumsStride] PrimitiveSums over all pixels, by slot
+    float* g_means,  // [N, 3] dL/dmeans
+    float* g_quaternions,  // [N, 4] dL/dquaternions
+    float* g_scales,  // [N, 2] or [N, 3] dL/dscales
+    float* g_opacities,  // [N] dL/dopacities
+    float* g_sh,  // [N, K, 3] dL/dsh
+    float* g_extras,  // [N, E] dL/dextras
+    float* position_gradients  // [N, 3] sum over hits of t·dL/dmean, world frame
+) {
     constexpr int row = kShFloats | 1;  // odd: neighboring threads fall on neighboring banks
     __shared__ float staged[128 * row];
     __shared__ PinholeCamera camera;

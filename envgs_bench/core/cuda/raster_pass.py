@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..backends import RasterizeOptions
 from ..camera import Camera
-from ..differentiable import PassOutput, Gradients, Planes, SetTensors
+from ..differentiable import Gradients, PassOutput, Planes, SetTensors
 from ..gaussians import GaussianSet
 from .launch import Kernels, aligned, blocks_for, kernels, zeroed
 from .sorting import radix_sort
@@ -79,7 +79,9 @@ class RasterPass:
                self.depth_keys, self.tile_counts, self.slots, self.indices, weights, self.counters, state,
                ticket)  # fmt: skip
 
-    def _draw(self, launch: Kernels, order: Tensor, capacity: int, planes: Planes, hits: Tensor, weights: Tensor) -> None:
+    def _draw(
+        self, launch: Kernels, order: Tensor, capacity: int, planes: Planes, hits: Tensor, weights: Tensor
+    ) -> None:
         count, tiles = len(self.tensors.means), self.tiles_x * self.tiles_y
         blocks = blocks_for(count, 256)
         state, ticket, self.ranges = zeroed(self.device, 2 * blocks, 1, 2 * tiles)

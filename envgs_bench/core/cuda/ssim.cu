@@ -30,9 +30,19 @@ struct Tile {
 
 // `similarity` [C, H + 2·pad − 10, W + 2·pad − 10] of two images [C, H, W]. Where `slopes` [3, C, …] is given, it becomes
 // the gradient of each value with respect to the blurred x, x² + y² and x·y, half of it for the first and last.
-extern "C" __global__ void __launch_bounds__(256)
-    ssim_map(const float* image, const float* target, int channels, int height, int width, int pad,
-                   const float* taps, float c1, float c2, float* similarity, float* partials) {
+extern "C" __global__ void __launch_bounds__(256) ssim_map(
+    const float* image,  // [C, H, W] in [0, 1]
+    const float* target,  // [C, H, W] in [0, 1]
+    int channels,  // C
+    int height,  // H, pixels
+    int width,  // W, pixels
+    int pad,  // zeros on every side, pixels
+    const float* taps,  // [11] weights of the window, which sum to 1
+    float c1,  // C₁ of the formula
+    float c2,  // C₂ of the formula
+    float* similarity,  // [C, H + 2·pad − 10, W + 2·pad − 10]
+    float* partials  // [3, C, …], or null: derivatives by the blurred x, x² + y² and x·y
+) {
     __shared__ float xs[kLoaded], ys[kLoaded], rows[4][kRows];
     int out_height = height + 2 * pad - (kWindow - 1), out_width = width + 2 * pad - (kWindow - 1);
     Tile tile(out_height, out_width);
@@ -78,9 +88,18 @@ extern "C" __global__ void __launch_bounds__(256)
 }
 
 // `g_image` [C, H, W] from `compare_images`' slopes and the gradient of its values.
-extern "C" __global__ void __launch_bounds__(256)
-    differentiate_ssim_map(const float* image, const float* target, const float* gradient, const float* partials,
-                             int channels, int height, int width, int pad, const float* taps, float* g_image) {
+extern "C" __global__ void __launch_bounds__(256) differentiate_ssim_map(
+    const float* image,  // [C, H, W] in [0, 1]
+    const float* target,  // [C, H, W] in [0, 1]
+    const float* gradient,  // [C, H + 2·pad − 10, W + 2·pad − 10] dL/dsimilarity
+    const float* partials,  // [3, C, …] from ssim_map
+    int channels,  // C
+    int height,  // H, pixels
+    int width,  // W, pixels
+    int pad,  // zeros on every side, pixels
+    const float* taps,  // [11] weights of the window
+    float* g_image  // [C, H, W] dL/dimage
+) {
     __shared__ float loaded[3][kLoaded], rows[3][kRows];
     int map_height = height + 2 * pad - (kWindow - 1), map_width = width + 2 * pad - (kWindow - 1);
     int border = kWindow - 1 - pad;

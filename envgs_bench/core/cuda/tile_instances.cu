@@ -5,9 +5,18 @@
 using namespace envgs;
 
 // order [visible]: slots, nearest first; a thread a primitive.
-extern "C" __global__ void __launch_bounds__(256)
-    emit_instances(const u32* order, const Outline* outlines, const u32* tile_counts, Counters* counters, u32 capacity,
-                   int tiles_x, u32* tile_keys, u32* instance_slots, u64* state, u32* ticket) {
+extern "C" __global__ void __launch_bounds__(256) emit_instances(
+    const u32* order,  // [visible] slots, nearest first; a thread a primitive
+    const Outline* outlines,  // [visible] by slot, pixels
+    const u32* tile_counts,  // [visible] by slot: tiles that may be touched
+    Counters* counters,  // [1] drawn_instances is written
+    u32 capacity,  // instances there is room for
+    int tiles_x,  // tiles in a row of the image
+    u32* tile_keys,  // [capacity] tile of each instance
+    u32* instance_slots,  // [capacity] slot of each instance's primitive
+    u64* state,  // [blocks] prefix sums of earlier blocks, zeroed before
+    u32* ticket  // [1] blocks started so far, zeroed before
+) {
     __shared__ u64 first_instance;
     u32 block = take_ticket(ticket), visible = counters->visible;
     if (u64(block) * 256 >= visible) return;
@@ -32,7 +41,11 @@ extern "C" __global__ void __launch_bounds__(256)
 }
 
 // ranges [tiles]: first and past-the-last instance. Zeroed before, for the tiles without any.
-extern "C" __global__ void find_tile_ranges(const u32* tile_keys, const Counters* counters, uint2* ranges) {
+extern "C" __global__ void find_tile_ranges(
+    const u32* tile_keys,  // [instances] tile of each instance, ascending
+    const Counters* counters,  // [1]
+    uint2* ranges  // [tiles] first and past-the-last instance, zeroed before for the tiles without any
+) {
     u32 n = counters->drawn_instances, i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i >= n) return;
     u32 tile = tile_keys[i];

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from ..backends import TraceOptions
-from ..differentiable import PassOutput, Gradients, Planes, SetTensors
+from ..differentiable import Gradients, PassOutput, Planes, SetTensors
 from ..gaussians import GaussianSet
 from .bvh import SurfelBvh
 from .launch import Kernels, aligned, blocks_for, kernels

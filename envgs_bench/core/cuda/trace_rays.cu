@@ -48,12 +48,32 @@ struct PageWriter {
     }
 };
 
-extern "C" __global__ void __launch_bounds__(32, kBlocks)
-    trace_rays(const float* origins, const float* directions, const u32* order, int rays, float4* packed_surfels,
-               const Appearance* appearances, const float2* boxes, int surfel_count, const CenterStatistics* statistics,
-               float t_min, float transmittance_min, const float* background, float* color, float* alpha, float* depth,
-               float* normal, float* extras, int* hit_counts, float* weights, u32* page_slots, int* page_next,
-               int2* page_heads, u32* pages_used, u32 page_capacity) {
+extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
+    const float* origins,  // [R, 3] world units
+    const float* directions,  // [R, 3] world frame, any length; zero hits nothing
+    const u32* order,  // [R] indices of rays; packets take eight in this order
+    int rays,  // R
+    float4* packed_surfels,  // [leaves, 4, kLeaf] see PackedSurfels
+    const Appearance* appearances,  // [N] by slot
+    const float2* boxes,  // [3, boxes] (low, high) of each box and axis, world units: see Levels
+    int surfel_count,  // N
+    const CenterStatistics* statistics,  // [1] extent of the surfels' centers
+    float t_min,  // hits at smaller t are not drawn
+    float transmittance_min,  // a ray ends below this
+    const float* background,  // [3] in [0, 1]
+    float* color,  // [3, R] blended color, 1 is white
+    float* alpha,  // [R] in [0, 1]
+    float* depth,  // [R] expected t in units of |direction|, 0 where nothing is hit
+    float* normal,  // [3, R] world frame, blended, not normalized
+    float* extras,  // [E, R] blended extras
+    int* hit_counts,  // [R] hits blended
+    float* weights,  // [N] sums of the blending weights, zeroed before
+    u32* page_slots,  // [page_capacity, kPageRows, kRays] slots of hits, kNoHit where a ray has none
+    int* page_next,  // [page_capacity] the page that follows; −1: none
+    int2* page_heads,  // [packets] first page, number of rows
+    u32* pages_used,  // [1] pages asked for; above page_capacity hits were lost
+    u32 page_capacity  // pages there is room for; 0: hits are not kept
+) {
     __shared__ PacketMemory memory;
     __shared__ BlendedSums all_sums[kRays];  // not in registers, which the search is short of
     __shared__ Levels levels;

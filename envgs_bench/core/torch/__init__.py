@@ -14,10 +14,10 @@ from ..gaussians import GaussianSet
 from ..rendering import Rendering
 from ..trace import Bvh
 from .blending import blend_hits
+from .gaussians_3d import RasterizedGaussians3D
 from .intersections import Intersector
 from .search import all_blended_hits
 from .surfels import RasterizedSurfels, TracedSurfels
-from .gaussians_3d import RasterizedGaussians3D
 
 __all__ = ["build_bvh", "rasterize", "trace", "why_unavailable"]
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ..camera import Camera
 from ..gaussians import GaussianSet
-from .intersections import Intersector, Intersections
+from .intersections import Intersections, Intersector
 from .pixels import Pixels
 from .rotation import rotation_matrices
 from .sh import sh_color
