@@ -40,6 +40,7 @@ TYPECHECK := build/typecheck
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/codespell
 	@rm -rf $(TYPECHECK) && mkdir -p $(TYPECHECK)/envgs_bench
 	@ln -s $(CURDIR)/envgs_bench/* $(addprefix $(CURDIR)/,methods datasets metrics reports) $(TYPECHECK)/envgs_bench/
 	cd $(TYPECHECK) && MYPYPATH=. $(CURDIR)/$(BIN)/mypy --cache-dir $(CURDIR)/.mypy_cache --config-file $(CURDIR)/pyproject.toml -p envgs_bench

@@ -1,7 +1,7 @@
-"""The room: a workload of Gaussians on the walls of a room and on the spheres in it, and rays a view's surfaces reflect.
+"""The room: a workload of Gaussians on the walls of a room and the spheres in it, and rays that its surfaces reflect.
 
 What a reflective scene asks of the core: surfels of differing size, opacity and tilt, a few layers deep on every
-surface, some thirty blended hits a ray, and rays that start everywhere and fly everywhere.
+surface, some thirty blended hits a ray, and rays from everywhere in all directions.
 """
 
 from __future__ import annotations

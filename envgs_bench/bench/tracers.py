@@ -93,7 +93,7 @@ def _draws(gaussians: GaussianSet, backend: str) -> dict[str, Draw]:
 
 
 def pixel_along(origin: Tensor, direction: Tensor) -> Camera:
-    """The camera of one pixel whose ray starts at `origin` [3] and flies along the unit `direction` [3]."""
+    """The camera of one pixel whose ray starts at `origin` [3] and goes along the unit `direction` [3]."""
     helper = torch.eye(3)[direction.abs().argmin()]
     right = torch.nn.functional.normalize(torch.linalg.cross(helper, direction), dim=0)
     pose = torch.eye(4)

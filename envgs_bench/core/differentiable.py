@@ -1,6 +1,6 @@
 """How a native backend's passes become part of torch's graph.
 
-A pass draws one image or one bundle of rays, and can say the gradient of what it drew. It is made for one call by a
+A pass draws one image or one batch of rays, and can differentiate what it drew. It is made for one call by a
 backend that computes derivatives itself (`cpu`, `cuda`); here is all that such a backend shares with torch.
 """
 

@@ -24,9 +24,9 @@ def rasterize(
     """Draw surfels or 3D Gaussians as `camera` sees them, differentiable in every field of the set.
 
     Primitives are blended in the order of their centers' camera-frame depth (ties by index). Color is the primitive's
-    SH toward its center. A surfel is met where the pixel's ray crosses its plane (2D Gaussian Splatting, exact); a 3D
-    Gaussian is projected with the local affine approximation (EWA, 3D Gaussian Splatting), its depth is its center's
-    and its normal its shortest axis.
+    SH toward its center. A surfel is hit where the pixel's ray intersects its plane (2D Gaussian Splatting, exact);
+    a 3D Gaussian is projected with the local affine approximation (EWA, 3D Gaussian Splatting), its depth is its
+    center's and its normal its shortest axis.
 
     Args:
         gaussians: N primitives, world frame.

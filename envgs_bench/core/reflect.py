@@ -24,8 +24,8 @@ def reflect(
 
     d_ref = d − 2(d·n)n of the unit camera ray d at the normalized blended normal n, from the camera ray's point at the
     expected depth, moved by `offset` along n. Differentiable in the image's depth, normal and extras. A pixel that does
-    not reflect has a ray without a direction: `trace` meets nothing with it, at no cost, so that nobody needs to know
-    how many there are.
+    not reflect has a ray without a direction: it hits nothing in `trace`, at no cost, so that nobody needs to know how
+    many there are.
 
     Args:
         image: a drawn image; `extras[..., 0]` is its blended β.

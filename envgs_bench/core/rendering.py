@@ -24,7 +24,7 @@ class Statistics:
 
 @dataclass
 class Rendering:
-    """An image ([H, W, …], from rasterize) or a bundle of rays ([…], from trace), blended front to back.
+    """An image ([H, W, …], from rasterize) or a batch of rays ([…], from trace), blended front to back.
 
     With weights wᵢ = αᵢ·Πⱼ<ᵢ(1 − αⱼ): color = Σ wᵢcᵢ + (1 − Σ wᵢ)·background; alpha = Σ wᵢ; depth = Σ wᵢtᵢ / Σ wᵢ
     (0 where nothing is hit), t along the ray, so camera-frame z for an image; normal = Σ wᵢnᵢ, world frame, each nᵢ

@@ -43,7 +43,7 @@ def trace(
     """Blend the surfels along each ray in the order of their hits (EnvGS paper, Sec. 4.2, App. D).
 
     Differentiable in every field of the set and in the rays' origins and directions. A ray is o + t·d, t > 0, and d
-    need not have unit length: distances are in units of |d|. Where d is zero, nothing is met. Hits at equal t are
+    need not have unit length: distances are in units of |d|. Where d is zero, nothing is hit. Hits at equal t are
     blended in the order of their index. Tracing `camera.rays()` with t_min = near gives what
     `rasterize(..., low_pass=False)` draws wherever hits and centers sort alike.
 

@@ -134,7 +134,7 @@ def test_a_refitted_tree_finds_what_a_new_one_does(backend):
 
 @pytest.mark.parametrize("hide", ["opacity", "scale"])
 def test_invisible_surfels_that_share_leaves_with_visible_ones_change_nothing(backend, hide):
-    """Rays start at the hidden surfels' very centers: a support of radius 0, or a frame scaled to nothing, is met."""
+    """Rays start at the hidden surfels' very centers: a support of radius 0, or a frame scaled to nothing, is hit."""
     surfels, hidden = random_set(120, seed=3), torch.arange(120) % 3 == 0
     opacities, scales = surfels.opacities.clone(), surfels.scales.clone()
     if hide == "opacity":

@@ -54,7 +54,7 @@ def test_culled_primitives_stored_first_change_nothing(rasterizer, columns):
 
 
 def test_env_only_rays_train_every_field(tracer):
-    """Rays that meet one set only, none of a camera's: a step along a field's gradient changes the loss as it says."""
+    """Rays that hit one set only, none of a camera's: a step along a field's gradient changes the loss as it says."""
     gaussians = replace(
         random_set(1, degree=1, seed=3),
         means=torch.tensor([[0.0, 0.0, 4.0]]),
@@ -114,7 +114,7 @@ def test_depth_varies_across_a_tilted_surfel(rasterizer, low_pass):
 @pytest.mark.parametrize("center_z", [0.0, -0.5, 0.3])
 @pytest.mark.parametrize("low_pass", [True, False])
 def test_a_surfel_that_straddles_the_camera_plane_is_drawn_where_it_is_ahead(rasterizer, center_z, low_pass):
-    """A floor under the camera: pixels below the horizon meet it at z = height/y, until the support ends."""
+    """A floor under the camera: pixels below the horizon see it at z = height/y, until the support ends."""
     half = torch.tensor(torch.pi / 4)
     gaussians = replace(
         facing_surfels(torch.tensor([[0.0, 1.0, center_z]]), scale=1.5, opacity=0.8),
@@ -217,7 +217,7 @@ def test_a_hit_is_never_lost_or_blended_twice_where_many_overlap(tracer, side):
 
 @pytest.mark.parametrize("hide", ["opacity", "scale"])
 def test_an_invisible_surfel_stays_so_beside_visible_ones(native, hide):
-    """A ray starts at its very center, so that even a support of radius 0, or a frame scaled to nothing, is met."""
+    """A ray starts at its very center, so that even a support of radius 0, or a frame scaled to nothing, is hit."""
     gaussians = facing_surfels(torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 1.9], [0.1, 0.0, 2.1]]), opacity=0.6)
     if hide == "opacity":
         gaussians.opacities[0] = 1 / 255

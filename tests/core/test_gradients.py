@@ -79,7 +79,7 @@ def one_ray(backend, gaussians: GaussianSet, background: Tensor | None = None, x
 
 
 def test_one_surfels_gradients_are_the_closed_forms(tracer):
-    """A surfel at (0, 0, 3), σ = ½, met at x = 0.3: α = o·exp(−x²/2σ²), c = α·g + (1 − α)·b."""
+    """A surfel at (0, 0, 3), σ = ½, hit at x = 0.3: α = o·exp(−x²/2σ²), c = α·g + (1 − α)·b."""
     gaussians = facing_surfels(torch.tensor([[0.0, 0.0, 3.0]]), scale=0.5, opacity=0.6)
     response = torch.tensor(-0.09 / 0.5).exp().item()
     leaves, origins, directions, drawn = one_ray(tracer, gaussians, background=torch.full((3,), 0.8))

@@ -95,7 +95,7 @@ def test_traced_colors_are_scipys(tracer, coefficient):
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_rasterized_colors_are_scipys(rasterizer, degree):
-    """The middle pixel's ray meets the only surfel at its center."""
+    """The middle pixel's ray hits the only surfel at its center."""
     camera = tilted_camera(9, 9)
     origins, directions = camera.rays()
     mean = origins[4, 4] + 3 * directions[4, 4]

@@ -109,7 +109,7 @@ def tilted_camera(width: int = 37, height: int = 29) -> Camera:
 
 
 def plain_camera(width: int = 33, height: int = 33, focal: float = 40.0) -> Camera:
-    """A camera at the origin, along +z, whose middle pixel looks straight in_front where the size is odd."""
+    """A camera at the origin, along +z, whose middle pixel looks straight ahead where the size is odd."""
     intrinsics = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
     return Camera(torch.eye(4), intrinsics, width, height)
 

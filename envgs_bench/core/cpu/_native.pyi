@@ -1,30 +1,72 @@
-"""The extension built from this folder's C++; see bindings.cpp."""
-
-from typing import Any
+"""The extension built from this folder's C++; see bindings.cpp. N primitives, P pixels or R rays, all CPU tensors."""
 
 from torch import Tensor
 
 pixel_lanes: int  # pixels of a row that the rasterizer takes at once
 
 class RasterPass:
-    def forward(self, planes: tuple[Tensor, ...], hits: Tensor, weights: Tensor) -> None: ...
-    def backward(
-        self, planes: tuple[Tensor, ...], gradients: tuple[Tensor | None, ...], result: tuple[Tensor, ...]
+    def forward(
+        self,
+        planes: tuple[Tensor, ...],  # filled: color [3, P], alpha [P], depth [P], normal [3, P], extras [E, P]
+        hits: Tensor,  # [P] int32, filled: primitives blended in each pixel
+        weights: Tensor,  # [N] filled: sums of the blending weights
     ) -> None: ...
-
-def raster_pass(gaussians: tuple[Tensor, ...], *camera_and_options: Any) -> RasterPass: ...
-
-class Bvh:
-    def __init__(self, gaussians: tuple[Tensor, ...], threads: int) -> None: ...
-
-class TracePass:
-    def __init__(self, bvh: Bvh, gaussians: tuple[Tensor, ...], *rays_and_options: Any) -> None: ...
-    def forward(self, planes: tuple[Tensor, ...], hits: Tensor, weights: Tensor, keep_hits: bool) -> None: ...
     def backward(
         self,
-        planes: tuple[Tensor, ...],
-        gradients: tuple[Tensor | None, ...],
-        result: tuple[Tensor, ...],
-        origins: Tensor,
-        directions: Tensor,
+        planes: tuple[Tensor, ...],  # as forward() filled them
+        gradients: tuple[Tensor | None, ...],  # dL/d(planes), None for zero
+        result: tuple[Tensor, ...],  # zeros, filled: dL/d(each field of the set), position gradients [N, 3]
+    ) -> None: ...
+
+def raster_pass(
+    gaussians: tuple[Tensor, ...],  # the fields of SetTensors
+    world_to_camera: Tensor,  # [4, 4] rigid
+    intrinsics: Tensor,  # [3, 3] pixels
+    pixel_to_direction: Tensor,  # [3, 3] (x, y, 1) to a world direction with camera z = 1
+    center: Tensor,  # [3] world units
+    width: int,  # pixels
+    height: int,  # pixels
+    near: float,  # nearest camera-frame depth that is drawn, world units
+    low_pass: bool,  # whether to anti-alias
+    background: Tensor,  # [3] in [0, 1]
+    transmittance_min: float,  # a pixel is finished below this
+    threads: int,  # workers; results depend on their number
+    /,
+) -> RasterPass: ...
+
+class Bvh:
+    def __init__(
+        self,
+        gaussians: tuple[Tensor, ...],  # the fields of SetTensors, of surfels
+        threads: int,  # workers that build it
+        /,
+    ) -> None: ...
+
+class TracePass:
+    def __init__(
+        self,
+        bvh: Bvh,  # over `gaussians`
+        gaussians: tuple[Tensor, ...],  # the fields of SetTensors, of surfels
+        origins: Tensor,  # [R, 3] world units
+        directions: Tensor,  # [R, 3] world frame, any length; zero hits nothing
+        background: Tensor,  # [3] in [0, 1]
+        t_min: float,  # hits at smaller t are not drawn, units of |direction|
+        transmittance_min: float,  # a ray ends with the hit that takes it below this
+        threads: int,  # workers; sums over rays depend on their number
+        /,
+    ) -> None: ...
+    def forward(
+        self,
+        planes: tuple[Tensor, ...],  # filled, as RasterPass's, P = R
+        hits: Tensor,  # [R] int32, filled: surfels blended along each ray
+        weights: Tensor,  # [N] filled: sums of the blending weights
+        keep_hits: bool,  # remember hits for backward()
+    ) -> None: ...
+    def backward(
+        self,
+        planes: tuple[Tensor, ...],  # as forward() filled them
+        gradients: tuple[Tensor | None, ...],  # dL/d(planes), None for zero
+        result: tuple[Tensor, ...],  # zeros, filled: dL/d(each field of the set), position gradients [N, 3]
+        origins: Tensor,  # [R, 3] filled: dL/dorigins
+        directions: Tensor,  # [R, 3] filled: dL/ddirections
     ) -> None: ...

@@ -21,9 +21,12 @@ using namespace envgs;
 using In = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
 using Out = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
 using OutInt = nb::ndarray<int32_t, nb::c_contig, nb::device::cpu>;
-using InSet = std::tuple<In, In, In, In, In, In>;          // means, quaternions, scales, opacities, sh, extras
-using OutSet = std::tuple<Out, Out, Out, Out, Out, Out, Out>;  // the same, and position gradients
-using OutPlanes = std::tuple<Out, Out, Out, Out, Out>;     // color, alpha, depth, normal, extras
+// Fields of Gaussians: means, quaternions, scales, opacities, sh, extras.
+using InSet = std::tuple<In, In, In, In, In, In>;
+// Fields of GaussianGradients: the same, and position gradients.
+using OutSet = std::tuple<Out, Out, Out, Out, Out, Out, Out>;
+// Fields of Planes: color, alpha, depth, normal, extras.
+using OutPlanes = std::tuple<Out, Out, Out, Out, Out>;
 using InPlanes = std::tuple<In, In, In, In, In>;
 using GradientPlanes = std::tuple<std::optional<In>, std::optional<In>, std::optional<In>, std::optional<In>,
                                   std::optional<In>>;
@@ -54,7 +57,8 @@ Planes<const float> planes_of(const GradientPlanes& p) {
             data(std::get<4>(p))};
 }
 
-PinholeCamera camera_of(const In& world_to_camera, const In& intrinsics, const In& pixel_to_direction, const In& center, int width,
+PinholeCamera camera_of(const In& world_to_camera, const In& intrinsics, const In& pixel_to_direction,
+                        const In& center, int width,
              int height, float near, bool low_pass) {
     const float* m = world_to_camera.data();
     return {{load3(m), load3(m + 4), load3(m + 8)}, {m[3], m[7], m[11]}, load_mat3(intrinsics.data()),
@@ -69,40 +73,82 @@ NB_MODULE(_native, m) {
     m.attr("pixel_lanes") = kPixelLanes;
 
     nb::class_<RasterPass>(m, "RasterPass")
-        .def("forward", [](RasterPass& self, const OutPlanes& out, OutInt hits, Out weights) {
+        .def("forward", [](RasterPass& self,
+                           const OutPlanes& out,  // filled, P = H·W
+                           OutInt hits,           // [H·W] filled: primitives blended in each pixel
+                           Out weights            // [N] filled: sums of the blending weights
+                        ) {
             nb::gil_scoped_release unlocked;
             self.forward(planes_of(out), hits.data(), weights.data());
         })
-        .def("backward", [](RasterPass& self, const InPlanes& out, const GradientPlanes& gradient, const OutSet& result) {
+        .def("backward", [](RasterPass& self,
+                            const InPlanes& out,             // as forward() filled them
+                            const GradientPlanes& gradient,  // dL/d(out), None for zero
+                            const OutSet& result             // zeros, to be filled
+                         ) {
             nb::gil_scoped_release unlocked;
             self.backward(planes_of(out), planes_of(gradient), gradients_of(result));
         });
-    m.def("raster_pass", [](const InSet& set, In world_to_camera, In intrinsics, In pixel_to_direction, In center,
-                            int width, int height, float near, bool low_pass, In background, float transmittance_min,
-                            int threads) {
+    m.def("raster_pass", [](const InSet& set,         // surfels or 3D Gaussians, by the columns of scales
+                            In world_to_camera,       // [4, 4] rigid
+                            In intrinsics,            // [3, 3] pixels
+                            In pixel_to_direction,    // [3, 3] (x, y, 1) to a world direction with camera z = 1
+                            In center,                // [3] world units
+                            int width,                // pixels
+                            int height,               // pixels
+                            float near,               // nearest camera-frame depth that is drawn, world units
+                            bool low_pass,            // whether to anti-alias
+                            In background,            // [3] in [0, 1]
+                            float transmittance_min,  // a pixel is finished below this
+                            int threads               // workers; results depend on their number
+                         ) {
         bool surfels = std::get<2>(set).shape(1) == 2;
-        PinholeCamera camera = camera_of(world_to_camera, intrinsics, pixel_to_direction, center, width, height, near, low_pass);
-        return make_raster_pass(gaussians_of(set), surfels, camera, load3(background.data()), transmittance_min, threads);
+        PinholeCamera camera = camera_of(world_to_camera, intrinsics, pixel_to_direction, center, width, height, near,
+                                         low_pass);
+        return make_raster_pass(gaussians_of(set), surfels, camera, load3(background.data()), transmittance_min,
+                                threads);
     });
 
-    nb::class_<Bvh>(m, "Bvh").def("__init__", [](Bvh* self, const InSet& set, int threads) {
+    nb::class_<Bvh>(m, "Bvh").def("__init__", [](Bvh* self,
+                                                 const InSet& set,  // surfels
+                                                 int threads        // workers that build it
+                                              ) {
         nb::gil_scoped_release unlocked;
         new (self) Bvh(gaussians_of(set), threads);
     });
     nb::class_<TracePass>(m, "TracePass")
-        .def("__init__", [](TracePass* self, std::shared_ptr<Bvh> bvh, const InSet& set, In origins, In directions,
-                            In background, float t_min, float transmittance_min, int threads) {
+        .def("__init__", [](TracePass* self,
+                            std::shared_ptr<Bvh> bvh,  // over `set`
+                            const InSet& set,          // surfels
+                            In origins,                // [R, 3] world units
+                            In directions,             // [R, 3] world frame, any length; zero hits nothing
+                            In background,             // [3] in [0, 1]
+                            float t_min,               // hits at smaller t are not drawn, units of |direction|
+                            float transmittance_min,   // a ray ends with the hit that takes it below this
+                            int threads                // workers; sums over rays depend on their number
+                         ) {
             RayBatch rays = {origins.data(), directions.data(), int(origins.shape(0))};
             new (self) TracePass(std::move(bvh), gaussians_of(set), rays, load3(background.data()), t_min,
                                  transmittance_min, threads);
         })
-        .def("forward", [](TracePass& self, const OutPlanes& out, OutInt hits, Out weights, bool keep_hits) {
+        .def("forward", [](TracePass& self,
+                           const OutPlanes& out,  // filled, P = R
+                           OutInt hits,           // [R] filled: surfels blended along each ray
+                           Out weights,           // [N] filled: sums of the blending weights
+                           bool keep_hits         // remember hits for backward()
+                        ) {
             nb::gil_scoped_release unlocked;
             self.forward(planes_of(out), hits.data(), weights.data(), keep_hits);
         })
-        .def("backward", [](TracePass& self, const InPlanes& out, const GradientPlanes& gradient, const OutSet& result,
-                            Out origins, Out directions) {
+        .def("backward", [](TracePass& self,
+                            const InPlanes& out,             // as forward() filled them
+                            const GradientPlanes& gradient,  // dL/d(out), None for zero
+                            const OutSet& result,            // zeros, to be filled
+                            Out origins,                     // [R, 3] filled: dL/dorigins
+                            Out directions                   // [R, 3] filled: dL/ddirections
+                         ) {
             nb::gil_scoped_release unlocked;
-            self.backward(planes_of(out), planes_of(gradient), gradients_of(result), {origins.data(), directions.data()});
+            self.backward(planes_of(out), planes_of(gradient), gradients_of(result), {origins.data(),
+                                                                                      directions.data()});
         });
 }

@@ -1,6 +1,6 @@
 // Top-down construction by the surface area heuristic over binned centroids (Wald 2007), along the longest axis of the
-// centroids' box. A node is split until it has eight parts, the part of largest area first, which builds the wide tree
-// at once. Costs count leaves of eight, not surfels: a leaf is tested as a whole.
+// centroids' box. A node is split until it has eight parts, the part of largest area first, which builds the wide
+// hierarchy at once. Costs count leaves of eight, not surfels: a leaf is tested as a whole.
 #include "bvh.h"
 
 #include <algorithm>
@@ -117,7 +117,7 @@ std::pair<BuildPart, BuildPart> split(std::vector<Item>& items, const BuildPart&
     return {left, right};
 }
 
-// A leaf while the tree grows: its part of the items. The surfels themselves are copied once, at the end.
+// A leaf during construction: a range of the items. The surfels themselves are copied once, at the end.
 struct LeafRange {
     int begin, count;
 };
@@ -147,7 +147,7 @@ public:
         return parts;
     }
 
-    // Appends the tree over `part` and returns it as a child: a node or ~leaf.
+    // Appends the subtree over `part` and returns it as a child: a node or ~leaf.
     int build(const BuildPart& part, Subtree& tree) {
         if (part.count() <= kWidth) {
             tree.leaves.push_back({part.begin, part.count()});

@@ -7,26 +7,29 @@
 namespace envgs {
 
 struct alignas(64) TracedSurfel {
-    SurfelFrame<float> frame;
-    Vec3<float> mean;
-    float support, opacity;
+    SurfelFrame<float> frame;  // world to plane, in standard deviations
+    Vec3<float> mean;          // world units
+    float support, opacity;    // ρ at the edge of the support; in [0, 1]
 };
 
 struct alignas(64) BvhNode {
-    float low[3][8], high[3][8];  // unused children: low > high, which no ray meets
+    float low[3][8], high[3][8];  // unused children: low > high, which no ray enters
     int child[8];                 // a node, or ~leaf
 };
 
 struct alignas(64) BvhLeaf {
     float u[3][8], v[3][8], n[3][8], mean[3][8];  // see SurfelFrame
-    float support[8], opacity[8];                 // unused lanes: support < 0, which nothing meets
+    float support[8], opacity[8];                 // unused lanes: support < 0, which no ray hits
     int index[8];
 };
 
 class Bvh {
 public:
-    // Boxes are exact around each surfel's supporting disc. The tree depends on the set alone, not on `threads`.
-    Bvh(const Gaussians& gaussians, int threads);
+    // Boxes are exact around each surfel's supporting disc. The hierarchy depends on the set alone, not on `threads`.
+    Bvh(
+        const Gaussians& gaussians,  // surfels
+        int threads  // workers that build it
+    );
 
     std::vector<TracedSurfel> surfels;  // by primitive index; support < 0 where never visible
     std::vector<BvhNode> nodes;         // the root first; empty where no surfel is visible

@@ -8,14 +8,19 @@
 namespace envgs {
 
 struct Gaussians {
-    const float *means, *quaternions, *scales, *opacities, *sh, *extras;
-    int count, sh_coefficients, extra_count;
+    const float* means;        // [N, 3] centers, world units
+    const float* quaternions;  // [N, 4] wxyz, local to world, any non-zero norm
+    const float* scales;       // [N, 2] of surfels, [N, 3] of 3D Gaussians: standard deviations, world units
+    const float* opacities;    // [N] in [0, 1]
+    const float* sh;           // [N, K, 3] SH coefficients
+    const float* extras;       // [N, E] further values to blend
+    int count, sh_coefficients, extra_count;  // N, K, E
 };
 
 // The same arrays to be filled with gradients; zeroed by the caller.
 struct GaussianGradients {
-    float *means, *quaternions, *scales, *opacities, *sh, *extras;
-    float* position_gradients;  // [N, 3] Σ t·dL/dmean
+    float *means, *quaternions, *scales, *opacities, *sh, *extras;  // shapes as in Gaussians
+    float* position_gradients;  // [N, 3] Σ t·dL/dmean, world frame
 };
 
 // One output or gradient plane a channel, planar: color [3][P], alpha [P], depth [P], normal [3][P], extras [E][P] over

@@ -18,7 +18,7 @@ struct LaneTypes {
     typedef int32_t Int __attribute__((vector_size(4 * W)));
 };
 
-// Eight lanes serve the tree's eight children and leaves of eight; pixels take as many as a register holds.
+// Eight lanes serve a BVH node's eight children and a leaf's eight surfels; pixels take as many as a register holds.
 using Float8 = LaneTypes<8>::Float;
 using Int8 = LaneTypes<8>::Int;
 #if defined(__AVX512F__)

@@ -1,6 +1,6 @@
-// Primitives are sorted by depth once; walking them in that order fills the tiles' lists, which so need no sort of
+// Primitives are sorted by depth once and binned into tiles in that order, so that the tiles' lists need no sort of
 // their own. A tile is drawn by one thread, primitive by primitive, W pixels of a row at a time, with all sums of its
-// pixels in the first-level cache. The backward pass walks the same lists in the same order.
+// pixels in the first-level cache. The backward pass goes through the same lists in the same order.
 #include "rasterize.h"
 
 #include <algorithm>
@@ -82,10 +82,12 @@ class TileRasterizer final : public RasterPass {
     static_assert(sizeof(LaneSums) == kSums * sizeof(F));
 
 public:
-    TileRasterizer(const Gaussians& gaussians, const PinholeCamera& camera, Vec3<float> background, float transmittance_min,
+    TileRasterizer(const Gaussians& gaussians, const PinholeCamera& camera, Vec3<float> background,
+                   float transmittance_min,
                    int threads)
         : g_(gaussians), camera_(camera), background_(background), transmittance_min_(transmittance_min),
-          threads_(threads), tiles_x_((camera.width + kTile - 1) / kTile), tiles_y_((camera.height + kTile - 1) / kTile) {}
+          threads_(threads), tiles_x_((camera.width + kTile - 1) / kTile),
+              tiles_y_((camera.height + kTile - 1) / kTile) {}
 
     void forward(Planes<float> out, int* hits, float* weights) override;
     void backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result) override;
@@ -112,14 +114,16 @@ private:
         return {x0, y0, std::min(kTile, camera_.width - x0), std::min(kTile, camera_.height - y0)};
     }
     void draw_tile(int tile, Planes<float> out, int* hits, float* weights);
-    void load_gradients(const TileRect& rect, Planes<const float> out, Planes<const float> gradient, TileGradientBuffers& t);
+    void load_gradients(const TileRect& rect, Planes<const float> out, Planes<const float> gradient,
+                        TileGradientBuffers& t);
     void differentiate_tile(int tile, Planes<const float> out, Planes<const float> gradient, FloatSums* sums);
     void finish_primitive(int visible_index, const std::vector<std::vector<FloatSums>>& sums, GaussianGradients result);
 
     // Calls visit(offset into the tile's arrays, x of the lanes, y) for each run of W pixels that the primitive may
     // touch and that `live` still marks.
     template <class Visit>
-    void for_each_run(const VisiblePrimitive<Splat>& p, const TileRect& rect, const uint8_t* live, const Visit& visit) const {
+    void for_each_run(const VisiblePrimitive<Splat>& p, const TileRect& rect, const uint8_t* live,
+                      const Visit& visit) const {
         int row0 = std::max(p.row0 - rect.y0, 0), row1 = std::min(p.row1 - rect.y0, rect.height - 1);
         int run0 = std::max(p.column0 - rect.x0, 0) / W, run1 = std::min(p.column1 - rect.x0, rect.width - 1) / W;
         for (int row = row0; row <= row1; ++row)
@@ -148,7 +152,8 @@ void TileRasterizer<Kind>::prepare_primitives() {
             typename Kind::Input input = Kind::input(g_, i);
             PixelBox box = prepare(camera_, input, g_.opacities[i], d.splat);
             // Columns whose centers c + 0.5 lie in the box; the comparison also drops boxes that are not finite.
-            if (!(box.x1 >= 0.5f && box.y1 >= 0.5f && box.x0 <= camera_.width - 0.5f && box.y0 <= camera_.height - 0.5f &&
+            if (!(box.x1 >= 0.5f && box.y1 >= 0.5f && box.x0 <= camera_.width - 0.5f &&
+                  box.y0 <= camera_.height - 0.5f &&
                   box.x0 <= box.x1))
                 continue;
             d.column0 = int(std::ceil(std::max(box.x0, 0.5f) - 0.5f));

@@ -6,16 +6,29 @@
 
 namespace envgs {
 
-// One image: what the forward pass prepared is kept for the backward pass. The arrays of `gaussians` must outlive it.
+// One image. What the forward pass prepares is kept for the backward pass. The arrays of `gaussians` must outlive it.
 class RasterPass {
 public:
     virtual ~RasterPass() = default;
-    // Fills the planes [H·W], hits [H·W] and the blending weights [N].
-    virtual void forward(Planes<float> out, int* hits, float* weights) = 0;
-    virtual void backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result) = 0;
+    virtual void forward(
+        Planes<float> out,  // filled, P = H·W
+        int* hits,          // [H·W] filled: primitives blended in each pixel
+        float* weights      // [N] filled: sums of the blending weights
+    ) = 0;
+    virtual void backward(
+        Planes<const float> out,       // as forward() filled them
+        Planes<const float> gradient,  // dL/d(out)
+        GaussianGradients result       // filled
+    ) = 0;
 };
 
-std::unique_ptr<RasterPass> make_raster_pass(const Gaussians& gaussians, bool surfels, const PinholeCamera& camera,
-                                             Vec3<float> background, float transmittance_min, int threads);
+std::unique_ptr<RasterPass> make_raster_pass(
+    const Gaussians& gaussians,
+    bool surfels,                 // surfels, or else 3D Gaussians
+    const PinholeCamera& camera,
+    Vec3<float> background,       // in [0, 1]
+    float transmittance_min,      // a pixel is finished below this
+    int threads                   // workers; results depend on their number
+);
 
 }  // namespace envgs

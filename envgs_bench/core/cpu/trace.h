@@ -8,24 +8,40 @@
 namespace envgs {
 
 struct RayBatch {
-    const float *origins, *directions;  // [R, 3]
-    int count;
+    const float *origins, *directions;  // [R, 3] world units; world frame, any length
+    int count;                          // R
 };
 
 struct RayGradients {
-    float *origins, *directions;  // [R, 3]
+    float *origins, *directions;  // [R, 3] dL/dorigins, dL/ddirections
 };
 
-// One bundle of rays. The forward pass keeps each ray's hits, so that the backward pass need not search again. The
-// arrays of `gaussians` and `rays` must outlive it.
+// One batch of rays. The forward pass keeps each ray's hits, so that the backward pass need not traverse the BVH again.
+// The arrays of `gaussians` and `rays` must outlive it.
 class TracePass {
 public:
-    TracePass(std::shared_ptr<const Bvh> bvh, const Gaussians& gaussians, const RayBatch& rays, Vec3<float> background,
-              float t_min, float transmittance_min, int threads);
+    TracePass(
+        std::shared_ptr<const Bvh> bvh,  // over `gaussians`
+        const Gaussians& gaussians,      // surfels
+        const RayBatch& rays,
+        Vec3<float> background,          // in [0, 1]
+        float t_min,                     // hits at smaller t are not drawn, units of |direction|
+        float transmittance_min,         // a ray ends with the hit that takes it below this
+        int threads                      // workers; sums over rays depend on their number
+    );
 
-    // Fills the planes [R], hits [R] and the blending weights [N]. Hits are remembered only if `keep_hits`.
-    void forward(Planes<float> out, int* hits, float* weights, bool keep_hits);
-    void backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result, RayGradients rays);
+    void forward(
+        Planes<float> out,  // filled, P = R
+        int* hits,          // [R] filled: surfels blended along each ray
+        float* weights,     // [N] filled: sums of the blending weights
+        bool keep_hits      // remember hits for backward()
+    );
+    void backward(
+        Planes<const float> out,       // as forward() filled them
+        Planes<const float> gradient,  // dL/d(out)
+        GaussianGradients result,      // filled
+        RayGradients rays              // filled
+    );
 
 private:
     struct Worker;

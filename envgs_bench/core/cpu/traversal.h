@@ -1,9 +1,9 @@
-// Finding a ray's hits, nearest first.
+// BVH traversal: finds a ray's hits, nearest first.
 //
-// The tree is walked depth first, nearer children first. Nothing that is still to be visited can hold a hit nearer than
-// the nearest box on the stack, so all hits found up to there are final: they are handed on as the walk goes, in the
-// order of (t, index), and the walk ends with the ray's transmittance. One walk a ray, however many hits it has; no
-// pass is ever restarted, so none can be lost or met twice.
+// The BVH is traversed depth first, nearer children first. No node still to be visited can hold a hit nearer than the
+// nearest box on the stack, so all hits found up to there are final: they are accepted during the traversal, in the
+// order of (t, index), and the traversal ends when the ray's transmittance does. One traversal a ray, however many hits
+// it has; it is never restarted, so no hit can be lost or blended twice.
 #pragma once
 #include <vector>
 
@@ -29,7 +29,12 @@ public:
     explicit Traversal(const Bvh& bvh) : bvh_(bvh) {}
 
     // The hits that a ray blends, in order. Valid until the next call.
-    const std::vector<Hit>& hits(Vec3<float> origin, Vec3<float> direction, float t_min, float transmittance_min);
+    const std::vector<Hit>& hits(
+        Vec3<float> origin,      // world units
+        Vec3<float> direction,   // world frame, any length; zero hits nothing
+        float t_min,             // hits at smaller t are skipped, units of |direction|
+        float transmittance_min  // the ray ends with the hit that takes it below this
+    );
 
 private:
     struct StackEntry {
@@ -48,7 +53,7 @@ private:
 
     const Bvh& bvh_;
     std::vector<StackEntry> stack_;
-    std::vector<Hit> found_;    // sorted; those before settled_ were handed on
+    std::vector<Hit> found_;    // sorted; those before finalized_ are in blended_
     size_t finalized_ = 0;
     std::vector<Hit> blended_;
     Vec3<float> origin_, direction_, inverse_;
@@ -108,7 +113,7 @@ inline void Traversal::visit_leaf(const BvhLeaf& leaf) {
     }
 }
 
-// Hands on what lies nearer than `safe`; true when the ray has ended.
+// Accepts the hits before t_end, beyond which nearer ones may still be found; true when the ray has ended.
 inline bool Traversal::finalize_hits(float t_end) {
     while (finalized_ < found_.size() && found_[finalized_].t() < t_end) {
         const Hit& hit = found_[finalized_++];

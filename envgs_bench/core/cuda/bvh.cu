@@ -1,11 +1,10 @@
-// Builds the tree: where the centers lie, keys along the curve, (a sort), surfels packed in that order with their
+// Builds the BVH: the centers' extent, keys along the curve, (a sort), surfels packed in that order with their
 // boxes, 32 neighbors at a time arranged into good leaves, and the levels above. Refitting to changed surfels repeats
 // only the last two, and keeps the leaves.
 #include "bvh.cuh"
 
 using namespace envgs;
 
-// statistics: `low` preset to all ones, the rest to zero.
 extern "C" __global__ void __launch_bounds__(256) center_statistics(
     const float* means,  // [N, 3] centers, world units
     int count,  // N
@@ -24,7 +23,8 @@ extern "C" __global__ void __launch_bounds__(256) center_statistics(
         }
     }
     __shared__ CenterStatistics block;
-    for (int i = threadIdx.x; i < sizeof(block) / 4; i += blockDim.x) reinterpret_cast<u32*>(&block)[i] = i < 3 ? ~0u : 0;
+    for (int i = threadIdx.x; i < sizeof(block) / 4;
+         i += blockDim.x) reinterpret_cast<u32*>(&block)[i] = i < 3 ? ~0u : 0;
     __syncthreads();
     for (int k = 0; k < 3; ++k) {
         atomicMin(&block.low[k], sortable_bits(low[k]));
@@ -64,7 +64,7 @@ ENVGS_FN Aabb empty_box() {
 }
 
 // Around the supporting disc: along each axis r·√((s_u·t_u)² + (s_v·t_v)²), and a hair for the rounding of this and of
-// the shafts that it is held against.
+// the shafts that it is tested against.
 ENVGS_FN Aabb box_of(const TracedSurfel& s, Vec3<float> axis_u, Vec3<float> axis_v) {
     float u[3] = {axis_u.x, axis_u.y, axis_u.z}, v[3] = {axis_v.x, axis_v.y, axis_v.z};
     float mean[3] = {s.mean.x, s.mean.y, s.mean.z};
@@ -143,8 +143,7 @@ __device__ __forceinline__ void halve(Aabb& box, int& from, int present, Scratch
     __syncwarp();
 }
 
-// order [count]: the primitives along the curve. A thread a surfel; further threads pad leaves and the two lowest levels.
-// Where `arrange` is set, each 32 neighbors in `order` are put in the order that makes good leaves.
+// A thread a surfel, in the order of the curve; further threads pad leaves and the two lowest levels.
 extern "C" __global__ void __launch_bounds__(256) pack_surfels(
     const float* means,  // [N, 3] centers, world units
     const float* quaternions,  // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
@@ -169,7 +168,7 @@ extern "C" __global__ void __launch_bounds__(256) pack_surfels(
         Axes<float> axes = axes_of(normalized(quaternion_at(g, i), inverse_norm));
         s = {surfel_frame(axes, scale.x, scale.y), mean_at(g, i), support_of(opacities[i]), opacities[i], i};
         box = box_of(s, scale.x * axes.u, scale.y * axes.v);
-        if (!(box.low[0] <= box.high[0])) s.support = -1.0f;  // nothing meets it, whatever its leaf's box
+        if (!(box.low[0] <= box.high[0])) s.support = -1.0f;  // no ray hits it, whatever its leaf's box
     }
     int own_slot = slot;
     if (arrange) {

@@ -1,4 +1,4 @@
-// The tree: surfels along a Hilbert curve through their centers, 4 to a leaf, and 32 boxes to a node. Children follow
+// The BVH: surfels along a Hilbert curve through their centers, 4 to a leaf, and 32 boxes to a node. Children follow
 // from positions, so there are no pointers to build; a warp tests a node's 32 boxes at once, a thread each, from three
 // coalesced loads.
 #pragma once
@@ -17,7 +17,7 @@ struct TracedSurfel {
     int index;               // in the set; −1: none
 };
 
-// Surfels by slot, their place in the tree. A leaf keeps the first 16 bytes of all its surfels, then the next: threads
+// Surfels by slot, their place in the BVH. A leaf keeps the first 16 bytes of all its surfels, then the next: threads
 // that read a surfel each of one leaf read side by side.
 struct PackedSurfels {
     float4* packed;
@@ -39,10 +39,10 @@ struct PackedSurfels {
     __device__ __forceinline__ int index(u32 slot) const { return __float_as_int(first(slot)[3 * kLeaf].z); }
 };
 
-// Level 0 holds a box a leaf, level l + 1 a box for 32 of level l; each level is padded to whole groups of 32 with empty
-// boxes, and the last is one group. A plane of (low, high) pairs for each axis.
+// Level 0 holds a box a leaf, level l + 1 a box for 32 of level l; each level is padded to whole groups of 32 with
+// empty boxes, and the last is one group. A plane of (low, high) pairs for each axis.
 struct Levels {
-    int offset[kMaxLevels + 1];  // of each level in a plane; the last is the planes' length
+    int offset[kMaxLevels + 1];  // where each level begins in a plane; the last is the planes' length
     int count;
 
     __device__ static Levels of(int surfels) {

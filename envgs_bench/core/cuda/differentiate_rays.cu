@@ -1,4 +1,5 @@
-// Differentiates: each ray's hits once more, from the pages that the forward pass kept, front to back (see blend.h).
+// Differentiates trace_rays: each ray's hits once more, front to back (see blend.h), from the pages that trace_rays
+// kept.
 #include "trace.cuh"
 
 using namespace envgs;
@@ -18,7 +19,7 @@ ENVGS_FN void atomic_add4(float* to, float4 value4) {
 struct WarpRows {
     static constexpr int kFloat4s = kTraceSums / 4;
     static constexpr int kTeam = kFloat4s <= 8 ? 8 : kFloat4s <= 16 ? 16 : 32;  // threads
-    static constexpr int kStride = kFloat4s | 1;  // odd: eight rows' fours lie in different banks
+    static constexpr int kStride = kFloat4s | 1;  // odd: eight rows' float4s fall on different banks
 
     float4 values4[32][kStride];
 
@@ -114,7 +115,8 @@ extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
             Vec3<float> c = sh_color<kShDegree>(appearance.values, v);
             float weight = g.transmittance * a;
             float value = g.value(c, hit.t, side * s.frame.n, appearance.values + kShFloats);
-            AlphaGradient<float> own = alpha_backward(s.opacity, a, blend_backward(a, value, g.transmittance, g.remaining));
+            AlphaGradient<float> own = alpha_backward(s.opacity, a, blend_backward(a, value, g.transmittance,
+                                                                                   g.remaining));
             Vec3<float> local = intersect_backward(hit, dot(s.frame.u, ray.direction), dot(s.frame.v, ray.direction),
                                                    weight * g.sum.depth, 2.0f * own.rho * hit.u,
                                                    2.0f * own.rho * hit.v);
@@ -125,14 +127,16 @@ extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
             store3(sum + 9, moments.g_t);
             store3(sum + kNormalSum, (side * weight) * g.sum.normal);
             sum[kOpacitySum] = own.opacity;
-            Vec3<float> g_v = sh_color_backward<kShDegree>(appearance.values, v, c, weight * g.sum.color, sum + kShSums);
+            Vec3<float> g_v = sh_color_backward<kShDegree>(appearance.values, v, c, weight * g.sum.color,
+                                                           sum + kShSums);
             store3(sum + kDirectionSum, g_v);
 #pragma unroll
             for (int e = 0; e < kExtras; ++e) sum[kShSums + kShFloats + e] = weight * g.extras[e];
             index = s.index;
 #pragma unroll
             for (int k = 0; k < WarpRows::kFloat4s; ++k)
-                rows_of_warp.values4[lane_id()][k] = make_float4(sum[4 * k], sum[4 * k + 1], sum[4 * k + 2], sum[4 * k + 3]);
+                rows_of_warp.values4[lane_id()][k] = make_float4(sum[4 * k], sum[4 * k + 1], sum[4 * k + 2],
+                                                                 sum[4 * k + 3]);
 
             Vec3<float> world = local.x * s.frame.u + local.y * s.frame.v + local.z * s.frame.n;
             g_origin = g_origin + world - g_v;

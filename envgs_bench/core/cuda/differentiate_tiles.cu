@@ -1,5 +1,5 @@
-// Differentiates: the walk of the forward pass once more, front to back (see blend.h). What a primitive's pixels of one
-// warp add to its gradient is summed in the warp, and leaves as one coalesced row of atomic additions.
+// Differentiates draw_tiles: the same primitives once more, front to back (see blend.h). What a primitive's pixels of
+// one warp add to its gradient is summed in the warp, and leaves as one coalesced row of atomic additions.
 #include "tile_primitives.cuh"
 
 using namespace envgs;

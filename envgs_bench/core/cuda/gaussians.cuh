@@ -23,7 +23,7 @@ ENVGS_FN Quaternion<float> quaternion_at(const Gaussians& g, int i) {
 }
 ENVGS_FN Vec3<float> mean_at(const Gaussians& g, int i) { return load3(g.means + 3l * i); }
 
-// The planes of an image or a bundle of rays, one float a pixel; in gradients a null pointer stands for zeros.
+// The planes of an image or a batch of rays, one float a pixel; in gradients a null pointer stands for zeros.
 template <class T>
 struct Planes {
     T *color, *alpha, *depth, *normal, *extras;
@@ -72,7 +72,7 @@ struct BlendedSums {
     }
 };
 
-// What reaches a pixel or ray from the loss, and its state as the backward pass walks front to back: see blend.h.
+// What reaches a pixel or ray from the loss, and its state as the backward pass goes front to back: see blend.h.
 struct UpstreamGradient {
     SumGradient<float> sum;
     float extras[kExtras + 1];
@@ -84,7 +84,8 @@ struct UpstreamGradient {
         float alpha = out.alpha[at], depth = out.depth[at];
         sum = sum_gradient(read3(gradient.color, at, out.pixels), read(gradient.alpha, at), read(gradient.depth, at),
                            read3(gradient.normal, at, out.pixels), alpha, depth, background);
-        remaining = blended_total(sum, read3(out.color, at, out.pixels), alpha, depth, read3(out.normal, at, out.pixels),
+        remaining = blended_total(sum, read3(out.color, at, out.pixels), alpha, depth, read3(out.normal, at,
+                                                                                             out.pixels),
                              background);
 #pragma unroll
         for (int k = 0; k < kExtras; ++k) {

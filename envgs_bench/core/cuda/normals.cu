@@ -19,7 +19,6 @@ struct Stencil {
     }
 };
 
-// `normals` [3, height, width], zero where the stencil is not complete.
 extern "C" __global__ void __launch_bounds__(256) depth_normals(
     const PinholeCamera* camera,  // [1]
     const float* depth,  // [H, W] camera-frame z, 0 where nothing is hit

@@ -46,7 +46,8 @@ ENVGS_FN XInterval strip_of(const Ellipse& e, float y0, float y1) {
     float width = maximum(e.xx - e.xy * slope, 0.0f);
     auto half_width = [&](float dy) { return square_root(width * maximum(1.0f - dy * dy * inverse, 0.0f)); };
     float right = minimum(maximum(rightmost, below), above), left = minimum(maximum(-rightmost, below), above);
-    return {e.x + slope * left - half_width(left) - kOutlineSlack, e.x + slope * right + half_width(right) + kOutlineSlack};
+    return {e.x + slope * left - half_width(left) - kOutlineSlack,
+            e.x + slope * right + half_width(right) + kOutlineSlack};
 }
 
 // The pixel columns that may be touched in rows row0 to row1; empty where first > last.
@@ -80,7 +81,8 @@ ENVGS_FN int count_tiles(const Outline& o) {
 
 // The outline of the disc ρ ≤ r² of a surfel with semi-axes axis_u, axis_v: the dual conic of disc_box, inverted about
 // the projected center. Unknown where the disc comes near the camera plane.
-ENVGS_FN Ellipse disc_ellipse(const PinholeCamera& camera, const Projection& center, Vec3<float> axis_u, Vec3<float> axis_v,
+ENVGS_FN Ellipse disc_ellipse(const PinholeCamera& camera, const Projection& center, Vec3<float> axis_u,
+                              Vec3<float> axis_v,
                               float r2) {
     Vec3<float> hu = center.world_to_pixel * axis_u, hv = center.world_to_pixel * axis_v;
     float zc = center.in_camera.z;

@@ -1,22 +1,22 @@
-// Finding the hits of a packet: a few neighboring rays, one warp.
+// Packet traversal: finds the hits of a few neighboring rays by one warp.
 //
-// The rays walk the tree together, inside a shaft: along the axis that they advance most on, their positions on the
-// other two lie between straight lines. The warp holds a node's 32 boxes against the shaft at once, a thread each.
-// Leaves that the shaft meets queue up and are put before the rays, a thread a ray and leaf; the pairs that meet queue
-// up in turn, and are put to the test surfel by surfel, a thread each. So every step is the same for all threads, a node
-// is fetched once a packet, and no surfel is tried on a ray that misses its leaf.
+// The rays traverse the BVH together, inside a shaft: along the axis that they advance most on, their positions on the
+// other two lie between straight lines. The warp tests a node's 32 boxes against the shaft at once, a thread each.
+// Leaves that overlap the shaft are queued and tested against the rays, a thread a ray and leaf; pairs that intersect
+// are queued in turn, and their surfels are intersected, a thread each. So every step is the same for all threads, a
+// node is fetched once a packet, and no surfel is tested on a ray that misses its leaf.
 //
-// A ray lists the hits that it meets, unsorted. Once those listed would end it, nothing beyond the farthest can matter,
-// and its far end shrinks to that; a full list is sorted and cut to what is blended. Where that cannot make room, the
-// nearest are kept and another search starts strictly after the last pair (t, index) blended: no hit is lost or met
-// twice. Rays too unlike the packet's first form groups of their own.
+// A ray lists its hits as they are found, unsorted. Once those listed would end it, nothing beyond the farthest can
+// matter, and its far end shrinks to that; a full list is sorted and cut to what is blended. Where that cannot make
+// room, the nearest are kept and another search starts strictly after the last pair (t, index) blended: no hit is lost
+// or blended twice. Rays too unlike the packet's first form groups of their own.
 #pragma once
 #include "trace.cuh"
 
 namespace envgs {
 
 constexpr int kListCapacity = 56;               // hits a ray may list in a search; even, at most 64
-constexpr int kListStride = kListCapacity + 4;         // rays' lists begin four banks apart
+constexpr int kListStride = kListCapacity + 4;         // rays' lists begin four banks apart in shared memory
 constexpr int kListSlack = 8;                 // free places that cutting must leave
 constexpr int kStackSize = 100;               // 2²⁴ surfels leave 4 children at the top, then at most 31, 31 and 32
 constexpr int kLeavesAtOnce = 32 / kRays, kPairsAtOnce = 32 / kLeaf;
@@ -24,7 +24,7 @@ constexpr int kLeafRing = 64, kPairRing = 64;
 constexpr float kGroupSlope = 0.12f;      // rays of a group: how far their slopes may differ from the first's
 constexpr float kGroupOriginDistance = 1.0f / 24;  // and their origins, as a share of the scene
 constexpr float kDepthSteps = 4096.0f;    // a ray's optical depth, −log₂ of its transmittance, is summed in these
-constexpr float kOriginSlack = 2e-6f, kDistanceSlack = 4e-6f;  // of a ray against a box, relative
+constexpr float kOriginSlack = 2e-6f, kDistanceSlack = 4e-6f;  // relative rounding of a ray-box test
 
 struct alignas(16) RayState {
     Vec3<float> origin;
@@ -44,13 +44,13 @@ struct alignas(16) PacketMemory {
     float t[kRays][kListStride];
     u32 tag[kRays][kListStride];     // slot << 8 | alpha in 8 bits, rounded down
     uint2 stack[kStackSize];      // where the shaft enters (float), and level << 27 | group
-    u32 leaves[kLeafRing];    // that the shaft meets, a ring
-    u32 pairs[kPairRing];     // leaf << 4 | ray that meets it, a ring
+    u32 leaves[kLeafRing];    // ring buffer of leaves that overlap the shaft
+    u32 pairs[kPairRing];     // ring buffer of leaf << 4 | ray that enters it
 };
 
 struct Shaft {
     int axis;
-    float sign;            // of the rays' direction along the axis
+    float sign;            // sign of the rays' directions along the axis
     float start, end;      // along sign·axis
     float low[2], high[2]; // position at the start, on the two other axes
     float slope_low[2], slope_high[2];
@@ -70,7 +70,8 @@ public:
     __device__ Packet(PacketMemory& memory, const Levels& levels, const float2* boxes, PackedSurfels surfels,
                       const Ray& ray, float t_min, float transmittance_min, float max_origin_distance)
         : m_(memory), levels_(levels), boxes_(boxes), surfels_(surfels), own_(memory.rays[lane_id() % kRays]),
-          max_origin_distance_(max_origin_distance), end_depth_(optical_depth(0.999f * transmittance_min) + 1), stride_(levels.total()) {
+          max_origin_distance_(max_origin_distance), end_depth_(optical_depth(0.999f * transmittance_min) + 1),
+              stride_(levels.total()) {
         Vec3<float> d = ray.direction;
         float least = 1e-12f * maximum(absolute(d.x), maximum(absolute(d.y), absolute(d.z)));
         prepare(ray.origin.x, d.x, least, inverse_.x, entry_.x, exit_.x);
@@ -135,7 +136,8 @@ private:
         float slope[2] = {component(d, b) * inverse, component(d, c) * inverse};
         bool similar = along > 0.3f * size && absolute(slope[0] - component(ld, b) * leader_inverse) < kGroupSlope &&
                      absolute(slope[1] - component(ld, c) * leader_inverse) < kGroupSlope &&
-                     absolute(o.x - lo.x) < max_origin_distance_ && absolute(o.y - lo.y) < max_origin_distance_ && absolute(o.z - lo.z) < max_origin_distance_;
+                     absolute(o.x - lo.x) < max_origin_distance_ && absolute(o.y - lo.y) < max_origin_distance_ &&
+                         absolute(o.z - lo.z) < max_origin_distance_;
         int ray = lane_id() % kRays;
         bool member = (pending >> ray & 1) && (similar || ray == __ffs(pending) - 1);
         s.rays = __ballot_sync(kFullWarp, member) & ((1u << kRays) - 1);
@@ -168,14 +170,14 @@ private:
         float2 along, across[2];
     };
 
-    // This thread's box of a group. A __syncwarp() must follow: over it the compiler cannot move a load to its first use,
-    // so all loads are on their way before anything waits for one.
+    // This thread's box of a group. A __syncwarp() must follow: over it the compiler cannot move a load to its first
+    // use, so all loads are on their way before anything waits for one.
     __device__ SeenBox fetch(const Shaft& s, int group_at) const {
         const float2* boxes = boxes_ + group_at + lane_id();
         return {boxes[s.along], {boxes[s.across[0]], boxes[s.across[1]]}};
     }
 
-    // Whether the shaft meets the box, and where along it.
+    // Whether the box overlaps the shaft, and where along it.
     __device__ bool overlaps(const Shaft& s, const SeenBox& box, float& near) const {
         near = fmaxf(s.sign < 0.0f ? -box.along.y : box.along.x, s.start);
         float far = fminf(s.sign < 0.0f ? -box.along.x : box.along.y, s.end);
@@ -202,7 +204,7 @@ private:
         for (;;) {
             int level = node.y >> 27, group = node.y & ((1u << 27) - 1);
             if (__uint_as_float(node.x) > s.end) {
-                // passed by
+                // every ray of the group has ended before it
             } else if (level > 0) {
                 depth = push_children(s, level, group, depth);
             } else {
@@ -228,7 +230,7 @@ private:
         at.count += __popc(threads);
     }
 
-    // Puts the next leaves before the rays: thread l tries leaf l / kRays on its own ray.
+    // Tests the next leaves against the rays: thread l tests leaf l / kRays on its own ray.
     __device__ __forceinline__ void test_leaves(Shaft& s, Ring& leaves, Ring& pairs) {
         u32 which = lane_id() / kRays, ray = lane_id() % kRays;
         bool valid = int(which) < leaves.count && (s.rays >> ray & 1);
@@ -254,7 +256,7 @@ private:
         return (inverse < 0.0f ? box.x : box.y) * inverse + offset;
     }
 
-    // Puts the surfels of the next pairs' leaves before the pairs' rays, a thread a surfel, and lists the hits.
+    // Intersects the surfels of the next pairs' leaves with the pairs' rays, a thread a surfel, and lists the hits.
     __device__ __forceinline__ void test_pairs(Shaft& s, Ring& pairs) {
         u32 which = lane_id() / kLeaf;
         bool intersected = int(which) < pairs.count;
@@ -269,7 +271,8 @@ private:
         __syncwarp();
         PlaneHit<float> hit = intersect(surfel.frame, origin - surfel.mean, direction);
         float rho = hit.u * hit.u + hit.v * hit.v, t = hit.t;
-        intersected = intersected & (rho <= surfel.support) & (t >= from_t) & (t <= far_t) & (absolute(hit.d_z) > kDirectionEpsilon);
+        intersected = intersected & (rho <= surfel.support) & (t >= from_t) & (t <= far_t) &
+            (absolute(hit.d_z) > kDirectionEpsilon);
         if (ties_matter_) intersected = intersected && within_interval(ray, t, slot);
         if (!__any_sync(kFullWarp, intersected)) return;
         float alpha = response_alpha(surfel.opacity, rho);
@@ -412,7 +415,8 @@ private:
         RayState& ray = m_.rays[r];
         int k = 2 * lane_id();
         u32 first = 0, second = 0;
-        if (k < kListCapacity) first = optical_depth_of_tag(m_.tag[r][k]), second = optical_depth_of_tag(m_.tag[r][k + 1]);
+        if (k < kListCapacity) first = optical_depth_of_tag(m_.tag[r][k]),
+            second = optical_depth_of_tag(m_.tag[r][k + 1]);
         u32 through = warp_inclusive_sum(first + second);
         u32 before = ray.initial_depth;
         u32 ended = __ballot_sync(kFullWarp, before + through > end_depth_);
@@ -441,10 +445,11 @@ private:
     RayState& own_;
     float max_origin_distance_;
     u32 end_depth_;
-    bool ties_matter_;                       // some ray's interval ends at a surfel: see in_order()
-    int stride_;                       // of the planes of boxes
-    Vec3<float> inverse_;              // of the ray's direction
-    Vec3<float> entry_, exit_;         // a plane at p of an axis is met at p·inverse + these, at the earliest and latest
+    bool ties_matter_;                       // some ray's interval ends at a surfel: see within_interval()
+    int stride_;                       // boxes in a plane
+    Vec3<float> inverse_;              // 1 / the ray's direction
+    // A ray reaches coordinate p of an axis at t = p·inverse_ + entry_ at the earliest, + exit_ at the latest.
+    Vec3<float> entry_, exit_;
 };
 
 }  // namespace envgs

@@ -1,4 +1,4 @@
-// Primitives before the tiles: which are visible, what they look like from here, and in which order they are drawn.
+// A thread a primitive: before the tiles, which are visible and what they look like; after them, their gradients.
 #include "raster.cuh"
 
 using namespace envgs;
@@ -15,7 +15,7 @@ ENVGS_FN bool pixels_of(const PinholeCamera& camera, PixelBox box, PixelRect& re
     return rect.column0 <= rect.column1 && rect.row0 <= rect.row1;
 }
 
-// Visible primitives move up in the order of their index: their records, outlines, depths as sort keys and numbers of
+// Visible primitives move up in the order of their index: their splats, outlines, depths as sort keys and numbers of
 // tiles; slots [N] tells where a primitive went, −1 where nowhere, and indices [visible] the way back.
 extern "C" __global__ void __launch_bounds__(256) prepare_primitives(
     const float* means,  // [N, 3] centers, world units

@@ -8,7 +8,7 @@ using namespace envgs;
 constexpr int kThreads = 256, kWarps = kThreads / 32, kItems = 16, kTileKeys = kThreads * kItems;
 constexpr int kDigits = 256;
 
-// histograms[p][d]: how many keys have digit d at pass p. Zeroed by the caller.
+// Counts the keys' digits for all passes.
 extern "C" __global__ void radix_histograms(
     const u32* keys,  // [capacity]
     const u32* count,  // [1] how many of the keys count
@@ -29,8 +29,7 @@ extern "C" __global__ void radix_histograms(
         if (local[i]) atomicAdd(&histograms[i], local[i]);
 }
 
-// One pass. `state` [tiles][256] and `ticket` are zeroed; thread d looks back for digit d. Without values_in, the values
-// are the keys' own positions.
+// One pass; thread d looks back for digit d.
 extern "C" __global__ void __launch_bounds__(kThreads) radix_pass(
     const u32* keys_in,  // [capacity]
     const u32* values_in,  // [capacity], or null for the keys' own positions

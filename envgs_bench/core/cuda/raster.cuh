@@ -1,4 +1,4 @@
-// What the rasterizer's kernels share: KIND is Surfels or Gaussian3dKind.
+// What the rasterizer's kernels share: KIND is SurfelKind or Gaussian3dKind.
 #pragma once
 #include "outline.cuh"
 #include "warp.cuh"

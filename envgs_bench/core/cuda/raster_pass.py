@@ -15,13 +15,13 @@ from .sorting import radix_sort
 TILE = 16
 SUMS = 32  # floats a primitive in the backward pass
 OUTLINE_FLOATS = 12
-SPLAT_FLOATS = {2: 18, 3: 9}  # by columns of scales
+SPLAT_FLOATS = {2: 18, 3: 9}  # number of columns of scales: floats of a splat
 CAMERA_FLOATS = 64
 MIN_CAPACITY = 1 << 20
 BYTES_PER_INSTANCE = 24  # keys and slots, before and after a sorting pass
 
-# How many instances the latest image on a device had. An image is drawn with half as much capacity again, without waiting
-# for its own count; should that turn out too little, it is drawn again with enough.
+# How many instances the latest image on a device had. An image gets half as much capacity again, without waiting for
+# its own count; where that is too little, it is drawn again with enough.
 _latest_instances: dict[torch.device, int] = {}
 
 
@@ -90,20 +90,20 @@ class RasterPass:
                self.tiles_x, keys, slots, state, ticket)  # fmt: skip
         keys, self.instance_slots = radix_sort(keys, slots, self.counters[1:2], max((tiles - 1).bit_length(), 1))
         launch("find_tile_ranges", blocks_for(capacity, 256), 256, keys, self.counters, self.ranges)
-        launch("draw_tiles", tiles, 256, self.ranges, self.instance_slots, self.visible, self.outlines, self.device_camera,
-               self.tiles_x, float(self.options.transmittance_min), self.background, self.counters, *planes, hits,
-               self.indices, weights)  # fmt: skip
+        launch("draw_tiles", tiles, 256, self.ranges, self.instance_slots, self.visible, self.outlines,
+               self.device_camera, self.tiles_x, float(self.options.transmittance_min), self.background, self.counters,
+               *planes, hits, self.indices, weights)  # fmt: skip
 
     def backward(self, planes: Planes, gradients: tuple[Tensor | None, ...]) -> Gradients:
         tensors, count = self.tensors, len(self.tensors.means)
         launch = self._kernels("primitives.cu", "differentiate_tiles.cu")
         sums = tensors.means.new_zeros(count, SUMS)
         launch("differentiate_tiles", self.tiles_x * self.tiles_y, 256, self.ranges, self.instance_slots, self.visible,
-               self.outlines, self.device_camera, self.tiles_x, float(self.options.transmittance_min), self.background, *planes,
-               *gradients, sums)  # fmt: skip
+               self.outlines, self.device_camera, self.tiles_x, float(self.options.transmittance_min), self.background,
+               *planes, *gradients, sums)  # fmt: skip
         result, position = SetTensors(*map(torch.empty_like, tensors)), torch.empty_like(tensors.means)
-        launch("finish_primitives", blocks_for(count, 128), 128, *tensors, count, self.device_camera, self.visible, self.slots,
-               sums, *result, position)  # fmt: skip
+        launch("finish_primitives", blocks_for(count, 128), 128, *tensors, count, self.device_camera, self.visible,
+               self.slots, sums, *result, position)  # fmt: skip
         return Gradients(result, position)
 
 

@@ -4,9 +4,9 @@
 using namespace envgs;
 
 // Rays whose two ends are alike get neighboring keys: the origin, and the point where the ray leaves the box of the
-// surfels, which is near to what it hits. Both lie on Hilbert curves, and the key takes three bits of either in turn.
-// The tracer's packets are rays along this order, whatever order the caller's rays come in. Rays without a direction
-// meet nothing and come last.
+// surfels, which is near the surfels that it hits. Both lie on Hilbert curves, and the key takes three bits of either
+// in turn. The tracer's packets are rays along this order, whatever order the caller's rays come in. Rays without a
+// direction hit nothing and come last.
 extern "C" __global__ void ray_keys(
     const float* origins,  // [R, 3] world units
     const float* directions,  // [R, 3] world frame, any length; zero hits nothing

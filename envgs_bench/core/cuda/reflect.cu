@@ -3,8 +3,9 @@
 
 using namespace envgs;
 
-// A pixel whose alpha or blended normal is too short, or whose β is not above `beta_min`, reflects nothing: its direction
-// is zero, and so is its weight, otherwise β. `beta_min_at`, where there is one, says `beta_min` on the device.
+// A pixel whose alpha or blended normal is too short, or whose β is not above `beta_min`, reflects nothing: its
+// direction is zero, and so is its weight, otherwise β. `beta_min_at`, where there is one, says `beta_min` on the
+// device.
 extern "C" __global__ void __launch_bounds__(256) reflect_pixels(
     const PinholeCamera* camera,  // [1]
     const float* alpha,  // [H, W] in [0, 1]

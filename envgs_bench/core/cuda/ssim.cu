@@ -1,9 +1,10 @@
-// Structural similarity of two images and its gradient (formulas: ssim.py): a block of 256 threads a tile of one channel,
-// the window along rows first, then along columns, in shared memory.
+// Structural similarity of two images and its gradient (formulas: ssim.py): a block of 256 threads a tile of one
+// channel, the window along rows first, then along columns, in shared memory.
 
 constexpr int kWindow = 11, kTileWidth = 32, kTileHeight = 16;
 constexpr int kLoadedWidth = kTileWidth + kWindow - 1, kLoadedHeight = kTileHeight + kWindow - 1;
-constexpr int kLoaded = kLoadedHeight * kLoadedWidth, kRows = kLoadedHeight * kTileWidth, kTilePixels = kTileHeight * kTileWidth;
+constexpr int kLoaded = kLoadedHeight * kLoadedWidth, kRows = kLoadedHeight * kTileWidth,
+    kTilePixels = kTileHeight * kTileWidth;
 
 // A channel of an image, zero beyond its borders.
 struct Channel {
@@ -28,8 +29,8 @@ struct Tile {
     }
 };
 
-// `similarity` [C, H + 2·pad − 10, W + 2·pad − 10] of two images [C, H, W]. Where `slopes` [3, C, …] is given, it becomes
-// the gradient of each value with respect to the blurred x, x² + y² and x·y, half of it for the first and last.
+// SSIM of two images. Where `partials` is given, it becomes the derivative of each value with respect to the blurred x,
+// x² + y² and x·y, half of it for the first and last.
 extern "C" __global__ void __launch_bounds__(256) ssim_map(
     const float* image,  // [C, H, W] in [0, 1]
     const float* target,  // [C, H, W] in [0, 1]
@@ -87,7 +88,7 @@ extern "C" __global__ void __launch_bounds__(256) ssim_map(
     }
 }
 
-// `g_image` [C, H, W] from `compare_images`' slopes and the gradient of its values.
+// The gradient of `image`, from ssim_map's partials and the gradient of its values.
 extern "C" __global__ void __launch_bounds__(256) differentiate_ssim_map(
     const float* image,  // [C, H, W] in [0, 1]
     const float* target,  // [C, H, W] in [0, 1]

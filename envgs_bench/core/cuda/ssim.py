@@ -11,7 +11,7 @@ from torch.autograd.function import once_differentiable
 
 from .launch import blocks_for, kernels
 
-TILE_WIDTH, TILE_HEIGHT = 32, 16  # as in similarity.cu
+TILE_WIDTH, TILE_HEIGHT = 32, 16  # as in ssim.cu
 
 
 def ssim_map(image: Tensor, target: Tensor, taps: tuple[float, ...], pad: int, c1: float, c2: float) -> Tensor:

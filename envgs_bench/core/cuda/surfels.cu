@@ -1,9 +1,9 @@
-// Before and after the rays: in which order they are traced, how surfels look, and from sums to gradients.
+// A thread or more a surfel, before and after tracing: its appearance is packed, its sums become gradients.
 #include "trace.cuh"
 
 using namespace envgs;
 
-// surfels' appearances in the tree's order; a thread a float.
+// Packs the surfels' appearances in the BVH's order; a thread a float.
 extern "C" __global__ void pack_appearances(
     const u32* order,  // [N] indices of surfels in the BVH's order
     const float* sh,  // [N, K, 3] SH coefficients
@@ -22,7 +22,7 @@ extern "C" __global__ void pack_appearances(
     appearances[at] = value;
 }
 
-// Every row of the results is written, zeros where no ray met the surfel.
+// Every row of the results is written, zeros where no ray hit the surfel.
 extern "C" __global__ void __launch_bounds__(128) finish_surfels(
     const float* quaternions,  // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
     const float* scales,  // [N, 2] standard deviations, world units; rows begin at 8 bytes

@@ -4,7 +4,6 @@
 
 using namespace envgs;
 
-// order [visible]: slots, nearest first; a thread a primitive.
 extern "C" __global__ void __launch_bounds__(256) emit_instances(
     const u32* order,  // [visible] slots, nearest first; a thread a primitive
     const Outline* outlines,  // [visible] by slot, pixels
@@ -40,7 +39,6 @@ extern "C" __global__ void __launch_bounds__(256) emit_instances(
     }
 }
 
-// ranges [tiles]: first and past-the-last instance. Zeroed before, for the tiles without any.
 extern "C" __global__ void find_tile_ranges(
     const u32* tile_keys,  // [instances] tile of each instance, ascending
     const Counters* counters,  // [1]

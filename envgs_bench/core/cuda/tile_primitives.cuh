@@ -1,4 +1,4 @@
-// One tile's primitives, front to back, for the 256 pixels of a tile. Both passes walk like this.
+// One tile's primitives, front to back, for the tile's 256 pixels: the loop of the forward and the backward pass.
 //
 // A warp owns 8×4 pixels. The block fetches 256 primitives at a time and notes which of its eight warps each may touch,
 // so that a warp spends no time on primitives that pass it by.
@@ -40,7 +40,8 @@ ENVGS_FN u32 touched_warps(const Outline& outline, int x0, int y0) {
 // Calls visit(record, slot) for each primitive that may touch the warp, all lanes together, until every pixel of the
 // block is done; `live` is this thread's, and visit() may end it.
 template <class Visit>
-ENVGS_FN void for_each_primitive(uint2 range, const u32* instance_slots, const VisiblePrimitive* primitives, const Outline* outlines, int x0,
+ENVGS_FN void for_each_primitive(uint2 range, const u32* instance_slots, const VisiblePrimitive* primitives,
+                                 const Outline* outlines, int x0,
                         int y0, const bool& live, const Visit& visit) {
     __shared__ VisiblePrimitive batch[kBatch];
     __shared__ u32 batch_slots[kBatch];

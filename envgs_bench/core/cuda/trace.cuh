@@ -1,17 +1,17 @@
-// What the tracer's kernels share.
+// The tracer's data that several kernels share.
 #pragma once
 #include "bvh.cuh"
 
 namespace envgs {
 
-// SH coefficients and extras of a surfel, packed for 16-byte loads, in the tree's order.
+// SH coefficients and extras of a surfel, packed for 16-byte loads, in the BVH's order.
 constexpr int kAppearance = padded(kShFloats + kExtras);
 
 struct alignas(16) Appearance {
     float values[kAppearance];
 };
 
-constexpr int kRays = 8;  // of a packet
+constexpr int kRays = 8;  // rays in a packet
 
 // The rays' hits are remembered page by page: a page holds rows of one hit (a slot) for each ray of a packet.
 constexpr int kPageRows = 32;

@@ -1,4 +1,4 @@
-"""Tracing: the kernels of one bundle of rays, forward and backward."""
+"""Tracing: the kernels of one batch of rays, forward and backward."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PAGE_ROWS = 32  # hits a ray that a page holds
 PAGES_PER_PACKET = 2  # at first
 SPARE_PAGES = 64
 
-# Pages that a packet of the latest bundle on a device took. A bundle gets a quarter more; should that turn out too
+# Pages that a packet of the latest batch on a device took. A batch gets a quarter more; where that is too
 # little, the backward pass traces once more with enough.
 _latest_pages: dict[torch.device, float] = {}
 

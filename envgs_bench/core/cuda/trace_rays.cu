@@ -114,7 +114,8 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
             if (blends) {
                 Appearance appearance = appearances[slot];
                 Vec3<float> c = sh_color<kShDegree>(appearance.values, s.mean - own.origin);
-                sums.add(before * a, c, hit.t, (hit.d_z < 0.0f ? 1.0f : -1.0f) * s.frame.n, appearance.values + kShFloats);
+                sums.add(before * a, c, hit.t, (hit.d_z < 0.0f ? 1.0f : -1.0f) * s.frame.n,
+                         appearance.values + kShFloats);
                 atomicAdd(weights + s.index, before * a);
             }
             u32* rows = writer.more_rows();

@@ -1,4 +1,4 @@
-"""The independent oracle of `trace`: Embree finds which surfels a ray meets, the torch oracle blends them."""
+"""The independent oracle of `trace`: Embree finds which surfels a ray intersects, the torch oracle blends them."""
 
 from __future__ import annotations
 

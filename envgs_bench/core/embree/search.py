@@ -14,7 +14,7 @@ from ..torch.intersections import cutoffs
 from ..torch.rotation import rotation_matrices
 
 INFLATION = 1.001  # Embree works in float32: let it find a little more than the support
-STEP_BACK = 1e-3  # of a ray's start, relative to the scene: a surfel that the ray starts on is met
+STEP_BACK = 1e-3  # rays start this far back, as a share of the scene: a surfel that a ray starts on is hit
 
 
 @torch.no_grad()

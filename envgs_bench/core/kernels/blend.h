@@ -2,7 +2,7 @@
 //
 // A hit of value c and opacity α adds w = T·α times c and leaves the transmittance T·(1 − α). Every output of a pixel
 // is a sum Σ wᵢcᵢ (alpha itself with cᵢ = 1), so the pixel's loss reaches a hit through one number, g·cᵢ. With
-// S = Σ wᵢ(g·cᵢ) over the whole pixel, known from the forward pass, the backward pass walks front to back too:
+// S = Σ wᵢ(g·cᵢ) over the whole pixel, known from the forward pass, the backward pass goes front to back too:
 //     dL/dαᵢ = Tᵢ(g·cᵢ) − (S − Σ_{j≤i} wⱼ(g·cⱼ)) / (1 − αᵢ).
 #pragma once
 #include "vec3.h"
@@ -26,14 +26,14 @@ ENVGS_FN AlphaGradient<R> alpha_backward(R opacity, R alpha, R g_alpha) {
     return {g * alpha / opacity, -0.5f * alpha * g};
 }
 
-// How a pixel's loss depends on its sums Σ wᵢcᵢ, one entry a channel. The gradients that reach a pixel speak of its
-// outputs; background and expected depth make those differ from the plain sums.
+// How a pixel's loss depends on its sums Σ wᵢcᵢ, one entry a channel. Autograd's gradients are
+// those of the outputs, which differ from the plain sums by the background and by the division of depth by alpha.
 template <class R>
 struct SumGradient {
     Vec3<R> color;
-    R depth;   // of Σ wᵢtᵢ
+    R depth;   // dL/d(Σ wᵢtᵢ)
     Vec3<R> normal;
-    R weight;  // of Σ wᵢ
+    R weight;  // dL/d(Σ wᵢ)
 };
 
 template <class R>
@@ -44,14 +44,14 @@ ENVGS_FN SumGradient<R> sum_gradient(Vec3<R> g_color, R g_alpha, R g_depth, Vec3
     return {g_color, g_sum, g_normal, g_alpha - dot(g_color, background) - g_sum * depth};
 }
 
-// S of the pixel (extras are added by the caller): the sums are taken back from the outputs.
+// The pixel's S (the caller adds the extras' part), from the outputs with background and division undone.
 template <class R>
 ENVGS_FN R blended_total(SumGradient<R> g, Vec3<R> color, R alpha, R depth, Vec3<R> normal, Vec3<R> background) {
     Vec3<R> blended = color - (1.0f - alpha) * background;
     return dot(g.color, blended) + g.depth * depth * alpha + dot(g.normal, normal) + g.weight * alpha;
 }
 
-// One step of the walk. In: transmittance before the hit, `value` = g·c, `remaining` = S less what was passed.
+// One hit, front to back. In: transmittance before the hit, `value` = g·c, `remaining` = S less the hits before.
 // Out: both advanced past the hit; returns dL/dα.
 template <class R>
 ENVGS_FN R blend_backward(R alpha, R value, R& transmittance, R& remaining) {

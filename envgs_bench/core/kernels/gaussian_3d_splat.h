@@ -6,8 +6,8 @@
 namespace envgs {
 
 constexpr float kDilation = 0.3f;        // px² added to V by the low-pass
-constexpr float kFrustumMargin = 0.3f;   // the affine approximation is taken at most this far outside the image,
-                                         // as a share of its half size
+constexpr float kFrustumMargin = 0.3f;   // the affine approximation is taken at most this share of the image's
+                                         // half size outside the image
 
 struct Gaussian3dSplat {
     float x, y, depth;       // the projected center
@@ -67,7 +67,7 @@ ENVGS_FN int shortest_axis(Vec3<float> scales) {
     return scales.z < (k ? scales.y : scales.x) ? 2 : k;
 }
 
-// The world-frame normal: the shortest axis, as it lies; `side` turns it toward the camera.
+// The world-frame normal: the shortest axis, its sign arbitrary; `side` turns it toward the camera.
 ENVGS_FN Vec3<float> shortest_axis_of(Axes<float> axes, Vec3<float> scales) {
     int k = shortest_axis(scales);
     return k == 0 ? axes.u : k == 1 ? axes.v : axes.n;
@@ -77,7 +77,8 @@ struct Covariance2d {
     float xx, xy, yy;
 };
 
-ENVGS_FN Covariance2d covariance(const PinholeCamera& camera, const AffineProjection& a, Axes<float> axes, Vec3<float> s) {
+ENVGS_FN Covariance2d covariance(const PinholeCamera& camera, const AffineProjection& a, Axes<float> axes,
+                                 Vec3<float> s) {
     // Rows of T·R·S: V is their Gram matrix.
     Vec3<float> m0 = {s.x * dot(a.t0, axes.u), s.y * dot(a.t0, axes.v), s.z * dot(a.t0, axes.n)};
     Vec3<float> m1 = {s.x * dot(a.t1, axes.u), s.y * dot(a.t1, axes.v), s.z * dot(a.t1, axes.n)};
@@ -85,7 +86,8 @@ ENVGS_FN Covariance2d covariance(const PinholeCamera& camera, const AffineProjec
     return {dot(m0, m0) + dilation, dot(m0, m1), dot(m1, m1) + dilation};
 }
 
-ENVGS_FN PixelBox prepare(const PinholeCamera& camera, const Gaussian3dInput& in, float opacity, Gaussian3dSplat& splat) {
+ENVGS_FN PixelBox prepare(const PinholeCamera& camera, const Gaussian3dInput& in, float opacity,
+                          Gaussian3dSplat& splat) {
     PixelBox empty = {1.0f, 1.0f, 0.0f, 0.0f};
     splat.support = support_of(opacity);
     splat.opacity = opacity;

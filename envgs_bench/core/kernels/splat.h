@@ -1,4 +1,4 @@
-// What rasterizing a surfel and rasterizing a 3D Gaussian have in common: the view, the pixels that a primitive may
+// What rasterizing a surfel and rasterizing a 3D Gaussian have in common: the camera, the pixels that a primitive may
 // touch, and the color that it shows to the camera.
 #pragma once
 #include "blend.h"
@@ -6,15 +6,16 @@
 
 namespace envgs {
 
+// A camera and how it draws; `Camera` in Python.
 struct PinholeCamera {
     Mat3<float> rotation;            // world to camera
     Vec3<float> translation;
     Mat3<float> intrinsics;
     Mat3<float> pixel_to_direction;  // (x, y, 1) -> world direction with camera z = 1
     Vec3<float> center;              // world
-    int width, height;
-    float near;
-    bool low_pass;
+    int width, height;               // pixels
+    float near;                      // nearest camera-frame depth that is drawn, world units
+    bool low_pass;                   // whether to anti-alias
 };
 
 // Pixel positions that may respond; empty where x0 > x1.

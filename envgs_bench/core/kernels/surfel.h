@@ -1,8 +1,8 @@
-// A surfel: where a ray meets its plane, how strongly it answers, and the derivatives of both.
+// A surfel: where a ray intersects its plane, its response there, and the derivatives of both.
 //
-// The surfel's frame A maps the world to its plane, A = diag(1/s_u, 1/s_v, 1)·Rᵀ, with R's columns t_u, t_v, n. A ray
-// o + t·d becomes o' + t·d' with o' = A(o − p) and d' = A·d, and meets the plane at t = −o'_z/d'_z in (u, v), measured
-// in standard deviations; ρ = u² + v² (EnvGS, Eq. 1, 6 and 12).
+// The surfel's frame A maps the world to its plane, A = diag(1/s_u, 1/s_v, 1)·Rᵀ, with R's columns t_u, t_v, n. A ray o
+// + t·d becomes o' + t·d' with o' = A(o − p) and d' = A·d, and intersects the plane at t = −o'_z/d'_z in (u, v),
+// measured in standard deviations; ρ = u² + v² (EnvGS, Eq. 1, 6 and 12).
 #pragma once
 #include "quaternion.h"
 
@@ -26,7 +26,7 @@ ENVGS_FN float support_of(float opacity) {
 template <class R>
 struct PlaneHit {
     R t, u, v;
-    R d_z, inverse_d_z;  // n·d and its inverse: negative where the ray meets the surfel's front
+    R d_z, inverse_d_z;  // n·d and its inverse: negative where the ray hits the surfel's front
 };
 
 // The hit of a ray given relative to the surfel's center (o − p) and in world axes.
@@ -50,13 +50,13 @@ ENVGS_FN Vec3<R> intersect_backward(PlaneHit<R> hit, R d_x, R d_y, R g_t, R g_u,
 }
 
 // What the backward pass sums over a surfel's hits. Since dL/dA = Σ g ⊗ (x − p) and x − p = s_u·u·t_u + s_v·v·t_v lies
-// in the plane, nine numbers hold the gradient of mean, rotation and scales; `traveled` gives the position statistic.
+// in the plane, nine numbers hold the gradient of mean, rotation and scales; `g_t` gives the position statistic.
 template <class R>
 struct SurfelMoments {
     Vec3<R> g;         // Σ g, g = dL/do' of a hit
     Vec3<R> g_u;       // Σ g·u
     Vec3<R> g_v;       // Σ g·v
-    Vec3<R> g_t;  // Σ g·t
+    Vec3<R> g_t;       // Σ g·t
 };
 
 template <class R>

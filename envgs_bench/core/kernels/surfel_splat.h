@@ -1,4 +1,4 @@
-// A surfel as the rasterizer sees it: its frame carried into the pixel grid, once a view, so that a pixel needs one
+// A surfel as the rasterizer sees it: its frame in pixel coordinates, computed once an image, so that a pixel needs one
 // division and a handful of multiplications to find its hit (2D Gaussian Splatting).
 #pragma once
 #include "splat.h"
@@ -13,7 +13,7 @@ struct SurfelSplat {
     Mat3<float> direction;  // d' = direction · (x, y, 1)
     float x, y, depth;      // the projected center
     float support, opacity;
-    float screen_support;   // as `support`, for the low-pass; negative where that is off or the center nearer than near
+    float screen_support;   // the low-pass's support; negative where it is off or the center nearer than near
 };
 
 template <class R>
@@ -21,8 +21,8 @@ struct SurfelPixel {
     PlaneHit<R> plane;
     R d_x, d_y;     // d'_x, d'_y
     R dx, dy;       // pixel − projected center
-    R rho, t, side; // side: +1 where the ray meets the front of the surfel (n·d < 0), else −1
-    R screen;       // 1 where the low-pass answers instead of the surfel itself, else 0
+    R rho, t, side; // side: +1 where the ray hits the front of the surfel (n·d < 0), else −1
+    R screen;       // 1 where the low-pass's response is the larger one, else 0
 };
 
 // Σ over pixels; see SurfelMoments for the first, the rest belongs to the low-pass.
@@ -38,10 +38,11 @@ struct SurfelInput {
     float scale_u, scale_v;
 };
 
-// The box of the disc ρ ≤ r² in pixels. Where it lies before the camera its outline is an ellipse, whose extent follows
-// from the dual conic r²(h_u h_uᵀ + h_v h_vᵀ) − h_c h_cᵀ, taken about the projected center to keep float accuracy; where
-// it crosses the camera plane, the square around it is clipped at the near plane and projected.
-ENVGS_FN PixelBox disc_box(const PinholeCamera& camera, const Projection& center, Vec3<float> axis_u, Vec3<float> axis_v,
+// The box of the disc ρ ≤ r² in pixels. Where it lies in front of the camera its outline is an ellipse, whose extent
+// follows from the dual conic r²(h_u h_uᵀ + h_v h_vᵀ) − h_c h_cᵀ, taken about the projected center to keep float
+// accuracy; where it crosses the camera plane, the square around it is clipped at the near plane and projected.
+ENVGS_FN PixelBox disc_box(const PinholeCamera& camera, const Projection& center, Vec3<float> axis_u,
+                           Vec3<float> axis_v,
                            float r2) {
     PixelBox empty = {1.0f, 1.0f, 0.0f, 0.0f};
     Vec3<float> hu = center.world_to_pixel * axis_u, hv = center.world_to_pixel * axis_v;
@@ -98,7 +99,7 @@ ENVGS_FN PixelBox prepare(const PinholeCamera& camera, const SurfelInput& in, fl
     return box;
 }
 
-// How the splat answers at pixel position (x, y); a hit where out.rho <= splat.support.
+// The splat's response at pixel position (x, y); a hit where out.rho <= splat.support.
 template <class R>
 ENVGS_FN SurfelPixel<R> evaluate(const SurfelSplat& s, R x, R y, float near) {
     SurfelPixel<R> out;

@@ -13,7 +13,7 @@ from .search import BlendedHits, transmittances
 
 
 def blend_hits(intersector: Intersector, hits: BlendedHits, background: Tensor) -> Rendering:
-    """Blend the hits of each ray front to back; the rendering's fields are of the intersector's shape."""
+    """Blend the hits of each ray front to back; the rendering's fields have the shape of its rays."""
     gaussians, rays, primitives = intersector.gaussians, hits.rays, hits.primitives
     means = gaussians.means[primitives]  # a copy for each hit, so that a backward pass leaves the gradient of each
     intersections = intersector.intersect(rays, primitives, means)
@@ -47,7 +47,7 @@ def blend_hits(intersector: Intersector, hits: BlendedHits, background: Tensor) 
 def record_position_gradients(statistics: Statistics, means: Tensor, primitives: Tensor, t: Tensor, count: int) -> None:
     """Have the backward pass leave Σ over hits of t·∂L/∂mean in the statistics.
 
-    The hits' means feed their geometry alone (where they are met, at which depth); the direction that SH color is
+    The hits' means feed their geometry alone (where they are hit, at which depth); the direction that SH color is
     looked up in takes the set's own means and has no part in it.
     """
 

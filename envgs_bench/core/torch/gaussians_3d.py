@@ -1,4 +1,4 @@
-"""Volumes: 3D Gaussians, projected by the local affine approximation (EWA splatting, 3D Gaussian Splatting)."""
+"""3D Gaussians, projected by the local affine approximation (EWA splatting, 3D Gaussian Splatting)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .rotation import rotation_matrices
 from .sh import sh_color
 
 LOW_PASS_VARIANCE = 0.3  # px², added to a projected covariance
-FRUSTUM_MARGIN = 0.3  # of the half width (height): how far outside the image the projection is linearized
+FRUSTUM_MARGIN = 0.3  # share of the half width (height): how far outside the image the projection is linearized
 
 
 class RasterizedGaussians3D(Intersector):
@@ -52,7 +52,7 @@ class RasterizedGaussians3D(Intersector):
     def jacobian(self, means: Tensor, in_front: Tensor) -> Tensor:
         """d(pixel position) / d(camera-frame position) at the centers [..., 3], [..., 2, 3].
 
-        The position where it is taken is clamped_slope within the image and a margin: further out the approximation explodes.
+        The position where it is taken is clamped to the image and a margin: further out the approximation explodes.
         """
         x, y, z = self.pixels.in_camera(means).unbind(-1)
         z = torch.where(in_front, z, 1)

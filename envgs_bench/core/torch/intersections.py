@@ -1,4 +1,4 @@
-"""What the kinds of intersector (rasterized surfels, traced surfels, rasterized gaussians_3d) have in common."""
+"""Intersections of rays and primitives: what rasterized surfels, traced surfels and rasterized 3D Gaussians share."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ MAX_ALPHA = 0.99
 
 @dataclass(frozen=True)
 class Intersections:
-    """Where rays intersect primitives. All fields have one shape, that of the rays and primitives asked about."""
+    """Where rays intersect primitives. All fields have one shape, that of the rays and primitives given."""
 
     t: Tensor  # distance along the ray, in units of its direction's length; for a camera's rays, camera-frame depth
     rho: Tensor  # squared distance from the primitive's center, in standard deviations
     order: Tensor  # hits of a ray are blended in ascending order of this, equal ones by index
     facing: Tensor  # ±1: what turns the primitive's normal toward the viewer
-    valid: Tensor  # bool: false where the ray misses whatever rho says (edge-on, behind the near plane)
+    valid: Tensor  # bool: false where the ray misses, whatever rho is (edge-on, before the near plane)
 
 
 class Intersector(ABC):
-    """One call's input: primitives, and the rays they are seen along."""
+    """One call's primitives and rays: where they intersect, and which colors are seen."""
 
     gaussians: GaussianSet
-    shape: tuple[int, ...]  # of the rays: [H, W] or [R]; a ray's index counts row by row
+    shape: tuple[int, ...]  # the rays' shape, [H, W] or [R]; a ray's index counts row by row
     axes: Tensor  # [N, 3] unit normals, sign arbitrary
 
     @abstractmethod
     def intersect(self, rays: Tensor, primitives: Tensor, means: Tensor) -> Intersections:
-        """Rays and primitives, given by index, of shapes that broadcast; `means` are those primitives' [..., 3]."""
+        """Intersect rays and primitives, indices that broadcast; `means` [..., 3] are the primitives'."""
 
     @abstractmethod
     def colors(self, rays: Tensor, primitives: Tensor) -> Tensor:

@@ -33,7 +33,7 @@ class Pixels:
         return self.in_camera(points)[..., 2]
 
     def offsets(self, rays: Tensor, points: Tensor, in_front: Tensor) -> Tensor:
-        """Pixel centers minus the projections of world points, [..., 2]; of no meaning where a point is not in_front."""
+        """Pixel centers minus the projections of world points, [..., 2]; meaningless where a point is not in front."""
         in_camera = self.in_camera(points)
         # A point in the camera's plane has no projection: keep its gradient finite.
         z = torch.where(in_front, in_camera[..., 2], 1)

@@ -1,4 +1,4 @@
-"""Surfels: where a ray crosses their plane, traced or rasterized."""
+"""Surfels: where a ray intersects their plane, traced or rasterized."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from .pixels import Pixels
 from .rotation import rotation_matrices
 from .sh import sh_color
 
-EDGE_ON = 1e-12  # a ray within this of a surfel's plane (n·d) does not cross it
+EDGE_ON = 1e-12  # a ray within this of a surfel's plane (n·d) does not intersect it
 LOW_PASS_INVERSE_VARIANCE = 2.0  # 1/px²: a screen-space Gaussian of √2/2 px
 
 
 @dataclass(frozen=True)
 class PlaneHits:
-    """Where rays cross the planes of surfels."""
+    """Where rays intersect the planes of surfels."""
 
     t: Tensor
     rho: Tensor
@@ -29,7 +29,7 @@ class PlaneHits:
 
 
 def intersect_planes(origins: Tensor, directions: Tensor, means: Tensor, frames: Tensor, scales: Tensor) -> PlaneHits:
-    """Cross rays o + t·d with the planes of surfels; all arguments' leading shapes broadcast.
+    """Intersect rays o + t·d with the planes of surfels; all arguments' leading shapes broadcast.
 
     t = −(o − p)·n / d·n;  u = (o + t·d − p)·t_u / s_u, v likewise;  ρ = u² + v².
     """

@@ -20,13 +20,13 @@ namespace {
 
 constexpr unsigned kMaxThreads = 1024;
 constexpr size_t kStackBytes = 256 << 10;
-constexpr unsigned kMaxRounds = 300'000;  // that a block may take
+constexpr unsigned kMaxRounds = 300'000;  // scheduling rounds that a block may take
 enum Order { ascending, descending, shuffled };
 
 // Threads that wait for each other: a warp or a block.
 struct Group {
     unsigned living = 0, arrived = 0;
-    unsigned phase = 0;  // how many are over
+    unsigned phase = 0;  // how often all its threads have synchronized
     Operation operation = Operation::none;
 };
 struct Warp : Group {

@@ -58,7 +58,7 @@ namespace emulator {
 
 enum class Operation { none, barrier, barrier_or, sync, ballot, match, shuffle, add, least, greatest };
 
-// What the lanes of a warp brought to an operation; those that had ended brought nothing.
+// The operands of a warp's lanes in one operation; lanes that had ended have none.
 struct WarpExchange {
     uint64_t values[32];
     unsigned present;

@@ -1,7 +1,7 @@
 """The CUDA backend without a GPU: kernels compiled as C++, run thread by thread, launched by the backend's own Python.
 
-Threads meet at barriers and at the operations of a warp as CUDA says. In between, their order is free: a kernel that
-depends on it gives different results in different `ORDERS`. docs/performance_gpu.md says what cannot be seen here.
+Threads synchronize at barriers and at the operations of a warp as CUDA says. In between, their order is free: a kernel
+that depends on it gives different results in different `ORDERS`. docs/performance_gpu.md says what cannot be seen here.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from envgs_bench.core.cuda import compiler, launch
 ORDERS = ("ascending", "descending", "shuffled")  # as in emulator.cpp
 HERE = Path(__file__).parent
 KERNEL = re.compile(r'extern "C" __global__ void\s+(?:__launch_bounds__\([^)]*\)\s+)?(\w+)\(')
-# of the backend, that allocate or wait
+# the backend's modules that allocate or wait
 MODULES = ("", ".bvh", ".normals", ".raster_pass", ".reflect", ".sorting", ".ssim", ".trace_pass")
 CHECKS = ("alignment", "bounds")
 FLAGS = (
