@@ -21,6 +21,7 @@ using F = PixelFloat;
 using I = PixelInt;
 constexpr int W = kPixelLanes;
 
+// What the rasterizer needs to know of surfels.
 struct SurfelKind {
     using Splat = SurfelSplat;
     using Input = SurfelInput;
@@ -35,6 +36,7 @@ struct SurfelKind {
     }
 };
 
+// The same for 3D Gaussians.
 struct Gaussian3dKind {
     using Splat = Gaussian3dSplat;
     using Input = Gaussian3dInput;
@@ -140,7 +142,7 @@ private:
     F lanes_ = lane_positions();
     std::vector<VisiblePrimitive<Splat>> visible_;      // visible primitives, front to back
     std::vector<long> tile_begin_;         // tile -> its part of tile_items_
-    std::vector<int> tile_items_;          // indices into drawn_, front to back
+    std::vector<int> tile_items_;          // indices into visible_, front to back
 };
 
 template <class Kind>

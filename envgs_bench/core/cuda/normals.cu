@@ -35,7 +35,7 @@ extern "C" __global__ void __launch_bounds__(256) depth_normals(
     normals[i] = n.x, normals[pixels + i] = n.y, normals[2 * pixels + i] = n.z;
 }
 
-// From the gradient of `normals`, as planes too, to that of `depth`: a pixel is a neighbor in four stencils.
+// The gradient of depth_normals: a pixel is a neighbor in four stencils.
 extern "C" __global__ void __launch_bounds__(256) differentiate_depth_normals(
     const PinholeCamera* camera,  // [1]
     const float* depth,  // [H, W] camera-frame z, 0 where nothing is hit

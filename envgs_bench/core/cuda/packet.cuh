@@ -364,7 +364,7 @@ private:
         if (n < 2) return;
         float* ts = m_.t[r];
         u32* tags = m_.tag[r];
-        if (lane_id() < 3) ts[n + lane_id()] = kInfinity;  // the last four's rest
+        if (lane_id() < 3) ts[n + lane_id()] = kInfinity;  // pads the last float4
         __syncwarp();
         float t0 = k0 < n ? ts[k0] : kInfinity, t1 = k1 < n ? ts[k1] : kInfinity;
         u32 tag0 = k0 < n ? tags[k0] : 0, tag1 = k1 < n ? tags[k1] : 0;

@@ -1,10 +1,11 @@
-// What the rasterizer's kernels share: KIND is SurfelKind or Gaussian3dKind.
+// The rasterizer's data that several kernels share: KIND is SurfelKind or Gaussian3dKind.
 #pragma once
 #include "outline.cuh"
 #include "warp.cuh"
 
 namespace envgs {
 
+// What the rasterizer needs to know of surfels.
 struct SurfelKind {
     using Splat = SurfelSplat;
     using Input = SurfelInput;
@@ -27,6 +28,7 @@ struct SurfelKind {
     }
 };
 
+// The same for 3D Gaussians.
 struct Gaussian3dKind {
     using Splat = Gaussian3dSplat;
     using Input = Gaussian3dInput;

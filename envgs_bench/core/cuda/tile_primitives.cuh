@@ -37,7 +37,7 @@ ENVGS_FN u32 touched_warps(const Outline& outline, int x0, int y0) {
     return warps;
 }
 
-// Calls visit(record, slot) for each primitive that may touch the warp, all lanes together, until every pixel of the
+// Calls visit(primitive, slot) for each primitive that may touch the warp, all lanes together, until every pixel of the
 // block is done; `live` is this thread's, and visit() may end it.
 template <class Visit>
 ENVGS_FN void for_each_primitive(uint2 range, const u32* instance_slots, const VisiblePrimitive* primitives,
