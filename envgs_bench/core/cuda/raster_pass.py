@@ -108,7 +108,7 @@ class RasterPass:
 
 
 def make_camera(launch: Kernels, camera: Camera, near: float, low_pass: bool) -> Tensor:
-    """The camera as kernels see it, made on the device by view.cu, which `launch` must include."""
+    """The camera as kernels see it, made on the device by camera.cu, which `launch` must include."""
     view = torch.empty(CAMERA_FLOATS, device=camera.device)
     launch("make_camera", 1, 1, camera.world_to_camera.contiguous(), camera.intrinsics.contiguous(), camera.width,
            camera.height, float(near), low_pass, view)  # fmt: skip
