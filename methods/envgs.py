@@ -13,7 +13,7 @@ from envgs_bench.core import Camera, Scene, Statistics
 from .densification import DensificationRule, spatial_criterion
 from .initialization import quantile_box, random_points_in_grid
 from .reflection import ReflectionSettings
-from .schedule import ENV_RESET_FLOOR
+from .schedule import DENSIFY_FLOOR, ENV_RESET_FLOOR, RECOVERY
 from .traced import TracedReflection
 
 PAPER_GRID = 32  # N of Sec. 4.3
@@ -67,9 +67,12 @@ class EnvGS(TracedReflection):
         s, schedule = self.settings, self.schedule
         happens = super().events(step)
         resets = {"stop": s.densify_until, "interval": s.env_opacity_reset_every, "floor": ENV_RESET_FLOOR}
-        every = schedule.densification_interval(s.env_densify_every)
-        if not schedule.recovers(step, **resets) and schedule.densifies(
-            step, start=s.bootstrap, stop=s.densify_until, every=every
+        every = schedule.interval(s.env_densify_every, DENSIFY_FLOOR)
+        young = step <= schedule.at(s.bootstrap) + RECOVERY  # as after a reset, opacities say nothing about need
+        if (
+            not young
+            and not schedule.recovers(step, **resets)
+            and schedule.densifies(step, start=s.bootstrap, stop=s.densify_until, every=every)
         ):
             happens.add("densify_env")
         if step > schedule.at(s.bootstrap) and schedule.resets(step, **resets):

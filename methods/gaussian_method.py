@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from typing import ClassVar
 
@@ -19,7 +20,7 @@ from .losses import nearness, normal_distance, normal_loss, photometric_loss, ps
 from .method import Method
 from .parameters import GaussianParameters, LearningRates
 from .resident_views import ResidentViews
-from .schedule import Schedule
+from .schedule import DENSIFY_FLOOR, Schedule
 from .settings import GaussianSettings
 from .trained_set import TrainedSet
 
@@ -149,9 +150,9 @@ class GaussianMethod(Method):
             terms["perceptual"] = settings.perceptual_weight * self.perceptual(rendering.color, target)
         return terms
 
-    def _densify_every(self, step: int) -> int:
+    def _densify_every(self, step: int) -> Fraction:
         """The base set's interval at this step, in steps of this run; 0: never."""
-        return self.schedule.densification_interval(self.settings.densify_every)
+        return self.schedule.interval(self.settings.densify_every, DENSIFY_FLOOR)
 
     def _criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
         return screen_criterion(statistics, camera)

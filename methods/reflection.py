@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import ClassVar
 
 import torch
@@ -128,23 +129,30 @@ class ReflectiveMethod(GaussianMethod):
     def events(self, step: int) -> set[str]:
         s, schedule = self.settings, self.schedule
         happens = super().events(step)
-        disturbs = schedule.disturbs(step, start=s.bootstrap, stop=s.disturb_until, interval=s.disturb_every)
-        if disturbs and "reset_base_opacity" not in happens:
+        if schedule.disturbs(
+            step,
+            start=s.bootstrap,
+            stop=s.disturb_until,
+            interval=s.disturb_every,
+            reset_interval=s.opacity_reset_every,
+        ):
             happens |= {name for name, wanted in (("sabotage", s.sabotage), ("propagate", s.propagate)) if wanted}
         if "reset_base_opacity" in happens and s.beta_reset != "none" and step >= schedule.at(s.beta_reset_from):
             happens.add("reset_beta")
         return happens
 
-    def _densify_every(self, step: int) -> int:
+    def _densify_every(self, step: int) -> Fraction:
         usual, s = super()._densify_every(step), self.settings
         start, stop = self.schedule.at(s.bootstrap), self.schedule.at(s.disturb_until)
-        if not start < step <= stop:
+        if usual == 0 or not start < step <= stop:
             return usual
-        longest = (stop - start) // (SETTLING_GROWTHS * max(usual, 1))
+        longest = (stop - start) // (SETTLING_GROWTHS * usual)
         return usual * max(1, min(s.settling_interval, longest))
 
     def _after_step(self, step: int, events: set[str]) -> None:
         super()._after_step(step, events)
+        if "reset_base_opacity" in events:
+            self._hold_until = 0  # or opacities would stay where the reset left them, and all be pruned
         if "sabotage" in events:
             self._sabotage()
         if "propagate" in events:
@@ -168,7 +176,7 @@ class ReflectiveMethod(GaussianMethod):
         log_scales = parameters.tensors["log_scales"].detach()
         parameters.replace("log_scales", log_scales + math.log(PROPAGATE_SCALE) * (self._beta() >= PROPAGATE_ABOVE))
         self.sets["base"].raise_opacity()
-        self._hold_until = step + self.schedule.every(self.settings.propagate_hold, HOLD_FLOOR)
+        self._hold_until = step + round(self.schedule.interval(self.settings.propagate_hold, HOLD_FLOOR))
 
     def _reset_beta(self) -> None:
         parameters = self.sets["base"].parameters

@@ -1,7 +1,7 @@
 """Schedule: what happens at which step, in a run of any length.
 
 The settings give steps of a run of 30,000, the length that 3DGS, 2DGS and EnvGS are tuned for. A run of another length
-stretches them: `at` maps a point of the reference run to this run, `every` maps an interval. An interval never falls
+stretches them: `at` maps a point of the reference run to this run, `interval` maps an interval. An interval never falls
 below a floor, because some things take a number of steps and not a share of the run:
 
 | interval | floor | why |
@@ -12,12 +12,17 @@ below a floor, because some things take a number of steps and not a share of the
 
 A run too short for an interval never does the thing: it could not recover. One of 2,000 steps has every phase, one of
 800 is never disturbed and resets no opacity of the base.
+
+Intervals are kept as fractions of a step and each event is rounded alone, so that events which coincide in the
+reference run coincide in every run, and those that do not keep their distance.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
 
 REFERENCE_STEPS = 30_000
 DENSIFY_FLOOR = 30
@@ -29,25 +34,40 @@ RECOVERY = 100
 
 @dataclass(frozen=True)
 class Schedule:
-    """The clock of one run. Steps count from 1 to `steps`."""
+    """The clock of one run. Steps count from 1 to `steps`.
+
+    Attributes:
+        steps: length of the run.
+        stretches: whether a run of more than 30,000 steps stretches the reference run; else it goes through the
+            reference run and then on with what holds at its end (EnvGS's released code).
+    """
 
     steps: int
+    stretches: bool = True
 
     def __post_init__(self) -> None:
         if self.steps < 1:
             raise ValueError(f"a run has {self.steps} steps, expected at least 1")
 
+    @property
+    def horizon(self) -> int:
+        """Steps of this run that the reference run is mapped to."""
+        return self.steps if self.stretches else min(self.steps, REFERENCE_STEPS)
+
     def at(self, reference_step: int) -> int:
         """The step of this run that lies where `reference_step` lies in a run of 30,000."""
-        return round(reference_step * self.steps / REFERENCE_STEPS)
+        return _nearest(reference_step * self.horizon, REFERENCE_STEPS)
 
-    def every(self, reference_interval: int, floor: int) -> int:
-        """An interval of the reference run in steps of this run, at least `floor`."""
-        return max(self.at(reference_interval), floor)
+    @cache  # noqa: B019 (a few intervals a run)
+    def interval(self, reference_interval: int, floor: int) -> Fraction:
+        """An interval of the reference run in steps of this run, at least `floor`; 0, never, where it is 0 there."""
+        if reference_interval <= 0:
+            return Fraction(0)
+        return max(Fraction(reference_interval * self.horizon, REFERENCE_STEPS), Fraction(floor))
 
     def rate(self, step: int, first: float, last: float) -> float:
-        """A learning rate's log-linear decay (3DGS's, of positions): `first` at step 0 and `last` at the run's end."""
-        progress = min(step / self.steps, 1.0)
+        """A learning rate's log-linear decay (3DGS's, for positions): `first` at step 0 and `last` at the horizon."""
+        progress = min(step / self.horizon, 1.0)
         return math.exp((1 - progress) * math.log(first) + progress * math.log(last))
 
     @property
@@ -60,33 +80,64 @@ class Schedule:
         """
         return min(max(1.0, math.sqrt(REFERENCE_STEPS / self.steps)), 10.0)
 
-    def densification_interval(self, reference_interval: int) -> int:
-        """Steps of this run between two densifications; 0, never, where the reference interval is 0."""
-        return self.every(reference_interval, DENSIFY_FLOOR) if reference_interval > 0 else 0
-
-    def densifies(self, step: int, *, start: int, stop: int, every: int) -> bool:
+    def densifies(self, step: int, *, start: int, stop: int, every: Fraction) -> bool:
         """Whether a densification `every` so many steps of this run, between `start` and `stop` (reference), is due."""
-        return every > 0 and self.at(start) < step < self.at(stop) and step % every == 0
+        return self.at(start) < step < self.at(stop) and _falls_on(step, every)
 
     def resets(self, step: int, *, stop: int, interval: int, floor: int = RESET_FLOOR) -> bool:
         """Whether an opacity reset, every `interval` until before `stop` (reference), falls on `step`."""
-        return step < self.at(stop) and self._falls_on(step, interval, floor)
+        return step < self.at(stop) and _falls_on(step, self.interval(interval, floor))
 
     def recovers(self, step: int, *, stop: int, interval: int, floor: int = RESET_FLOOR) -> bool:
         """Whether `step` is within 100 steps after such a reset, when opacities say nothing about need.
 
         A reference run resets every 3,000 steps and densifies every 100, so it never prunes in this time either.
         """
-        if interval <= 0:
+        n, d = self.interval(interval, floor).as_integer_ratio()
+        if n == 0:
             return False
-        since = step % self.every(interval, floor)
-        return 0 < since < RECOVERY and since < step and step - since < self.at(stop)
+        count = (step * d - 1) // n  # the last multiple before `step`, unless it is rounded up to it
+        reset = _nearest(count * n, d)
+        if reset >= step:
+            reset = _nearest((count - 1) * n, d)
+        return 0 < reset < step < reset + RECOVERY and reset < self.at(stop)
 
-    def disturbs(self, step: int, *, start: int, stop: int, interval: int) -> bool:
-        """Whether color sabotage and normal propagation, every `interval` in (start, stop], fall on `step`."""
-        in_time = self.at(start) < step <= self.at(stop)
-        return in_time and self._falls_on(step, interval, DISTURB_FLOOR)
+    def disturbs(self, step: int, *, start: int, stop: int, interval: int, reset_interval: int) -> bool:
+        """Whether color sabotage and normal propagation, every `interval` in (start, stop], fall on `step`.
 
-    def _falls_on(self, step: int, interval: int, floor: int) -> bool:
-        """Whether `step` is a multiple of the reference interval; never where that is 0."""
-        return interval > 0 and step % self.every(interval, floor) == 0
+        Never on an opacity reset, which would undo them, and never within 1,000 steps of the last time. Between resets
+        they keep their places: with 1,000 and 3,000 in the reference run, at a third and two thirds of the way.
+        """
+        return step in _disturbances(self, start, stop, interval, reset_interval)
+
+
+@cache
+def _disturbances(schedule: Schedule, start: int, stop: int, interval: int, reset_interval: int) -> frozenset[int]:
+    """All steps at which `Schedule.disturbs`."""
+    if interval <= 0:
+        return frozenset()
+    stretch = Fraction(schedule.horizon, REFERENCE_STEPS)
+    if reset_interval > 0:  # where resets are kept apart by their floor, what lies between them is stretched alike
+        stretch = schedule.interval(reset_interval, RESET_FLOOR) / reset_interval
+    steps, last = [], 0
+    for count in range(1, int(schedule.at(stop) / (interval * stretch)) + 2):
+        step = _nearest(*(count * interval * stretch).as_integer_ratio())
+        coincides = reset_interval > 0 and count * interval % reset_interval == 0
+        if schedule.at(start) < step <= schedule.at(stop) and not coincides and step - last >= DISTURB_FLOOR:
+            steps.append(step)
+            last = step
+    return frozenset(steps)
+
+
+def _falls_on(step: int, interval: Fraction) -> bool:
+    """Whether a multiple of the interval is rounded to `step`; never where the interval is 0."""
+    n, d = interval.as_integer_ratio()
+    if n == 0:
+        return False
+    count = _nearest(step * d, n)
+    return count > 0 and _nearest(count * n, d) == step
+
+
+def _nearest(numerator: int, denominator: int) -> int:
+    """The integer nearest to a fraction ≥ 0, the upper of two: whole numbers, since every step asks several times."""
+    return (2 * numerator + denominator) // (2 * denominator)

@@ -1,11 +1,14 @@
 """The schedule of a reference run, number by number, and that a short run leaves nothing out."""
 
+from itertools import pairwise
+
 import pytest
 import torch
 
 from envgs_bench.core import Camera, Scene, View
+from envgs_bench.methods.reflection import HOLD_FLOOR
 from envgs_bench.methods.registry import create_method
-from envgs_bench.methods.schedule import Schedule
+from envgs_bench.methods.schedule import RECOVERY, Schedule, _disturbances
 
 
 def events(kind: str, steps: int, **settings) -> dict[str, list[int]]:
@@ -116,3 +119,69 @@ def test_shorter_runs_learn_faster(steps, scale):
 def test_a_run_without_steps_is_refused():
     with pytest.raises(ValueError, match="0 steps"):
         Schedule(0)
+
+
+def check_recovery(steps: int) -> set[str]:
+    """Walk through what a run of this length does around its resets; returns the names of all that happens then."""
+    method = create_method("envgs", {"beta_reset": "min"})
+    schedule = method.schedule = Schedule(steps)
+    s = method.settings
+    resets = [step for step in range(1, schedule.at(s.densify_until)) if resets_base(schedule, step)]
+    disturbed = [step for step in around(resets, steps) if "propagate" in method.events(step)]
+    hold = round(schedule.interval(s.propagate_hold, HOLD_FLOOR))
+    happened = set()
+    for reset in resets:
+        happened |= method.events(reset)
+        assert not {"propagate", "sabotage"} & method.events(reset)
+        assert not any(step < reset <= step + hold for step in disturbed), f"opacities rest when {reset} resets them"
+        for step in range(reset + 1, min(reset + RECOVERY, steps)):
+            assert "densify_base" not in method.events(step), f"{step} prunes what {reset} has just made transparent"
+    return happened.union(*(method.events(step) for step in disturbed))
+
+
+def resets_base(schedule: Schedule, step: int) -> bool:
+    return schedule.resets(step, stop=21_000, interval=3000)
+
+
+def around(resets: list[int], steps: int) -> list[int]:
+    """Every step from a third before the first reset on: where disturbances are."""
+    return list(range(max(1, resets[0] // 3), resets[-1] + 1)) if resets else []
+
+
+@pytest.mark.parametrize("steps", [300, 799, 2000, 3000, 5900, 7000, 10_000, 11_000, 31_000])
+def test_no_event_undoes_another(steps):
+    check_recovery(steps)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [34_000, 40_000, 46_000, 55_000, 70_000, 100_000, *range(300, 30_000, 997)])
+def test_no_event_undoes_another_at_any_length(steps):
+    check_recovery(steps)
+
+
+@pytest.mark.parametrize("steps", [*range(2000, 12_000, 331), 31_000, 34_000, 40_000, 46_000, 55_000, 70_000, 100_000])
+def test_every_length_is_disturbed_between_its_resets(steps):
+    """As often as the floors allow, at the same places of the reference run, and nowhere near a reset."""
+    schedule = Schedule(steps)
+    found = sorted(_disturbances(schedule, 3000, 18_000, 1000, 3000))
+    every = schedule.interval(3000, 600)
+    assert found
+    assert len(found) <= 10
+    assert all(later - earlier >= 1000 for earlier, later in pairwise(found))
+    for step in found:
+        share = float(step % every / every)
+        assert min(abs(share - 1 / 3), abs(share - 2 / 3)) * every <= 0.5 + 1e-6
+    if steps >= 30_000:
+        assert len(found) == 10
+
+
+def test_a_run_that_does_not_stretch_is_the_reference_run_and_more():
+    method = create_method("envgs", {"beta_reset": "min"})
+    reference = events("envgs", 30_000, beta_reset="min")
+    method.schedule = Schedule(40_000, stretches=False)
+    found: dict[str, list[int]] = {}
+    for step in range(1, 40_001):
+        for name in method.events(step):
+            found.setdefault(name, []).append(step)
+    assert found == reference
+    assert method.schedule.rate(35_000, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-6)
