@@ -20,7 +20,7 @@ def events(kind: str, steps: int, **settings) -> dict[str, list[int]]:
 
 
 def test_envgs_at_30000_steps_is_the_recipe():
-    found = events("envgs", 30_000, beta_reset="min")
+    found = events("envgs", 30_000, beta_reset_from=6_000)
     assert found.pop("densify_base") == [*range(600, 3001, 100), *range(3500, 18_001, 500), *range(18_100, 21_000, 100)]
     assert found.pop("densify_env") == list(range(3500, 21_000, 500))
     thousands = [4, 5, 7, 8, 10, 11, 13, 14, 16, 17]
@@ -50,7 +50,7 @@ def test_twice_the_steps_stretch_the_schedule():
     [(2000, set()), (300, {"sabotage", "propagate", "reset_base_opacity", "reset_beta", "reset_env_opacity"})],
 )
 def test_a_short_run_has_every_phase_that_it_can_recover_from(steps, missing):
-    full, short = (events("envgs", length, beta_reset="min") for length in (30_000, steps))
+    full, short = (events("envgs", length, beta_reset_from=6_000) for length in (30_000, steps))
     assert set(short) == set(full) - missing
     assert min(len(short["densify_base"]), len(short["densify_env"])) >= 2
     last = max(step for happened in short.values() for step in happened)
