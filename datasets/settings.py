@@ -19,6 +19,8 @@ class SourceSettings(BaseModel):
 
     kind: str
     name: str | None = None  # in tables
+    free_space: float = 0.0  # nothing is nearer than this to any camera, world units
+    bounds: float = 0.0  # half the edge of a cube around the origin that holds the surroundings; 0: unknown
 
 
 Settings = TypeVar("Settings", bound=SourceSettings)

@@ -48,7 +48,6 @@ class RunSettings(BaseModel):
 
     method: MethodChoice
     dataset: dict[str, Any]  # name, kind and the data source's own settings: what `load_scene` takes
-    hints: dict[str, Any] = {}  # what the data set advised; the method's settings hold what became of it
     protocol: str
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     steps: Annotated[int, Field(ge=1)]

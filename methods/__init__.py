@@ -6,7 +6,7 @@
 | 3dgs | three_d_gs.py | 3D Gaussians, rasterized |
 | envmap | envmap.py | surfels with β, and a cube map for what they reflect |
 | envgs | envgs.py | surfels with β, and traced environment surfels for what they reflect |
-| single_set | single_set.py | surfels with β, traced for what they reflect themselves |
+| envgs_single_set | single_set.py | surfels with β, traced for what they reflect themselves |
 
 The first two are `gaussian_method.py` and no more; the others are `reflection.py`, which builds on it, and differ in
 where the reflected color comes from: `traced.py` is what the last two share. Another package adds a method by an entry

@@ -24,11 +24,11 @@ class EnvGSSettings(ReflectionSettings):
     env_grid: int = 0  # N: the box is divided into N³ cells (paper: 32); 0: as many primitives as points, N ≤ 32
     env_per_cell: int = 5  # K: random primitives in each
     env_box_quantile: float = 0.995  # share of the points' range, on each axis, that the box covers
-    env_box: float = 0.0  # half the edge of a cube around the world's origin as the box, world units; 0: by quantile
-    env_densify_every: int = 500
+    env_box: float = 0.0  # half the edge of a cube around the origin as the box; 0: the scene's bounds, or by quantile
+    env_densify_every: int = 500  # steps between the environment's densifications
     env_densify_threshold: float = 1e-4  # of ½·t·∂L/∂mean
-    env_max_primitives: int = 630_000
-    env_opacity_reset_every: int = 6_000  # 0: never
+    env_max_primitives: int = 630_000  # those of the least blending weight go
+    env_opacity_reset_every: int = 6_000  # steps between the environment's opacity resets; 0: never
 
 
 class EnvGS(TracedReflection):
@@ -47,7 +47,7 @@ class EnvGS(TracedReflection):
         super().initialize(scene, steps)
         self.sets.pop("env", None)
         self._points = len(scene.points)
-        self._box = environment_box(scene.points.float(), self.settings)
+        self._box = environment_box(scene, self.settings)
 
     def _start_reflection(self) -> None:
         s = self.settings
@@ -93,15 +93,18 @@ class EnvGS(TracedReflection):
         return rule
 
 
-def environment_box(points: Tensor, settings: EnvGSSettings) -> tuple[Tensor, Tensor]:
-    """Corners [3], [3] of the box that the environment set starts in: by the points' quantile (Sec. 4.3), or a cube.
+def environment_box(scene: Scene, settings: EnvGSSettings) -> tuple[Tensor, Tensor]:
+    """Corners [3], [3] of the box that the environment set starts in, world units.
+
+    A cube around the origin where the settings or the scene's bounds give one, else by the points' quantile (Sec. 4.3).
 
     Raises:
         ValueError: `env_box` is negative.
     """
     if settings.env_box < 0:
         raise ValueError(f"env_box is {settings.env_box:g}, expected half the edge of a cube, or 0 for the quantile's")
-    if settings.env_box == 0:
-        return quantile_box(points, settings.env_box_quantile)
-    corner = points.new_full((3,), settings.env_box)
+    half_edge = settings.env_box or scene.bounds
+    if not half_edge:
+        return quantile_box(scene.points.float(), settings.env_box_quantile)
+    corner = scene.points.float().new_full((3,), half_edge)
     return -corner, corner

@@ -30,6 +30,7 @@ class GaussianMethod(Method):
 
     Attributes:
         sets: the trained sets by name; always "base".
+        near: hits nearer to the camera are not drawn, world units: the setting, or the scene's free space if larger.
         perceptual: the perceptual loss, (image, target) -> scalar, or None; the harness sets it.
     """
 
@@ -39,14 +40,15 @@ class GaussianMethod(Method):
 
     def __init__(self, settings: GaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        if settings.normal_weighting not in ("none", "depth", "alpha"):
-            raise ValueError(f"normal_weighting is {settings.normal_weighting!r}, expected none, depth or alpha")
+        if settings.normal_weighting not in ("none", "depth"):
+            raise ValueError(f"normal_weighting is {settings.normal_weighting!r}, expected none or depth")
         if settings.mono_loss not in ("cos", "l1_cos"):
             raise ValueError(f"mono_loss is {settings.mono_loss!r}, expected cos or l1_cos")
         self.sets: dict[str, TrainedSet] = {}
         self.perceptual: Callable[[Tensor, Tensor], Tensor] | None = None
         self.schedule = Schedule(1)
         self.radius = 1.0
+        self.near = settings.near
         self.background = torch.zeros(3, device=self.device)
         self._prepared: dict[str, GaussianSet] = {}
         self._views = ResidentViews(self.device, room=0)
@@ -56,6 +58,7 @@ class GaussianMethod(Method):
             raise ValueError(f"scene {scene.name} has no points to start from")
         self.schedule = Schedule(steps)
         self.radius = scene.radius or _extent(scene.points)
+        self.near = max(self.settings.near, scene.free_space)
         self.background = scene.background.to(self.device)
         self.sets["base"] = self._new_set(
             scene.points, scene.point_colors, self._rule("base"), self._initial_beta(), generator=None
@@ -180,10 +183,10 @@ class GaussianMethod(Method):
 
     def _state(self) -> dict:
         sets = {name: trained.parameters.detached() for name, trained in self.sets.items()}
-        return {"sets": sets, "radius": self.radius, "background": self.background}
+        return {"sets": sets, "radius": self.radius, "near": self.near, "background": self.background}
 
     def _restore(self, state: dict) -> None:
-        self.radius, self.background = state["radius"], state["background"]
+        self.radius, self.near, self.background = state["radius"], state["near"], state["background"]
         for name, tensors in state["sets"].items():
             parameters = GaussianParameters(tensors, self._rates(), self.radius)
             self.sets[name] = TrainedSet(parameters, self._rule(name))
@@ -195,7 +198,7 @@ class GaussianMethod(Method):
             self._gaussians("base", step),
             camera,
             background=self.background,
-            near=self.settings.near,
+            near=self.near,
             backend=self.settings.backend,
         )
 
@@ -208,9 +211,7 @@ class GaussianMethod(Method):
         return self.sets[name].parameters.gaussians(degree)
 
     def _normal_weights(self, rendering: Rendering) -> Tensor | None:
-        if self.settings.normal_weighting == "depth":
-            return nearness(rendering.depth)
-        return rendering.alpha.detach() if self.settings.normal_weighting == "alpha" else None
+        return nearness(rendering.depth) if self.settings.normal_weighting == "depth" else None
 
     def _finite(self, loss: Tensor) -> Tensor:
         """Whether the loss and all gradients are finite, a tensor of no dimension: their largest magnitude tells."""

@@ -25,6 +25,7 @@ SABOTAGE_BELOW = 0.05  # β up to which a base color is disturbed
 SABOTAGE_RANGE = 0.4
 PROPAGATE_ABOVE = 0.02  # β from which a primitive is enlarged
 PROPAGATE_SCALE = 1.5
+PROPAGATE_HOLD = 200  # steps of a run of 30,000 after a propagation in which opacities rest
 HOLD_FLOOR = 10  # steps
 SETTLING_GROWTHS = 10  # densifications of the base that there is time for while the reflections settle
 
@@ -33,26 +34,24 @@ SETTLING_GROWTHS = 10  # densifications of the base that there is time for while
 class ReflectionSettings(GaussianSettings):
     """Settings of a base set with reflections. Steps are those of a run of 30,000."""
 
-    rotation_lr_final: float = 1e-4  # a tenth, so that normals settle: a mirror shows each degree twice
+    rotation_lr_final: float = 1e-4  # of the quaternions, at the end: little, as a mirror shows each degree twice
 
     densify_until: int = 21_000
     settling_interval: int = 5  # × densify_every, or less in a short run, while the reflections settle
 
     bootstrap: int = 3_000  # steps with the base set alone
     joint: bool = True  # reflected rays pass gradients on to the base set's normals and positions
-    initial_beta: float = 0.1  # 1e-3 where little reflects, 0.01 to 0.1 where much does
-    beta_lr: float = 1e-2
+    initial_beta: float = 0.1  # of all base primitives: 1e-3 where little reflects, 0.01 to 0.1 where much does
+    beta_lr: float = 1e-2  # of β's logits
     beta_threshold: float = 1 / 255  # an image traces no ray whose β is below; in training every surface reflects
     beta_filter: float = 0.0  # share of an image's pixels, those of the smallest β, that are not traced either
     ray_offset: float = 1e-3  # a reflected ray starts this far above the surface, × scene radius
 
-    disturb_every: int = 1_000  # color sabotage and normal propagation; 0: never
-    disturb_until: int = 18_000
-    sabotage: bool = True
-    propagate: bool = True
-    propagate_hold: int = 200  # steps after a propagation in which opacities rest
-    beta_reset: str = "none"  # with an opacity reset, β to at most its start (min), to at least it (max), or none
-    beta_reset_from: int = 6_000
+    disturb_every: int = 1_000  # steps between color sabotages and normal propagations; 0: never
+    disturb_until: int = 18_000  # step up to which reflections settle: disturbed, and growing more rarely
+    sabotage: bool = True  # disturb the base color of what does not reflect
+    propagate: bool = True  # grow what reflects over its neighbors
+    beta_reset_from: int = 0  # step from which opacity resets also lower β to at most its start; 0: never
 
 
 class ReflectiveMethod(GaussianMethod):
@@ -64,8 +63,6 @@ class ReflectiveMethod(GaussianMethod):
 
     def __init__(self, settings: ReflectionSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        if settings.beta_reset not in ("min", "max", "none"):
-            raise ValueError(f"beta_reset is {settings.beta_reset!r}, expected min, max or none")
         if not 0 <= settings.beta_filter < 1:
             raise ValueError(f"beta_filter is {settings.beta_filter:g}, expected a share of at least 0 and below 1")
         if settings.settling_interval < 1:
@@ -137,7 +134,7 @@ class ReflectiveMethod(GaussianMethod):
             reset_interval=s.opacity_reset_every,
         ):
             happens |= {name for name, wanted in (("sabotage", s.sabotage), ("propagate", s.propagate)) if wanted}
-        if "reset_base_opacity" in happens and s.beta_reset != "none" and step >= schedule.at(s.beta_reset_from):
+        if "reset_base_opacity" in happens and s.beta_reset_from and step >= schedule.at(s.beta_reset_from):
             happens.add("reset_beta")
         return happens
 
@@ -176,16 +173,13 @@ class ReflectiveMethod(GaussianMethod):
         log_scales = parameters.tensors["log_scales"].detach()
         parameters.replace("log_scales", log_scales + math.log(PROPAGATE_SCALE) * (self._beta() >= PROPAGATE_ABOVE))
         self.sets["base"].raise_opacity()
-        self._hold_until = step + round(self.schedule.interval(self.settings.propagate_hold, HOLD_FLOOR))
+        self._hold_until = step + round(self.schedule.interval(PROPAGATE_HOLD, HOLD_FLOOR))
 
     def _reset_beta(self) -> None:
         parameters = self.sets["base"].parameters
         logits = parameters.tensors["beta_logits"].detach()
         start = inverse_sigmoid(torch.full_like(logits, self.settings.initial_beta))
-        if self.settings.beta_reset == "min":
-            parameters.replace("beta_logits", torch.minimum(logits, start))
-        else:
-            parameters.replace("beta_logits", torch.maximum(logits, start))
+        parameters.replace("beta_logits", torch.minimum(logits, start))
 
     def _beta(self) -> Tensor:
         return self.sets["base"].parameters.tensors["beta_logits"].detach().sigmoid()

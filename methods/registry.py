@@ -20,13 +20,18 @@ BUILT_IN = {
     "3dgs": "envgs_bench.methods.three_d_gs:ThreeDGS",
     "envmap": "envgs_bench.methods.envmap:EnvMap",
     "envgs": "envgs_bench.methods.envgs:EnvGS",
-    "single_set": "envgs_bench.methods.single_set:SingleSet",
+    "envgs_single_set": "envgs_bench.methods.single_set:SingleSet",
 }
 
 
+def method_paths() -> dict[str, str]:
+    """The import paths of the kinds that `create_method` knows by name: built in, or of installed packages."""
+    return {point.name: point.value for point in entry_points(group=ENTRY_POINT_GROUP)} | BUILT_IN
+
+
 def method_names() -> list[str]:
-    """The kinds that `create_method` knows by name: built in, and registered by installed packages."""
-    return sorted({*BUILT_IN, *(point.name for point in entry_points(group=ENTRY_POINT_GROUP))})
+    """The kinds that `create_method` knows by name."""
+    return sorted(method_paths())
 
 
 def create_method(
@@ -43,12 +48,17 @@ def create_method(
     Raises:
         ValueError: no such method, not a `Method`, or a setting it does not have.
     """
-    method_class = _method_class(kind)
-    return method_class(make_settings(method_class.Settings, settings or {}, f"method {kind}"), device, seed)
+    found = method_class(kind)
+    return found(make_settings(found.Settings, settings or {}, f"method {kind}"), device, seed)
 
 
-def _method_class(kind: str) -> type[Method]:
-    paths = {point.name: point.value for point in entry_points(group=ENTRY_POINT_GROUP)} | BUILT_IN
+def method_class(kind: str) -> type[Method]:
+    """The class that `create_method` makes methods of.
+
+    Raises:
+        ValueError: no such method, or not a `Method`.
+    """
+    paths = method_paths()
     path = paths.get(kind, kind)
     if ":" not in path:
         raise ValueError(

@@ -31,7 +31,7 @@ def run(arguments: list[str]) -> int:
         The exit code: 0 where every job has a run with status ok, 1 where one has not, 2 where nothing could be
         started because of the arguments, 130 after Ctrl-C or SIGTERM.
     """
-    register_methods()
+    register_methods(arguments)
     program, sys.argv = sys.argv, ["envgs-bench run", *_flags_first(arguments)]
     full_error = os.environ.get("HYDRA_FULL_ERROR")
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here, to be explained

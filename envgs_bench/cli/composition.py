@@ -5,17 +5,23 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import sys
-from importlib.metadata import entry_points
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from hydra.core.config_store import ConfigStore
 from hydra.errors import MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError, MissingMandatoryValue, OmegaConfBaseException
+from omegaconf.errors import (
+    ConfigAttributeError,
+    ConfigKeyError,
+    MissingMandatoryValue,
+    OmegaConfBaseException,
+    ValidationError,
+)
 
-from envgs_bench.methods.registry import ENTRY_POINT_GROUP
-from envgs_bench.settings import RunSettings, parse_settings
+from envgs_bench.methods.registry import method_class, method_names, method_paths
+from envgs_bench.settings import MethodChoice, RunSettings, parse_settings
 
 CONF = Path(__file__).parents[1] / "conf"
 
@@ -24,11 +30,12 @@ def config_names(group: str) -> list[str]:
     """The options of a configuration group, as they are written behind `<group>=`; files named _… are parts of them."""
     root = CONF / group
     files = (path for path in root.rglob("*.yaml") if not path.name.startswith("_"))
-    return sorted(path.relative_to(root).with_suffix("").as_posix() for path in files)
+    registered = method_names() if group == "method" else []
+    return sorted({*(path.relative_to(root).with_suffix("").as_posix() for path in files), *registered})
 
 
 def settings_of(config: DictConfig, overrides: list[str]) -> RunSettings:
-    """The settings of a composed configuration.
+    """The settings of a composed configuration, those of the method all written out.
 
     Raises:
         SettingsError, OmegaConfBaseException: a key is missing, unknown or of a wrong value.
@@ -36,21 +43,47 @@ def settings_of(config: DictConfig, overrides: list[str]) -> RunSettings:
     content: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     for shorthand in ("data_root", "path"):  # they have done their work, in dataset.root and method.settings.path
         content.pop(shorthand, None)
-    return parse_settings({**content, "overrides": overrides})
+    settings = parse_settings({**content, "overrides": overrides})
+    method = settings.method.model_copy(update={"settings": _written_out(settings.method)})
+    return settings.model_copy(update={"method": method})
 
 
-def register_methods() -> None:
-    """Offer the methods of installed packages (entry points) as method=<name>, with their settings' defaults."""
+def register_methods(overrides: Iterable[str] = ()) -> None:
+    """Offer every method as method=<name>, with the defaults of its settings dataclass.
+
+    These are the ones built in, those of installed packages, and whatever `overrides` choose by import path, as
+    method=package.module:Class.
+    """
+    chosen = [override.partition("=")[2].split(",") for override in overrides if override.startswith("method=")]
+    by_path = {path: path for paths in chosen for path in paths if ":" in path}
     store = ConfigStore.instance()
-    for point in entry_points(group=ENTRY_POINT_GROUP):
+    for kind, path in {**by_path, **method_paths()}.items():
         try:
-            defaults = dataclasses.asdict(point.load().Settings())
+            settings = default_settings(method_class(kind).Settings)
         except Exception as error:
-            print(f"method {point.name} of {point.value} cannot be loaded: {error}", file=sys.stderr)
+            print(f"method {kind} of {path} cannot be loaded: {error}", file=sys.stderr)
             continue
-        store.store(
-            group="method", name=point.name, node={"name": point.name, "kind": point.name, "settings": defaults}
-        )
+        name = kind.rpartition(":")[2]
+        store.store(group="method", name=kind, node={"name": name, "kind": kind, "settings": settings})
+
+
+def default_settings(settings_type: type) -> DictConfig:
+    """The defaults of a settings dataclass, typed: an override of another type is refused as it is given."""
+    try:
+        node = OmegaConf.structured(settings_type())
+    except OmegaConfBaseException:  # a type that OmegaConf does not know, such as Literal
+        return OmegaConf.create(dataclasses.asdict(settings_type()))
+    OmegaConf.set_readonly(node, None)  # as the node of a frozen dataclass otherwise is
+    return node
+
+
+def _written_out(method: MethodChoice) -> dict[str, Any]:
+    """The method's settings with the defaults of those that a YAML file of somebody's own leaves out."""
+    try:
+        defaults = default_settings(method_class(method.kind).Settings)
+    except Exception:
+        return method.settings  # a folder of renders; or what cannot be loaded, as the run itself will say
+    return {**cast(dict, OmegaConf.to_container(defaults)), **method.settings}
 
 
 def explain(error: Exception) -> str:
@@ -66,6 +99,8 @@ def explain(error: Exception) -> str:
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     if isinstance(cause, MissingMandatoryValue):
         return f"{cause.full_key} is missing: give it as {cause.full_key}=VALUE"
+    if isinstance(cause, ValidationError) and cause.full_key:
+        return f"{cause.full_key}: {str(cause.msg).splitlines()[0]}"
     if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.full_key:
         known = _keys(cause.parent_node)
         owner = cause.full_key.rpartition(".")[0] or "a run"

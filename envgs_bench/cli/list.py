@@ -1,30 +1,43 @@
-"""`envgs-bench list`: the names that a run can be given."""
+"""`envgs-bench list`: the names that a run can be given, and the settings of a method."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from importlib.metadata import entry_points
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Print all names, a row each kind of thing; returns the exit status, 0."""
-    parser = argparse.ArgumentParser(prog="envgs-bench list", description="The names that a run can be given.")
-    parser.parse_args(arguments)
+    """Print all names, a row each kind of thing, or a method's settings; returns the exit status, 0 or 2."""
+    parser = argparse.ArgumentParser(
+        prog="envgs-bench list",
+        usage="envgs-bench list [method NAME]",
+        description="The names that a run can be given; of one method, its settings, their defaults and what they are.",
+    )
+    parser.add_argument("group", nargs="?", choices=["method"], help=argparse.SUPPRESS)
+    parser.add_argument("name", nargs="?", help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    if options.group is None:
+        return _list_names()
+    if options.name is None:
+        parser.error("name a method, as in: envgs-bench list method envgs")
+    from .method_settings import print_method_settings
+
+    return print_method_settings(options.name)
+
+
+def _list_names() -> int:
     from rich.console import Console
     from rich.table import Table
 
     from envgs_bench.core import available_backends
     from envgs_bench.datasets.registry import BUILT_IN
-    from envgs_bench.methods.registry import ENTRY_POINT_GROUP
     from envgs_bench.metrics import PROTOCOLS
 
     from .composition import config_names
 
     backends = [name if reason is None else f"{name} (not here)" for name, reason in available_backends().items()]
-    installed = [point.name for point in entry_points(group=ENTRY_POINT_GROUP)]
     table = Table("key", "values", show_header=False, box=None)
-    table.add_row("method=", ", ".join(sorted({*config_names("method"), *installed})))
+    table.add_row("method=", ", ".join(config_names("method")))
     table.add_row("dataset=", ", ".join(config_names("dataset")))
     table.add_row("dataset.kind=", ", ".join(BUILT_IN))
     table.add_row("protocol=", ", ".join(PROTOCOLS))

@@ -17,7 +17,7 @@ COMMANDS = {
     "masks": "masks of what reflects, from an EnvGS that was trained on a capture",
     "ply": "the Gaussians that a run trained, as PLY files",
     "export": "a data set in COLMAP's or blender's layout",
-    "list": "methods, data sets, protocols, experiments, backends",
+    "list": "methods, data sets, protocols, experiments, backends; the settings of a method",
     "bench": "time the core itself",
     "doctor": "what works on this machine, and why not what does not",
 }

@@ -14,9 +14,11 @@ Train, render, score and time methods on data sets; one folder and one record.js
   envgs-bench run dataset=colmap dataset.root=FOLDER steps=3000    a capture of your own
   envgs-bench run dataset=ref_real/sedan data_root=FOLDER          a scene of the paper, below FOLDER
   envgs-bench run method=renders path=FOLDER method.name=other     test views that another program drew
+  envgs-bench run method=my_module:MyMethod                        a method of your own, by its import path
 
 Keys of every run:
   method, dataset     see `envgs-bench list`; their settings are method.settings.<key>=, dataset.<key>=
+                      (`envgs-bench list method NAME` tells a method's)
   protocol, seed, steps, device=auto|cpu|cuda
   runs_dir=runs, cache_dir, timeout_minutes, timing.frames, timing.seconds
   force=true          run again what is already there, replacing it

@@ -35,7 +35,7 @@ def export(overrides: list[str], form: str, out: Path) -> int:
         DatasetError: the data cannot be loaded, or the format cannot hold them.
         OSError: `out` cannot be written.
     """
-    register_methods()
+    register_methods(overrides)
     try:
         with initialize_config_dir(str(CONF), version_base="1.3"):
             settings = settings_of(compose("config", overrides), overrides)

@@ -38,6 +38,8 @@ class Scene:
     points: Tensor  # [P, 3] world frame
     point_colors: Tensor  # [P, 3] in [0, 1], sRGB
     background: Tensor = field(default_factory=lambda: torch.zeros(3))  # [3] in [0, 1], behind everything
+    free_space: float = 0.0  # nothing is nearer than this to any camera, world units
+    bounds: float = 0.0  # half the edge of a cube around the origin that holds the surroundings; 0: unknown
 
     @property
     def radius(self) -> float:

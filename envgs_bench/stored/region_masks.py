@@ -63,7 +63,7 @@ def make_masks(run: Path, choice: MaskChoice, out: Path, device: str = "auto") -
             f"{run}: none of {len(base):,} base primitives has β > {choice.beta_min:g} within {ball.radius:.3g} of "
             f"{_point(ball.center)}; lower --beta, or give the foreground as --foreground X Y Z RADIUS"
         )
-    drawing = _Drawing(choice.region, base, kept, scene, method.radius, method.settings.near)
+    drawing = _Drawing(choice.region, base, kept, scene, method.radius, method.near)
     masks: dict[str, NDArray[np.bool_]] = {}
     for number, view in enumerate(views, start=1):
         masks[view.name] = drawing.mask(view.camera.to(method.device)).cpu().numpy()

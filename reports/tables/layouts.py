@@ -35,7 +35,7 @@ KINDS = {
     "ablation": "What each part is worth",
     "speed": "Speed and memory",
 }
-ABLATED = {"envgs": ("envmap", "single_set")}  # kinds that replace a part of a method, besides its own variants
+ABLATED = {"envgs": ("envmap", "envgs_single_set")}  # kinds that replace a part of a method, besides its own variants
 REGIONS_OF_ABLATION = ("near_field", "reflective")
 
 

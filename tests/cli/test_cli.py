@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
 import pytest
@@ -37,7 +36,17 @@ def test_help_answers_without_pytorch(command: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments", [[], ["rum"], ["list", "--surplus"], ["report"], ["bench", "gpu"], ["doctor", "now"]]
+    "arguments",
+    [
+        [],
+        ["rum"],
+        ["list", "--surplus"],
+        ["list", "method"],
+        ["list", "dataset", "toy"],
+        ["report"],
+        ["bench", "gpu"],
+        ["doctor", "now"],
+    ],
 )
 def test_wrong_usage_ends_with_status_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
@@ -54,6 +63,9 @@ def test_wrong_usage_ends_with_status_2(arguments: list[str], capsys: pytest.Cap
         (["experiment=demmo"], ["there is no experiment 'demmo'", "Did you mean 'demo'?"]),
         (["stepz=3"], ["unknown key 'stepz'", "runs_dir, seed, steps", "Did you mean 'steps'?"]),
         (["method.settings.rat=1"], ["unknown key 'method.settings.rat'", "crash_at, rate"]),
+        (["method=envgs", "method.settings.rat=1"], ["unknown key 'method.settings.rat'", "ray_offset, rotation_lr"]),
+        (["method=envgs", "method.settings.sh_degree=two"], ["method.settings.sh_degree", "'two'", "Integer"]),
+        (["method=envgs_no_joint", "method.settings.joint=maybe"], ["method.settings.joint", "'maybe'", "valid bool"]),
         (["timing.frame=1"], ["unknown key 'timing.frame'", "timing has frames, seconds"]),
         (["dataset=colmap"], ["dataset.root is missing: give it as dataset.root=VALUE"]),
         (["seed=-1"], ["seed=-1", "greater than or equal to 0"]),
@@ -113,23 +125,6 @@ def test_every_shipped_configuration_composes(capsys: pytest.CaptureFixture[str]
         for name in names:
             assert main(["run", f"{group}={name}", "--cfg", "job"]) == 0, capsys.readouterr().err
             assert "kind:" in capsys.readouterr().out
-
-
-def test_an_installed_packages_method_is_offered_with_its_defaults(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    points = EntryPoints(
-        [
-            EntryPoint("mean", "fakes.methods:MeanColor", composition.ENTRY_POINT_GROUP),
-            EntryPoint("broken", "fakes.nowhere:Method", composition.ENTRY_POINT_GROUP),
-        ]
-    )
-    monkeypatch.setattr(composition, "entry_points", lambda group: points)
-    assert main(["run", "method=mean", "method.settings.rate=0.75", "--cfg", "job"]) == 0
-    shown = capsys.readouterr()
-    assert "rate: 0.75" in shown.out
-    assert "crash_at: 0" in shown.out
-    assert "method broken of fakes.nowhere:Method cannot be loaded" in shown.err
 
 
 def test_list_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:

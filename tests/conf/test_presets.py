@@ -1,7 +1,8 @@
-"""Known scenes as configurations: the paper's all there, named as its tables name them, and hints where they fit."""
+"""Known scenes as configurations: the paper's all there, named as its tables name them, with known facts."""
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 import envgs_bench
-from envgs_bench.cli.composition import config_names
+from envgs_bench.cli.composition import config_names, register_methods
 from envgs_bench.cli.main import main
 from envgs_bench.datasets import DatasetError, load_scene
 from envgs_bench.methods.registry import create_method
@@ -26,6 +27,7 @@ CAPTURES = [name for name in config_names("dataset") if name.startswith("capture
 
 
 def composed(*overrides: str) -> dict[str, Any]:
+    register_methods()
     with initialize_config_dir(str(Path(envgs_bench.__file__).parent / "conf"), version_base="1.3"):
         content = OmegaConf.to_container(compose("config", list(overrides)), resolve=True)
     assert isinstance(content, dict)
@@ -80,7 +82,7 @@ def test_the_papers_settings_reach_the_run() -> None:
     assert sedan["dataset"]["downsample"] == 4
     ball = composed("dataset=shiny_blender/ball")
     assert ball["dataset"]["background"] == [1, 1, 1]
-    assert (ball["hints"], ball["dataset"]["downsample"]) == ({"initial_beta": 0.8, "env_box": 50.0}, 1)
+    assert (ball["dataset"]["bounds"], ball["dataset"]["downsample"]) == (50.0, 1)
     assert Path(spheres["dataset"]["root"]).name == "gardenspheres"
     sizes = {name: composed(f"dataset=mipnerf360/{name}")["dataset"]["downsample"] for name in ("garden", "room")}
     assert sizes == {"garden": 4, "room": 2}
@@ -93,23 +95,22 @@ def test_the_papers_settings_reach_the_run() -> None:
     }
 
 
-def test_hints_go_to_the_methods_that_know_them_and_give_way_to_overrides() -> None:
-    beta = {}
-    for method in ("2dgs", "envmap128", "envgs"):
-        content = composed("dataset=ref_real/spheres", f"method={method}")
-        settings = create_method(content["method"]["kind"], content["method"]["settings"]).settings
-        beta[method] = getattr(settings, "initial_beta", None), getattr(settings, "env_box", None)
-    assert beta == {"2dgs": (None, None), "envmap128": (0.1, None), "envgs": (0.1, 20.0)}
-    assert composed("dataset=ref_real/sedan")["method"]["settings"]["initial_beta"] == 0.001
-    told = composed("dataset=ref_real/spheres", "method.settings.env_box=50")
-    assert told["method"]["settings"]["env_box"] == 50
-    assert composed("dataset=colmap", "dataset.root=capture")["hints"] == {}
-    toy = {"mono_weight": 0.1, "mono_loss": "l1_cos", "min_coverage": 3.0}
-    assert toy.items() <= composed("dataset=toy/chrome_room")["method"]["settings"].items()
-    near = {m: composed("dataset=captures/gold_cape", f"method={m}")["method"]["settings"]["near"] for m in beta}
-    assert near == {"2dgs": 2.2, "envmap128": 2.2, "envgs": 2.2}
-    plain = composed("dataset=toy/chrome_room", "method=2dgs")["method"]["settings"]
-    assert plain["mono_weight"] == 0
+def test_a_data_set_states_facts_and_leaves_a_methods_settings_alone() -> None:
+    facts = {}
+    for name in [*PRESETS, *CAPTURES, "toy/chrome_room", "toy/diffuse_room"]:
+        content = composed(f"dataset={name}")
+        dataset = content["dataset"]
+        facts[name] = dataset.get("free_space", 0.0), dataset.get("bounds", 0.0)
+        for method in ("2dgs", "envgs"):
+            settings = composed(f"dataset={name}", f"method={method}")["method"]["settings"]
+            assert settings == dataclasses.asdict(create_method(method).settings)
+    known = {name: values for name, values in facts.items() if values != (0.0, 0.0)}
+    assert known == {
+        "captures/gold_cape": (2.2, 0.0),
+        "ref_real/spheres": (0.0, 20.0),
+        "ref_real/toycar": (0.0, 20.0),
+        **{name: (0.0, 50.0) for name in PRESETS if name.startswith("shiny_blender/")},
+    }
 
 
 def test_data_root_is_an_override_or_an_environment_variable(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,7 +121,7 @@ def test_data_root_is_an_override_or_an_environment_variable(monkeypatch: pytest
     assert composed("dataset=ref_real/sedan", "data_root=/here")["dataset"]["root"] == "/here/ref_real/sedan"
 
 
-def test_a_run_records_the_hints_and_where_to_get_what_is_missing(
+def test_a_run_records_the_facts_and_where_to_get_what_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     set_environment(monkeypatch)
@@ -131,6 +132,6 @@ def test_a_run_records_the_hints_and_where_to_get_what_is_missing(
     assert record.status == "failed"
     assert record.error is not None
     assert "ref_real.zip" in record.error.message
-    assert record.config["hints"] == {"initial_beta": 0.1, "env_box": 20.0}
-    assert record.config["method"]["settings"]["env_box"] == 20.0
-    assert parse_settings(record.config).hints == record.config["hints"]
+    assert record.config["dataset"]["bounds"] == 20.0
+    assert record.config["method"]["settings"] == dataclasses.asdict(create_method("envgs").settings)
+    assert parse_settings(record.config).dataset["bounds"] == 20.0

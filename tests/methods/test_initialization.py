@@ -1,8 +1,11 @@
 """Initialization against closed forms."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
+from envgs_bench.core import Scene
 from envgs_bench.methods.envgs import EnvGSSettings, environment_box
 from envgs_bench.methods.initialization import initial_tensors, neighbor_distance, quantile_box, random_points_in_grid
 
@@ -78,11 +81,18 @@ def test_initial_primitives(axes):
 
 def test_the_environment_starts_in_the_quantile_box_unless_a_cube_is_given():
     points = torch.randn(500, 3, generator=torch.Generator().manual_seed(0))
+    unbounded = Scene("points", [], [], points, torch.rand(500, 3))
+    bounded = replace(unbounded, bounds=7.0)
     for corner, expected in zip(
-        environment_box(points, EnvGSSettings(env_box_quantile=0.9)), quantile_box(points, 0.9), strict=True
+        environment_box(unbounded, EnvGSSettings(env_box_quantile=0.9)), quantile_box(points, 0.9), strict=True
     ):
         assert torch.equal(corner, expected)
-    low, high = environment_box(points, EnvGSSettings(env_box=20.0))
-    assert (low.tolist(), high.tolist()) == ([-20] * 3, [20] * 3)
+    for scene, settings, half_edge in (
+        (unbounded, EnvGSSettings(env_box=20.0), 20),
+        (bounded, EnvGSSettings(), 7),
+        (bounded, EnvGSSettings(env_box=20.0), 20),
+    ):
+        low, high = environment_box(scene, settings)
+        assert (low.tolist(), high.tolist()) == ([-half_edge] * 3, [half_edge] * 3)
     with pytest.raises(ValueError, match="env_box is -1, expected half the edge of a cube"):
-        environment_box(points, EnvGSSettings(env_box=-1.0))
+        environment_box(unbounded, EnvGSSettings(env_box=-1.0))

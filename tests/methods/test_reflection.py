@@ -149,10 +149,10 @@ def test_propagation_grows_what_reflects_and_holds_opacities():
 
 
 @pytest.mark.parametrize(
-    ("mode", "expected"), [("min", [0.01, 0.02, 0.02]), ("max", [0.02, 0.03, 0.2]), ("none", [0.01, 0.03, 0.2])]
+    ("first", "expected"), [(6_000, [0.01, 0.02, 0.02]), (9_000, [0.01, 0.03, 0.2]), (0, [0.01, 0.03, 0.2])]
 )
-def test_beta_resets(mode, expected):
-    method = trained_base(beta_reset=mode, initial_beta=0.02)
+def test_beta_resets(first, expected):
+    method = trained_base(beta_reset_from=first, initial_beta=0.02)
     step = 600  # 6,000 of 30,000
     method._after_step(step, method.events(step) & {"reset_beta"})
     found = method.sets["base"].parameters.tensors["beta_logits"].detach().sigmoid()[:, 0]

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from envgs_bench.core import Camera, Scene, View
-from envgs_bench.methods.reflection import HOLD_FLOOR
+from envgs_bench.methods.reflection import HOLD_FLOOR, PROPAGATE_HOLD
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.schedule import RECOVERY, Schedule, _disturbances
 
@@ -23,7 +23,7 @@ def events(kind: str, steps: int, **settings) -> dict[str, list[int]]:
 
 
 def test_envgs_at_30000_steps_is_the_recipe():
-    found = events("envgs", 30_000, beta_reset="min")
+    found = events("envgs", 30_000, beta_reset_from=6_000)
     assert found.pop("densify_base") == [*range(600, 3001, 100), *range(3500, 18_001, 500), *range(18_100, 21_000, 100)]
     assert found.pop("densify_env") == list(range(3500, 21_000, 500))
     thousands = [4, 5, 7, 8, 10, 11, 13, 14, 16, 17]
@@ -53,7 +53,7 @@ def test_twice_the_steps_stretch_the_schedule():
     [(2000, set()), (300, {"sabotage", "propagate", "reset_base_opacity", "reset_beta", "reset_env_opacity"})],
 )
 def test_a_short_run_has_every_phase_that_it_can_recover_from(steps, missing):
-    full, short = (events("envgs", length, beta_reset="min") for length in (30_000, steps))
+    full, short = (events("envgs", length, beta_reset_from=6_000) for length in (30_000, steps))
     assert set(short) == set(full) - missing
     assert min(len(short["densify_base"]), len(short["densify_env"])) >= 2
     last = max(step for happened in short.values() for step in happened)
@@ -123,12 +123,12 @@ def test_a_run_without_steps_is_refused():
 
 def check_recovery(steps: int) -> set[str]:
     """Walk through what a run of this length does around its resets; returns the names of all that happens then."""
-    method = create_method("envgs", {"beta_reset": "min"})
+    method = create_method("envgs", {"beta_reset_from": 6000})
     schedule = method.schedule = Schedule(steps)
     s = method.settings
     resets = [step for step in range(1, schedule.at(s.densify_until)) if resets_base(schedule, step)]
     disturbed = [step for step in around(resets, steps) if "propagate" in method.events(step)]
-    hold = round(schedule.interval(s.propagate_hold, HOLD_FLOOR))
+    hold = round(schedule.interval(PROPAGATE_HOLD, HOLD_FLOOR))
     happened = set()
     for reset in resets:
         happened |= method.events(reset)
@@ -176,8 +176,8 @@ def test_every_length_is_disturbed_between_its_resets(steps):
 
 
 def test_a_run_that_does_not_stretch_is_the_reference_run_and_more():
-    method = create_method("envgs", {"beta_reset": "min"})
-    reference = events("envgs", 30_000, beta_reset="min")
+    method = create_method("envgs", {"beta_reset_from": 6000})
+    reference = events("envgs", 30_000, beta_reset_from=6000)
     method.schedule = Schedule(40_000, stretches=False)
     found: dict[str, list[int]] = {}
     for step in range(1, 40_001):

@@ -1,0 +1,178 @@
+"""Methods as configurations: made from their settings dataclasses, variants from their differences."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+import yaml
+from fakes.runs import CONF, only_folder, set_environment
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from envgs_bench.cli import composition
+from envgs_bench.cli.composition import config_names, default_settings, register_methods
+from envgs_bench.cli.main import main
+from envgs_bench.methods import registry
+from envgs_bench.methods.registry import BUILT_IN, create_method, method_class
+from envgs_bench.methods.settings import make_settings, setting_comments
+from envgs_bench.settings import read_settings
+
+DIFFERENCES = {
+    **{kind: {} for kind in BUILT_IN},
+    "envmap128": {"envmap_size": 128},
+    "envmap256": {"envmap_size": 256},
+    "envgs_no_joint": {"joint": False},
+    "envgs_no_mono_normal": {"mono_weight": 0.0},
+    "envgs_no_color_sabotage": {"sabotage": False},
+    "envgs_no_normal_propagation": {"propagate": False},
+    "envgs_no_perceptual": {"perceptual_weight": 0.0},
+}
+
+
+@pytest.fixture(autouse=True)
+def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    set_environment(monkeypatch)
+
+
+def composed(name: str) -> dict[str, Any]:
+    """The node `method` of a run with method=<name>."""
+    register_methods()
+    with initialize_config_dir(str(composition.CONF), version_base="1.3"):
+        content = OmegaConf.to_container(compose("config", [f"method={name}"]).method)
+    assert isinstance(content, dict)
+    return {str(key): value for key, value in content.items()}
+
+
+@pytest.mark.parametrize("name", DIFFERENCES)
+def test_a_configuration_holds_every_setting(name: str) -> None:
+    method = composed(name)
+    assert method["name"] == name
+    assert method["kind"] in (name, "envgs", "envmap")
+    defaults = dataclasses.asdict(create_method(method["kind"]).settings)
+    assert method["settings"] == defaults | DIFFERENCES[name]
+
+
+def test_the_published_configurations_are_what_was_published() -> None:
+    """Spot checks against the paper's Sec. 4.3 and App. C, and the release's schedule."""
+    paper, released = (composed(f"envgs_{name}") for name in ("paper", "released"))
+    assert paper["kind"] == released["kind"] == "envgs"
+    for expected, method in (
+        ({"sh_degree": 2, "env_grid": 32, "mono_loss": "cos", "perceptual_from": 0, "beta_threshold": 0}, paper),
+        ({"sh_degree": 3, "env_grid": 32, "mono_loss": "l1_cos", "perceptual_from": 21_000}, released),
+    ):
+        assert expected.items() <= method["settings"].items()
+        create_method("envgs", method["settings"])
+
+
+def test_every_configuration_is_tested() -> None:
+    assert {*DIFFERENCES, "envgs_paper", "envgs_released", "renders"} == set(config_names("method"))
+
+
+@pytest.mark.parametrize("kind", BUILT_IN)
+def test_every_setting_says_what_it_is(kind: str) -> None:
+    settings_type = method_class(kind).Settings
+    comments = setting_comments(settings_type)
+    assert set(comments) == {field.name for field in dataclasses.fields(settings_type)}
+    assert all(len(comment) > 10 for comment in comments.values()), comments
+
+
+def test_comments_are_inherited_unless_a_subclass_says_more() -> None:
+    @dataclass(frozen=True)
+    class Base:
+        silent: int = 1
+        plain: str = "# no comment"  # of the base
+        changed: tuple[int, ...] = (
+            1,
+            2,
+        )  # behind the last line
+
+    @dataclass(frozen=True)
+    class Derived(Base):
+        """With a string: int = 1  # that is none of it"""
+
+        plain: str = "other"
+        changed: tuple[int, ...] = ()  # said anew
+
+    assert setting_comments(Base) == {"plain": "of the base", "changed": "behind the last line"}
+    assert setting_comments(Derived) == {"plain": "of the base", "changed": "said anew"}
+
+
+def test_a_methods_settings_are_listed_with_defaults_and_comments(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "method", "envgs"]) == 0
+    lines = [line.split(None, 2) for line in capsys.readouterr().out.splitlines()]
+    rows = {line[0]: (line[1], line[2].strip()) for line in lines if len(line) == 3}
+    assert rows["sh_degree"] == ("2", "of the view-dependent color, 0 to 3")
+    assert rows["joint"] == ("true", "reflected rays pass gradients on to the base set's normals and positions")
+    assert rows["densify_until"] == ("21000", "step before which densification and opacity resets end")
+    assert {field.name for field in dataclasses.fields(method_class("envgs").Settings)} <= set(rows)
+
+
+def test_a_variant_is_listed_by_its_differences(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "method", "envmap256"]) == 0
+    shown = capsys.readouterr().out
+    assert [line.split()[:3] for line in shown.splitlines() if line.startswith("envmap_size")] == [
+        ["envmap_size", "256", "128"]
+    ]
+    assert "beta_lr" not in shown
+    assert "envgs-bench list method envmap" in shown
+
+
+def test_a_method_that_is_not_there_cannot_be_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "method", "envgz"]) == 2
+    assert "Did you mean 'envgs'?" in capsys.readouterr().err
+
+
+def test_an_installed_packages_method_is_offered_with_its_defaults(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    points = EntryPoints(
+        [
+            EntryPoint("mean", "fakes.methods:MeanColor", registry.ENTRY_POINT_GROUP),
+            EntryPoint("broken", "fakes.nowhere:Method", registry.ENTRY_POINT_GROUP),
+        ]
+    )
+    monkeypatch.setattr(registry, "entry_points", lambda group: points)
+    assert main(["run", "method=mean", "method.settings.rate=0.75", "--cfg", "job"]) == 0
+    shown = capsys.readouterr()
+    assert "rate: 0.75" in shown.out
+    assert "crash_at: 0" in shown.out
+    assert "method broken of fakes.nowhere:Method cannot be loaded" in shown.err
+    assert main(["list", "method", "mean"]) == 0
+    assert "share of the way to each view's mean color" in capsys.readouterr().out
+
+
+def test_a_method_is_chosen_by_its_import_path(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "method=fakes.methods:MeanColor", "method.settings.rate=1", "--cfg", "job"]) == 0
+    shown = capsys.readouterr().out
+    for line in ("name: MeanColor", "kind: fakes.methods:MeanColor", "rate: 1.0", "crash_at: 0"):
+        assert line in shown
+    assert main(["run", "method=fakes.nowhere:Method", "--cfg", "job"]) == 2
+    assert "method fakes.nowhere:Method of fakes.nowhere:Method cannot be loaded" in capsys.readouterr().err
+
+
+def test_a_stored_configuration_holds_every_setting(tmp_path: Path) -> None:
+    """A YAML file of somebody's own may leave settings out; the one in the run's folder does not."""
+    (tmp_path / "method").mkdir()
+    (tmp_path / "method" / "mine.yaml").write_text(
+        yaml.safe_dump({"name": "mine", "kind": "fakes.methods:MeanColor", "settings": {"rate": 0.25}})
+    )
+    (tmp_path / "dataset").symlink_to(CONF / "dataset")
+    arguments = ["method=mine", "dataset=tiny", "steps=2", "timing.frames=1", "timing.seconds=0.01", "device=cpu"]
+    assert main(["run", "--config-dir", str(tmp_path), *arguments, f"runs_dir={tmp_path / 'runs'}"]) == 0
+    assert read_settings(only_folder(tmp_path / "runs")).method.settings == {"rate": 0.25, "crash_at": 0}
+
+
+def test_settings_of_types_that_hydra_does_not_know_are_offered_all_the_same() -> None:
+    @dataclass(frozen=True)
+    class Settings:
+        mode: Literal["a", "b"] = "a"
+        sizes: tuple[int, ...] = (1, 2)
+
+    node = default_settings(Settings)
+    assert OmegaConf.to_container(node) == {"mode": "a", "sizes": [1, 2]}
+    assert make_settings(Settings, {"sizes": [3]}, "it") == Settings(sizes=(3,))
