@@ -22,7 +22,7 @@ WIDTH, HEIGHT = 32, 24
 VIEWS = 6
 POINTS = 200
 STEPS = 8
-HARNESS_LAYERS = ("normal", "depth", "error")  # of every method's renders, see stages/pictures.py
+HARNESS_LAYERS = ("normal", "depth", "error")  # added to every method's own, see stages/pictures.py
 
 
 def check_method(kind: str, settings: Mapping[str, Any] | None = None, device: str = "cpu", steps: int = STEPS) -> None:

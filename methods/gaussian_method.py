@@ -146,7 +146,7 @@ class GaussianMethod(Method):
 
         Args:
             camera: on the method's device.
-            step: of the training; None for an image, drawn from `prepared` and without gradients.
+            step: the training's; None for an image, which is drawn from `prepared` and without gradients.
         """
         rendering = self.rasterize_base(camera, step)
         return rendering, {BASE: rendering.statistics}
@@ -155,7 +155,7 @@ class GaussianMethod(Method):
         """The weighted terms of the loss (Eq. 11) by name, scalars; their sum is what is minimized.
 
         Args:
-            rendering: of `draw`, with gradients.
+            rendering: what `draw` returned, with gradients.
             target: [H, W, 3] in [0, 1], the view's image on the method's device.
             view: the training view, camera and normals on the method's device.
         """

@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from envgs_bench.core.ssim import ssim
 
-SSIM_SHARE = 0.2  # of the photometric loss, as 3DGS
+SSIM_SHARE = 0.2  # SSIM's part of the photometric loss, as in 3DGS
 
 
 def photometric_loss(image: Tensor, target: Tensor, *, backend: str = "auto") -> Tensor:

@@ -85,7 +85,7 @@ class ReflectiveMethod(GaussianMethod):
 
         Args:
             origins, directions: [H, W, 3] of `reflect`, world frame; the direction is 0 where nothing reflects.
-            step: of the training; None for an image.
+            step: the training's; None for an image.
 
         Returns:
             Color [H, W, 3], sRGB; differentiable in the rays where they carry gradients.
