@@ -96,7 +96,7 @@ class Timing(_Part):
 
 
 class Cost(_Part):
-    primitives: dict[str, int]  # set -> count at the end
+    primitives: dict[str, int]  # set, one of parts.SETS -> count at the end
     bytes: dict[str, int]  # set -> size of what rendering needs
     model_bytes: int  # the sum of `bytes`
     train_seconds: Finite  # without evaluation

@@ -16,19 +16,24 @@ from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
 
 from .core import Camera, Rendering, Scene, View
+from .parts import SETS
 
 WIDTH, HEIGHT = 32, 24
 VIEWS = 6
 POINTS = 200
 STEPS = 8
+HARNESS_LAYERS = ("normal", "depth", "error")  # added to every method's own, see stages/pictures.py
 
 
 def check_method(kind: str, settings: Mapping[str, Any] | None = None, device: str = "cpu", steps: int = STEPS) -> None:
     """Train the method for a few steps on a tiny scene and hold it against the contract of `Method`.
 
-    Settings are a frozen dataclass with defaults; losses are finite, with their total as "loss"; primitives and
-    bytes are counted under the same keys throughout; renders are finite, of the camera's size and without gradients;
-    what is saved and loaded renders the same; the same seed trains to the same picture (to 1e-3 on a GPU).
+    Settings are a frozen dataclass with defaults; losses are finite, with their total as "loss"; primitives and bytes
+    are counted for each of `SETS` throughout; renders and layers are finite, of the camera's size, without gradients,
+    and the same after another `prepare`; what is saved and loaded renders and counts the same, and an empty folder is
+    refused; the same seed trains to the same picture (to 1e-3 on a GPU). A method that uses the perceptual loss calls
+    it where it is offered and trains without it where it is not. A step on a picture that is not finite is counted in
+    `skipped_steps` and changes no render.
 
     Args:
         kind: the method's name or import path, as in `method.kind`.
@@ -42,20 +47,21 @@ def check_method(kind: str, settings: Mapping[str, Any] | None = None, device: s
     scene = tiny_scene()
     method = create_method(kind, settings, device, seed=1)
     _check_settings(method)
-    _train(method, scene, steps)
+    _train_with_perceptual(method, scene, steps)
     camera = scene.test[0].camera.to(device)
     picture = _check_rendering(method.render(camera), camera)
+    method.prepare()
+    _expect_equal(picture, method.render(camera).color, 0.0, "another prepare() changes the picture")
     _check_counts(method)
-    with tempfile.TemporaryDirectory() as folder:
-        method.save(Path(folder) / "checkpoint")
-        loaded = create_method(kind, settings, device, seed=2)
-        loaded.load(Path(folder) / "checkpoint")
+    loaded = create_method(kind, settings, device, seed=2)
+    _save_and_load(method, loaded)
     loaded.prepare()
     _expect_equal(picture, loaded.render(camera).color, 0.0, "a loaded checkpoint does not render as what was saved")
     again = create_method(kind, settings, device, seed=1)
-    _train(again, scene, steps)
+    _train_with_perceptual(again, scene, steps)
     tolerance = 0.0 if device == "cpu" else 1e-3
     _expect_equal(picture, again.render(camera).color, tolerance, "the same seed does not train to the same picture")
+    _check_skipping(create_method(kind, settings, device, seed=1), scene, steps)
 
 
 def tiny_scene() -> Scene:
@@ -87,10 +93,26 @@ def _check_settings(method: Method) -> None:
     kind()  # every field has a default
 
 
-def _train(method: Method, scene: Scene, steps: int) -> None:
+def _train_with_perceptual(method: Method, scene: Scene, steps: int) -> None:
+    """The whole training, with a stand-in for the perceptual loss where the method uses one."""
+    calls = 0
+
+    def perceptual(image: Tensor, target: Tensor) -> Tensor:
+        nonlocal calls
+        calls += 1
+        return (image - target).abs().mean()
+
+    if method.uses_perceptual:
+        method.perceptual = perceptual
+    _train(method, scene, steps, steps)
+    _expect(calls > 0 or not method.uses_perceptual, "uses_perceptual is true, but no training step calls perceptual")
+
+
+def _train(method: Method, scene: Scene, steps: int, until: int) -> None:
+    """The steps 1 to `until` of a run of `steps`."""
     method.initialize(scene, steps)
     sets = set(method.primitives())
-    for step in range(1, steps + 1):
+    for step in range(1, until + 1):
         losses = method.training_step(scene.train[step % len(scene.train)], step)
         _expect("loss" in losses, f"training_step returned {sorted(losses)}, expected the total as 'loss' among them")
         for name, value in losses.items():
@@ -103,6 +125,45 @@ def _train(method: Method, scene: Scene, steps: int) -> None:
     method.prepare()
 
 
+def _check_skipping(method: Method, scene: Scene, steps: int) -> None:
+    """The last step sees a picture that is not finite; the perceptual loss was not to be had."""
+    _train(method, scene, steps, steps - 1)
+    camera = scene.test[0].camera.to(method.device)
+    before = method.render(camera).color
+    spoiled = NotFinite(**vars(scene.train[0]))
+    losses = method.training_step(spoiled, steps)
+    if math.isfinite(losses["loss"]):
+        return  # it read other pixels than `View.rgb` gives
+    skipped = int(method.skipped_steps)
+    _expect(skipped == 1, f"skipped_steps is {skipped} after a step whose loss was not finite, expected 1")
+    method.prepare()
+    after = method.render(camera).color
+    _expect(bool(torch.equal(before, after)), "a step whose loss is not finite was applied: it changes the picture")
+
+
+class NotFinite(View):
+    """A view whose picture overflowed."""
+
+    def rgb(self, device: torch.device | str = "cpu") -> Tensor:
+        return torch.full(self.image.shape, math.nan, device=device)
+
+
+def _save_and_load(method: Method, loaded: Method) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        try:
+            loaded.load(folder)
+        except (FileNotFoundError, ValueError):
+            pass
+        else:
+            raise AssertionError("load() of an empty folder raises neither FileNotFoundError nor ValueError")
+        method.save(folder / "checkpoint")
+        loaded.load(folder / "checkpoint")
+    for what in ("primitives", "model_bytes"):
+        saved, found = getattr(method, what)(), getattr(loaded, what)()
+        _expect(saved == found, f"{what}() is {found} after load(), {saved} when it was saved")
+
+
 def _check_rendering(rendering: Rendering, camera: Camera) -> Tensor:
     size = (camera.height, camera.width)
     for name, shape in {"color": (*size, 3), "alpha": size, "depth": size, "normal": (*size, 3)}.items():
@@ -112,14 +173,18 @@ def _check_rendering(rendering: Rendering, camera: Camera) -> Tensor:
         _expect(not value.requires_grad, f"render().{name} carries gradients: render under torch.no_grad()")
         _expect(bool(torch.isfinite(value).all()), f"render().{name} is not finite everywhere")
     for name, layer in rendering.layers.items():
+        _expect(name not in HARNESS_LAYERS, f"a layer is called {name!r}, which the harness adds: rename it")
         fits = tuple(layer.shape) in (size, (*size, 1), (*size, 3))
         _expect(fits, f"layer {name!r} has shape {tuple(layer.shape)}, expected {size} with 1, 3 or no channels")
+        _expect(not layer.requires_grad, f"layer {name!r} carries gradients: render under torch.no_grad()")
+        _expect(bool(torch.isfinite(layer).all()), f"layer {name!r} is not finite everywhere")
     return rendering.color
 
 
 def _check_counts(method: Method) -> None:
     counts, sizes = method.primitives(), method.model_bytes()
-    _expect(set(counts) == set(sizes), f"primitives() has keys {sorted(counts)}, model_bytes() has {sorted(sizes)}")
+    for what, found in (("primitives", counts), ("model_bytes", sizes)):
+        _expect(set(found) == set(SETS), f"{what}() has keys {sorted(found)}, expected {sorted(SETS)}")
     for name, value in [*counts.items(), *sizes.items()]:
         _expect(isinstance(value, int) and value >= 0, f"set {name!r} counts {value!r}, expected an integer ≥ 0")
     _expect(sum(sizes.values()) > 0, "model_bytes() is 0: a trained model has a size")

@@ -1,4 +1,4 @@
-"""A cube map and its differentiable bilinear lookup, without seams between faces.
+"""A cube map and its differentiable bilinear lookup, without seams between faces; plain torch on every backend.
 
 Face order and orientation are OpenGL's: +x, −x, +y, −y, +z, −z; on each, column and row grow along the signed axes of
 the table below, and texel centers lie at half-integers of the face's size.
@@ -52,7 +52,7 @@ def sample_cubemap(texels: Tensor, directions: Tensor, layout: CubemapLayout) ->
     Args:
         texels: [6, S, S, C].
         directions: [R, 3], of any length; at length 0 the lookup has a value, but no meaning.
-        layout: of maps of S.
+        layout: that of maps with S texels an edge.
 
     Returns:
         [R, C], continuous over the whole sphere: across an edge the four texels around a point come from both faces,

@@ -17,7 +17,7 @@ from .parameters import GaussianParameters
 SPLIT_IN = 2
 OVERSIZED_SPLIT_IN = 5
 SHRINK_OF_TWO = 1.6  # 3DGS's divisor of the scales in a split in two; in five it grows with the area to cover
-LARGEST_GROWTH = 0.1  # of the set, in one densification: a short run, whose gradients are large, grows no faster
+LARGEST_GROWTH = 0.1  # share of the set added at once: a short run, whose gradients are large, grows no faster
 EXCHANGED_AT_CAP = 0.05
 LEAST_WEIGHTED = 0.1  # an oversized primitive in this least-weighted share is removed and not split
 
@@ -125,7 +125,7 @@ def densify(
 
 
 def _growing(record: DensificationRecord, rule: DensificationRule) -> Tensor:
-    """Which primitives [N] are cloned or split: of those above the threshold the largest that there is room for.
+    """Which primitives [N] are cloned or split: the largest above the threshold, as many as there is room for.
 
     A blending weight summed over a view's pixels is the number of pixels that the primitive fills. One that fills less
     than `min_coverage` shows nothing that two could show better. And one that fewer than `min_views` show may hang

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from envgs_bench.core import Camera, Scene, Statistics
+from envgs_bench.parts import ENV
 
 from .densification import DensificationRule, spatial_criterion
 from .initialization import quantile_box, random_points_in_grid
@@ -36,7 +37,7 @@ class EnvGS(TracedReflection):
 
     Settings: ClassVar[type] = EnvGSSettings
     settings: EnvGSSettings
-    traced: ClassVar[str] = "env"
+    traced: ClassVar[str] = ENV
 
     def __init__(self, settings: EnvGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
@@ -45,23 +46,27 @@ class EnvGS(TracedReflection):
 
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
-        self.sets.pop("env", None)
+        self.sets.pop(ENV, None)
         self._points = len(scene.points)
         self._box = environment_box(scene, self.settings)
 
-    def _start_reflection(self) -> None:
+    def start_reflection(self) -> None:
         s = self.settings
         grid = s.env_grid or min(PAPER_GRID, max(1, round((self._points / s.env_per_cell) ** (1 / 3))))
         points = random_points_in_grid(*self._box, grid, s.env_per_cell, self.generator)
         colors = torch.rand(points.shape, generator=self.generator)
-        self.sets["env"] = self._new_set(points, colors, self._rule("env"), None, self.generator)
+        self.sets[ENV] = self.new_set(points, colors, self.densification_rule(ENV), None, self.generator)
 
-    def _reflected_color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict]:
-        rendering = self._trace(origins, directions, step)
-        return rendering.color, {"env": rendering.statistics}
+    def reflected_color(
+        self, origins: Tensor, directions: Tensor, step: int | None
+    ) -> tuple[Tensor, dict[str, Statistics]]:
+        rendering = self.trace_reflection(origins, directions, step)
+        return rendering.color, {ENV: rendering.statistics}
 
-    def _criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
-        return spatial_criterion(statistics) if name == "env" else super()._criterion(name, statistics, camera)
+    def densification_criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
+        if name == ENV:
+            return spatial_criterion(statistics)
+        return super().densification_criterion(name, statistics, camera)
 
     def events(self, step: int) -> set[str]:
         s, schedule = self.settings, self.schedule
@@ -79,16 +84,16 @@ class EnvGS(TracedReflection):
             happens.add("reset_env_opacity")
         return happens
 
-    def _after_step(self, step: int, events: set[str]) -> None:
-        super()._after_step(step, events)
+    def after_step(self, step: int, events: set[str]) -> None:
+        super().after_step(step, events)
         if "densify_env" in events:
-            self.sets["env"].densify(self.radius, self.generator)
+            self.sets[ENV].densify(self.radius, self.generator)
         if "reset_env_opacity" in events:
-            self.sets["env"].reset_opacity()
+            self.sets[ENV].reset_opacity()
 
-    def _rule(self, name: str) -> DensificationRule:
-        rule, s = super()._rule(name), self.settings
-        if name == "env":
+    def densification_rule(self, name: str) -> DensificationRule:
+        rule, s = super().densification_rule(name), self.settings
+        if name == ENV:
             rule = replace(rule, gradient_threshold=s.env_densify_threshold, max_primitives=s.env_max_primitives)
         return rule
 

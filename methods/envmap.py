@@ -8,6 +8,9 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from envgs_bench.core import Statistics
+from envgs_bench.parts import ENV
+
 from .cubemap import layout_of, resized_cubemap, sample_cubemap
 from .parameters import ADAM_EPSILON
 from .reflection import ReflectionSettings, ReflectiveMethod
@@ -37,11 +40,11 @@ class EnvMap(ReflectiveMethod):
             raise ValueError(f"envmap_size is {settings.envmap_size}, expected at least 2")
         self._set_texels(torch.zeros(6, settings.envmap_size, settings.envmap_size, 3))
 
-    def _start_reflection(self) -> None:
-        self._set_texels(torch.zeros(6, 2, 2, 3))  # gray; _set_rates gives it its size
+    def start_reflection(self) -> None:
+        self._set_texels(torch.zeros(6, 2, 2, 3))  # gray; before_step gives it its size
 
-    def _set_rates(self, step: int) -> None:
-        super()._set_rates(step)
+    def before_step(self, step: int) -> None:
+        super().before_step(step)
         size = self._size_at(step)
         if self.reflects and size != self.texels.shape[1]:
             self._set_texels(resized_cubemap(self.texels.detach(), self._layout, size))
@@ -51,12 +54,14 @@ class EnvMap(ReflectiveMethod):
         doublings_left = sum(step < self.schedule.at(doubling) for doubling in DOUBLES_AT)
         return max(2, self.settings.envmap_size >> doublings_left)
 
-    def _reflected_color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict]:
+    def reflected_color(
+        self, origins: Tensor, directions: Tensor, step: int | None
+    ) -> tuple[Tensor, dict[str, Statistics]]:
         color = sample_cubemap(self.texels, directions.reshape(-1, 3), self._layout).sigmoid()
         return color.reshape(directions.shape), {}
 
     def model_bytes(self) -> dict[str, int]:
-        return super().model_bytes() | {"env": 4 * self.texels.numel()}
+        return super().model_bytes() | {ENV: 4 * self.texels.numel()}
 
     def _set_texels(self, texels: Tensor) -> None:
         self.texels = texels.detach().to(self.device).requires_grad_()
@@ -65,14 +70,14 @@ class EnvMap(ReflectiveMethod):
             [self.texels], lr=self.settings.envmap_lr, eps=ADAM_EPSILON, fused=True
         )
 
-    def _optimizers(self) -> list[torch.optim.Optimizer]:
-        return [*super()._optimizers(), self._texel_optimizer]
+    def optimizers(self) -> list[torch.optim.Optimizer]:
+        return [*super().optimizers(), self._texel_optimizer]
 
-    def _state(self) -> dict:
-        return super()._state() | {"texels": self.texels.detach()}
+    def state(self) -> dict:
+        return super().state() | {"texels": self.texels.detach()}
 
-    def _restore(self, state: dict) -> None:
-        super()._restore(state)
+    def restore(self, state: dict) -> None:
+        super().restore(state)
         size = state["texels"].shape[1]
         if size != self.settings.envmap_size:
             raise ValueError(

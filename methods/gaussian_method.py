@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import ClassVar
@@ -12,6 +11,7 @@ import torch
 from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, View, depth_normals, rasterize
+from envgs_bench.parts import BASE, SETS
 
 from .checkpoint import read_checkpoint, write_checkpoint
 from .densification import DensificationRule, screen_criterion
@@ -26,12 +26,23 @@ from .trained_set import TrainedSet
 
 
 class GaussianMethod(Method):
-    """Trains a base set on whole images, one a step.
+    """Trains a base set on whole images, one a step. What a subclass may override or call is public:
+
+    | when | what is called |
+    |---|---|
+    | a training step draws | before_step, set_learning_rates, draw, losses |
+    | and learns | optimizers, densification_criterion, densification_interval, events, after_step |
+    | an image | draw |
+    | a set is new or loaded | densification_rule, initial_learning_rates, initial_beta |
+    | a checkpoint is written or read | state, restore |
 
     Attributes:
-        sets: the trained sets by name; always "base".
+        sets: the trained sets by name; always BASE.
         near: hits nearer to the camera are not drawn, world units: the setting, or the scene's free space if larger.
-        perceptual: the perceptual loss, (image, target) -> scalar, or None; the harness sets it.
+        prepared: the sets as images draw them, activated, by name; empty until `prepare` and again after a step.
+        schedule: the clock of this run, see `Schedule`.
+        radius: the scene's, world units.
+        background: [3] color behind everything, in [0, 1].
     """
 
     Settings: ClassVar[type] = GaussianSettings
@@ -45,12 +56,11 @@ class GaussianMethod(Method):
         if settings.mono_loss not in ("cos", "l1_cos"):
             raise ValueError(f"mono_loss is {settings.mono_loss!r}, expected cos or l1_cos")
         self.sets: dict[str, TrainedSet] = {}
-        self.perceptual: Callable[[Tensor, Tensor], Tensor] | None = None
         self.schedule = Schedule(1)
         self.radius = 1.0
         self.near = settings.near
         self.background = torch.zeros(3, device=self.device)
-        self._prepared: dict[str, GaussianSet] = {}
+        self.prepared: dict[str, GaussianSet] = {}
         self._views = ResidentViews(self.device, room=0)
 
     def initialize(self, scene: Scene, steps: int) -> None:
@@ -60,85 +70,101 @@ class GaussianMethod(Method):
         self.radius = scene.radius or _extent(scene.points)
         self.near = max(self.settings.near, scene.free_space)
         self.background = scene.background.to(self.device)
-        self.sets["base"] = self._new_set(
-            scene.points, scene.point_colors, self._rule("base"), self._initial_beta(), generator=None
+        self.sets[BASE] = self.new_set(
+            scene.points, scene.point_colors, self.densification_rule(BASE), self.initial_beta(), generator=None
         )
-        self._prepared.clear()
+        self.prepared.clear()
         self._views = ResidentViews.of(self.device)
 
     def training_step(self, view: View, step: int) -> dict[str, Tensor]:
         view = self._views.on_device(view)
         camera, target = view.camera, view.rgb(self.device)
-        self._prepared.clear()
-        self._set_rates(step)
-        rendering, statistics = self._draw(camera, step)
-        terms = self._losses(rendering, target, view, step)
+        self.prepared.clear()
+        self.before_step(step)
+        self.set_learning_rates(step)
+        rendering, statistics = self.draw(camera, step)
+        terms = self.losses(rendering, target, view, step)
         loss = torch.stack(list(terms.values())).sum()
         loss.backward()
 
         finite = self._finite(loss.detach())  # on the device: a step never waits to learn whether it counts
         skipped = (~finite).float()
-        for optimizer in self._optimizers():
+        for optimizer in self.optimizers():
             optimizer.found_inf = skipped  # type: ignore[attr-defined]  # torch's way to skip a fused step
             optimizer.step()
         for name, seen in statistics.items():
-            learned = self._criterion(name, seen, camera), seen.weights
+            learned = self.densification_criterion(name, seen, camera), seen.weights
             self.sets[name].record.add(*(torch.where(finite, values, 0.0) for values in learned))
         self.skipped_steps = self.skipped_steps + skipped
-        for optimizer in self._optimizers():
+        for optimizer in self.optimizers():
             optimizer.zero_grad(set_to_none=True)
         with torch.no_grad():
-            self._after_step(step, self.events(step))
+            self.after_step(step, self.events(step))
         shown = {"loss": loss, "psnr": psnr(rendering.color, target), **terms}
         return {name: value.detach() for name, value in shown.items()}
 
-    def events(self, step: int) -> set[str]:
-        """What this run does after Adam's step number `step`."""
-        s, schedule, happens = self.settings, self.schedule, set()
-        recovers = schedule.recovers(step, stop=s.densify_until, interval=s.opacity_reset_every)
-        if not recovers and schedule.densifies(
-            step, start=s.densify_from, stop=s.densify_until, every=self._densify_every(step)
-        ):
-            happens.add("densify_base")
-        if schedule.resets(step, stop=s.densify_until, interval=s.opacity_reset_every):
-            happens.add("reset_base_opacity")
-        return happens
-
     @torch.no_grad()
     def render(self, camera: Camera) -> Rendering:
-        if not self._prepared:
+        if not self.prepared:
             self.prepare()
-        return self._draw(camera.to(self.device), None)[0]
+        return self.draw(camera.to(self.device), None)[0]
 
     @torch.no_grad()
     def prepare(self) -> None:
-        self._prepared = {name: trained.parameters.gaussians() for name, trained in self.sets.items()}
+        self.prepared = {name: trained.parameters.gaussians() for name, trained in self.sets.items()}
 
     def primitives(self) -> dict[str, int]:
-        return {name: len(self.sets[name].parameters) if name in self.sets else 0 for name in ("base", "env")}
+        return {name: len(self.sets[name].parameters) if name in self.sets else 0 for name in SETS}
 
     def model_bytes(self) -> dict[str, int]:
         sets = self.sets
-        return {name: sets[name].parameters.size_bytes if name in sets else 0 for name in ("base", "env")}
+        return {name: sets[name].parameters.size_bytes if name in sets else 0 for name in SETS}
 
     def save(self, folder: Path) -> None:
-        write_checkpoint(folder, type(self).__name__, self._state())
+        write_checkpoint(folder, type(self).__name__, self.state())
 
     def load(self, folder: Path) -> None:
-        self._restore(read_checkpoint(folder, type(self).__name__, self.device))
-        self._prepared.clear()
+        self.restore(read_checkpoint(folder, type(self).__name__, self.device))
+        self.prepared.clear()
 
-    # What a method may say otherwise
+    @property
+    def uses_perceptual(self) -> bool:
+        return self.settings.perceptual_weight > 0
 
-    def _draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
-        """The picture and, by set, what its passes learned; without gradients where `step` is None."""
-        rendering = self._rasterize_base(camera, step)
-        return rendering, {"base": rendering.statistics}
+    # What happens in a training step
 
-    def _losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
-        """The weighted terms of the loss (Eq. 11)."""
+    def before_step(self, step: int) -> None:
+        """Start what begins with this step, before anything is drawn: another phase, another resolution."""
+
+    def set_learning_rates(self, step: int) -> None:
+        """Give the optimizers the rates of this step: positions and rotations decay log-linearly, others rest."""
+        s, schedule = self.settings, self.schedule
+        position = schedule.rate(step, s.position_lr, s.position_lr_final) * schedule.rate_scale
+        rotation = schedule.rate(step, s.rotation_lr, s.rotation_lr_final) * schedule.rate_scale
+        for trained in self.sets.values():
+            trained.parameters.set_learning_rate("means", position * self.radius)
+            trained.parameters.set_learning_rate("quaternions", rotation)
+
+    def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
+        """The picture [H, W, …], and by set what its passes learned.
+
+        Args:
+            camera: on the method's device.
+            step: the training's; None for an image, which is drawn from `prepared` and without gradients.
+        """
+        rendering = self.rasterize_base(camera, step)
+        return rendering, {BASE: rendering.statistics}
+
+    def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
+        """The weighted terms of the loss (Eq. 11) by name, scalars; their sum is what is minimized.
+
+        Args:
+            rendering: what `draw` returned, with gradients.
+            target: [H, W, 3] in [0, 1], the view's image on the method's device.
+            view: the training view, camera and normals on the method's device.
+        """
         settings = self.settings
-        terms = {"rgb": photometric_loss(rendering.color, target)}
+        terms = {"rgb": photometric_loss(rendering.color, target, backend=settings.backend)}
         weight = self._normal_weights(rendering)
         if settings.normal_weight > 0 and step > self.schedule.at(settings.normal_from):
             reference = depth_normals(rendering.depth, view.camera, backend=settings.backend)
@@ -149,84 +175,105 @@ class GaussianMethod(Method):
             if settings.mono_loss == "l1_cos":
                 error = error + normal_distance(rendering.normal, view.normal, weight)
             terms["mono"] = mono_weight * error
-        if self.perceptual and settings.perceptual_weight > 0 and step > self.schedule.at(settings.perceptual_from):
+        if self.perceptual and self.uses_perceptual and step > self.schedule.at(settings.perceptual_from):
             terms["perceptual"] = settings.perceptual_weight * self.perceptual(rendering.color, target)
         return terms
 
-    def _densify_every(self, step: int) -> Fraction:
-        """The base set's interval at this step, in steps of this run; 0: never."""
-        return self.schedule.interval(self.settings.densify_every, DENSIFY_FLOOR)
-
-    def _criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
-        return screen_criterion(statistics, camera)
-
-    def _after_step(self, step: int, events: set[str]) -> None:
-        """Densification and opacity resets, after Adam's step."""
-        if "densify_base" in events:
-            self.sets["base"].densify(self.radius, self.generator)
-        if "reset_base_opacity" in events:
-            self.sets["base"].reset_opacity()
-
-    def _set_rates(self, step: int) -> None:
-        s, schedule = self.settings, self.schedule
-        position = schedule.rate(step, s.position_lr, s.position_lr_final) * schedule.rate_scale
-        rotation = schedule.rate(step, s.rotation_lr, s.rotation_lr_final) * schedule.rate_scale
-        for trained in self.sets.values():
-            trained.parameters.set_learning_rate("means", position * self.radius)
-            trained.parameters.set_learning_rate("quaternions", rotation)
-
-    def _optimizers(self) -> list[torch.optim.Optimizer]:
+    def optimizers(self) -> list[torch.optim.Optimizer]:
+        """All that step together; none does where a loss or gradient is not finite."""
         return [trained.parameters.optimizer for trained in self.sets.values()]
 
-    def _initial_beta(self) -> float | None:
+    def densification_criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
+        """How much each primitive [N] of the set `name` asks to be cloned or split, from one step's pass."""
+        return screen_criterion(statistics, camera)
+
+    def densification_interval(self, step: int) -> Fraction:
+        """Steps of this run between two densifications of the base set, as of `step`; 0: never."""
+        return self.schedule.interval(self.settings.densify_every, DENSIFY_FLOOR)
+
+    def events(self, step: int) -> set[str]:
+        """Names of what this run does after Adam's step number `step`; `after_step` does it."""
+        s, schedule, happens = self.settings, self.schedule, set()
+        recovers = schedule.recovers(step, stop=s.densify_until, interval=s.opacity_reset_every)
+        if not recovers and schedule.densifies(
+            step, start=s.densify_from, stop=s.densify_until, every=self.densification_interval(step)
+        ):
+            happens.add("densify_base")
+        if schedule.resets(step, stop=s.densify_until, interval=s.opacity_reset_every):
+            happens.add("reset_base_opacity")
+        return happens
+
+    def after_step(self, step: int, events: set[str]) -> None:
+        """Do what `events` names, after Adam's step and without gradients: densification and opacity resets."""
+        if "densify_base" in events:
+            self.sets[BASE].densify(self.radius, self.generator)
+        if "reset_base_opacity" in events:
+            self.sets[BASE].reset_opacity()
+
+    # What a set starts from, and what a checkpoint holds
+
+    def densification_rule(self, name: str) -> DensificationRule:
+        """When a primitive of the set `name` is cloned, split or removed."""
+        s = self.settings
+        return DensificationRule(s.densify_threshold, s.min_opacity, s.max_primitives, s.min_coverage, s.min_views)
+
+    def initial_learning_rates(self) -> LearningRates:
+        """Adam's step sizes of a new set."""
+        s, scale = self.settings, self.schedule.rate_scale
+        return LearningRates(
+            position=s.position_lr * scale,
+            sh_dc=s.sh_lr * scale,
+            sh_rest=s.sh_lr * scale / 20,
+            opacity=s.opacity_lr,
+            scale=s.scale_lr,
+            rotation=s.rotation_lr * scale,
+        )
+
+    def initial_beta(self) -> float | None:
+        """The β in (0, 1) that base primitives start with; None for a base set without β."""
         return None
 
-    def _state(self) -> dict:
+    def state(self) -> dict:
+        """What `save` writes: tensors, numbers, strings, and dictionaries of them."""
         sets = {name: trained.parameters.detached() for name, trained in self.sets.items()}
         return {"sets": sets, "radius": self.radius, "near": self.near, "background": self.background}
 
-    def _restore(self, state: dict) -> None:
+    def restore(self, state: dict) -> None:
+        """Become what `state` returned, tensors on the method's device. Raises ValueError where that cannot be."""
         self.radius, self.near, self.background = state["radius"], state["near"], state["background"]
         for name, tensors in state["sets"].items():
-            parameters = GaussianParameters(tensors, self._rates(), self.radius)
-            self.sets[name] = TrainedSet(parameters, self._rule(name))
+            parameters = GaussianParameters(tensors, self.initial_learning_rates(), self.radius)
+            self.sets[name] = TrainedSet(parameters, self.densification_rule(name))
 
-    # Parts
+    # What a subclass draws and grows with
 
-    def _rasterize_base(self, camera: Camera, step: int | None) -> Rendering:
+    def rasterize_base(self, camera: Camera, step: int | None) -> Rendering:
+        """The base set alone, [H, W, …], with `draw`'s arguments."""
         return rasterize(
-            self._gaussians("base", step),
+            self.gaussians(BASE, step),
             camera,
             background=self.background,
             near=self.near,
             backend=self.settings.backend,
         )
 
-    def _gaussians(self, name: str, step: int | None) -> GaussianSet:
-        """The set as it is drawn at a training step, or for an image where `step` is None."""
+    def gaussians(self, name: str, step: int | None) -> GaussianSet:
+        """The set `name` as it is drawn at a training step, or for an image where `step` is None."""
         if step is None:
-            return self._prepared[name]
+            return self.prepared[name]
         every = self.schedule.at(self.settings.sh_every)
         degree = min(self.settings.sh_degree, step // every) if every else None
         return self.sets[name].parameters.gaussians(degree)
 
-    def _normal_weights(self, rendering: Rendering) -> Tensor | None:
-        return nearness(rendering.depth) if self.settings.normal_weighting == "depth" else None
-
-    def _finite(self, loss: Tensor) -> Tensor:
-        """Whether the loss and all gradients are finite, a tensor of no dimension: their largest magnitude tells."""
-        gradients = [p.grad for o in self._optimizers() for g in o.param_groups for p in g["params"]]
-        present = [gradient for gradient in gradients if gradient is not None and gradient.numel()]
-        return torch.nn.utils.get_total_norm([loss, *present], math.inf).isfinite()
-
-    def _new_set(
+    def new_set(
         self,
-        points: Tensor,
-        colors: Tensor,
+        points: Tensor,  # [N, 3]
+        colors: Tensor,  # [N, 3] in [0, 1]
         rule: DensificationRule,
         beta: float | None,
         generator: torch.Generator | None,
     ) -> TrainedSet:
+        """A set with a primitive at each point; see `initial_tensors`."""
         tensors = initial_tensors(
             points.to(self.device, torch.float32),
             colors.to(self.device, torch.float32),
@@ -237,22 +284,16 @@ class GaussianMethod(Method):
             radius=self.radius,
             generator=generator,
         )
-        return TrainedSet(GaussianParameters(tensors, self._rates(), self.radius), rule)
+        return TrainedSet(GaussianParameters(tensors, self.initial_learning_rates(), self.radius), rule)
 
-    def _rule(self, name: str) -> DensificationRule:
-        s = self.settings
-        return DensificationRule(s.densify_threshold, s.min_opacity, s.max_primitives, s.min_coverage, s.min_views)
+    def _normal_weights(self, rendering: Rendering) -> Tensor | None:
+        return nearness(rendering.depth) if self.settings.normal_weighting == "depth" else None
 
-    def _rates(self) -> LearningRates:
-        s, scale = self.settings, self.schedule.rate_scale
-        return LearningRates(
-            position=s.position_lr * scale,
-            sh_dc=s.sh_lr * scale,
-            sh_rest=s.sh_lr * scale / 20,
-            opacity=s.opacity_lr,
-            scale=s.scale_lr,
-            rotation=s.rotation_lr * scale,
-        )
+    def _finite(self, loss: Tensor) -> Tensor:
+        """Whether the loss and all gradients are finite, a tensor of no dimension: their largest magnitude tells."""
+        gradients = [p.grad for o in self.optimizers() for g in o.param_groups for p in g["params"]]
+        present = [gradient for gradient in gradients if gradient is not None and gradient.numel()]
+        return torch.nn.utils.get_total_norm([loss, *present], math.inf).isfinite()
 
 
 def _extent(points: Tensor) -> float:

@@ -12,7 +12,7 @@ from .parameters import inverse_sigmoid, sh_from_rgb
 
 NEIGHBORS = 3
 PLANE_NEIGHBORS = 8
-SMALLEST_SCALE = 1e-5  # of the scene radius: coincident points still need an extent
+SMALLEST_SCALE = 1e-5  # × scene radius: coincident points still need an extent
 
 
 def neighbor_distance(points: Tensor, radius: float) -> Tensor:

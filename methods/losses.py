@@ -8,13 +8,13 @@ from torch.nn import functional
 
 from envgs_bench.core.ssim import ssim
 
-SSIM_SHARE = 0.2  # of the photometric loss, as 3DGS
+SSIM_SHARE = 0.2  # SSIM's part of the photometric loss, as in 3DGS
 
 
-def photometric_loss(image: Tensor, target: Tensor) -> Tensor:
-    """L_rgb = 0.8·mean |I − I_gt| + 0.2·(1 − SSIM)."""
+def photometric_loss(image: Tensor, target: Tensor, *, backend: str = "auto") -> Tensor:
+    """L_rgb = 0.8·mean |I − I_gt| + 0.2·(1 − SSIM), the SSIM by the core's `backend`."""
     difference = (image - target).abs().mean()
-    return (1 - SSIM_SHARE) * difference + SSIM_SHARE * (1 - ssim(image, target))
+    return (1 - SSIM_SHARE) * difference + SSIM_SHARE * (1 - ssim(image, target, backend=backend))
 
 
 def normal_loss(normal: Tensor, reference: Tensor, weight: Tensor | None = None) -> Tensor:

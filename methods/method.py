@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -23,6 +23,9 @@ class Method(ABC):
         Settings: the method's frozen settings dataclass; every field has a default.
         skipped_steps: training steps that were not applied because a loss or gradient was not finite; a number, or a
             tensor of one.
+        perceptual: the perceptual loss of two [H, W, 3] images in [0, 1], (image, target) -> scalar, differentiable in
+            the first. The harness sets it before `initialize` where `uses_perceptual` is true and the network's weights
+            can be had; None otherwise, and the method then trains without it.
     """
 
     Settings: ClassVar[type]
@@ -32,6 +35,12 @@ class Method(ABC):
         self.device = torch.device(device)
         self.generator = torch.Generator().manual_seed(seed)  # on the CPU: the same numbers for every device
         self.skipped_steps: int | Tensor = 0
+        self.perceptual: Callable[[Tensor, Tensor], Tensor] | None = None
+
+    @property
+    def uses_perceptual(self) -> bool:
+        """Whether these settings train with the perceptual loss; most methods do not."""
+        return False
 
     @abstractmethod
     def initialize(self, scene: Scene, steps: int) -> None:
@@ -42,23 +51,28 @@ class Method(ABC):
         """Learn from one training view. `step` counts from 1. Returns the losses, the total as "loss".
 
         A loss is a number, or a tensor of one: the harness reads several steps' at once, so that a step need not wait
-        for the device.
+        for the device. A step whose loss or gradient is not finite is not applied, and counted in `skipped_steps`.
         """
 
     @abstractmethod
     def render(self, camera: Camera) -> Rendering:
-        """The scene as `camera` sees it, without gradients; `layers` holds a method's named parts."""
+        """The scene as `camera` sees it, [H, W, …] float32 without gradients.
+
+        `layers` holds the picture's parts by name, [H, W], [H, W, 1] or [H, W, 3], shown clamped to [0, 1]: what the
+        base, the reflection and β show goes by the names of `envgs_bench.parts.LAYERS`, anything else by one of the
+        method's own; "normal", "depth" and "error" are added by the harness.
+        """
 
     def prepare(self) -> None:  # noqa: B027 (many methods need nothing)
         """Make what rendering needs once, such as acceleration structures. Timed apart from frames."""
 
     @abstractmethod
     def primitives(self) -> dict[str, int]:
-        """Number of primitives of each set, "base" and "env"."""
+        """Number of primitives of each of `envgs_bench.parts.SETS`, 0 of a missing set; after `initialize`."""
 
     @abstractmethod
     def model_bytes(self) -> dict[str, int]:
-        """Bytes of each set's parameters stored as float32, under the keys of `primitives`."""
+        """Bytes of each set's parameters stored as float32, under the same keys."""
 
     @abstractmethod
     def save(self, folder: Path) -> None:

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from envgs_bench.core import Camera, Rendering, Scene, Statistics, reflect
+from envgs_bench.parts import BASE, BETA, REFLECTION
 
 from .gaussian_method import GaussianMethod
 from .parameters import LearningRates, inverse_sigmoid
@@ -71,36 +72,49 @@ class ReflectiveMethod(GaussianMethod):
         self._hold_until = 0
 
     @abstractmethod
-    def _start_reflection(self) -> None:
-        """Make what the reflected color comes from, at the end of the bootstrapping."""
+    def start_reflection(self) -> None:
+        """Make what the reflected color comes from: called once, before the first step after the bootstrapping."""
 
     @abstractmethod
-    def _reflected_color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict]:
-        """Color [H, W, 3] that the rays [H, W, 3], [H, W, 3] of `reflect` meet, and statistics by set."""
+    def reflected_color(
+        self, origins: Tensor, directions: Tensor, step: int | None
+    ) -> tuple[Tensor, dict[str, Statistics]]:
+        """What the reflected rays see, and by set what their pass learned. Called by `draw` once reflections started.
+
+        Args:
+            origins, directions: [H, W, 3] of `reflect`, world frame; the direction is 0 where nothing reflects.
+            step: the training's; None for an image.
+
+        Returns:
+            Color [H, W, 3], sRGB; differentiable in the rays where they carry gradients.
+        """
 
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
         self.reflects, self._hold_until = False, 0
 
-    def _set_rates(self, step: int) -> None:
+    def before_step(self, step: int) -> None:
+        super().before_step(step)
         if not self.reflects and step > self.schedule.at(self.settings.bootstrap):
-            self._start_reflection()
+            self.start_reflection()
             self.reflects = True
-        super()._set_rates(step)
-        opacity_rate = 0.0 if step <= self._hold_until else self.settings.opacity_lr
-        self.sets["base"].parameters.set_learning_rate("opacity_logits", opacity_rate)
 
-    def _draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
-        base = self._rasterize_base(camera, step)
-        statistics = {"base": base.statistics}
+    def set_learning_rates(self, step: int) -> None:
+        super().set_learning_rates(step)
+        opacity_rate = 0.0 if step <= self._hold_until else self.settings.opacity_lr
+        self.sets[BASE].parameters.set_learning_rate("opacity_logits", opacity_rate)
+
+    def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
+        base = self.rasterize_base(camera, step)
+        statistics = {BASE: base.statistics}
         if not self.reflects:
             return base, statistics
         origins, directions, beta = self._reflected_rays(base, camera, step)
-        reflection, of_rays = self._reflected_color(origins, directions, step)
+        reflection, of_rays = self.reflected_color(origins, directions, step)
         statistics |= of_rays
         beta = beta[..., None]
         blended = torch.lerp(base.color, reflection, beta)  # Eq. 5
-        layers = {"base": base.color, "reflection": reflection * (beta > 0), "beta": base.extras}
+        layers = {BASE: base.color, REFLECTION: reflection * (beta > 0), BETA: base.extras}
         return replace(base, color=blended, layers=layers), statistics
 
     def _reflected_rays(self, base: Rendering, camera: Camera, step: int | None) -> tuple[Tensor, Tensor, Tensor]:
@@ -138,16 +152,16 @@ class ReflectiveMethod(GaussianMethod):
             happens.add("reset_beta")
         return happens
 
-    def _densify_every(self, step: int) -> Fraction:
-        usual, s = super()._densify_every(step), self.settings
+    def densification_interval(self, step: int) -> Fraction:
+        usual, s = super().densification_interval(step), self.settings
         start, stop = self.schedule.at(s.bootstrap), self.schedule.at(s.disturb_until)
         if usual == 0 or not start < step <= stop:
             return usual
         longest = (stop - start) // (SETTLING_GROWTHS * usual)
         return usual * max(1, min(s.settling_interval, longest))
 
-    def _after_step(self, step: int, events: set[str]) -> None:
-        super()._after_step(step, events)
+    def after_step(self, step: int, events: set[str]) -> None:
+        super().after_step(step, events)
         if "reset_base_opacity" in events:
             self._hold_until = 0  # or opacities would stay where the reset left them, and all be pruned
         if "sabotage" in events:
@@ -159,7 +173,7 @@ class ReflectiveMethod(GaussianMethod):
 
     def _sabotage(self) -> None:
         """Disturb the base color where the base does not reflect (3DGS-DR), so that a reflection may explain it."""
-        parameters = self.sets["base"].parameters
+        parameters = self.sets[BASE].parameters
         dc = parameters.tensors["sh_dc"].detach()
         noise = (2 * torch.rand(dc.shape, generator=self.generator) - 1).to(dc) * SABOTAGE_RANGE
         parameters.replace("sh_dc", dc + noise * (self._beta() <= SABOTAGE_BELOW)[:, None])
@@ -169,30 +183,30 @@ class ReflectiveMethod(GaussianMethod):
 
         All become nearly opaque, and opacities then rest for a while.
         """
-        parameters = self.sets["base"].parameters
+        parameters = self.sets[BASE].parameters
         log_scales = parameters.tensors["log_scales"].detach()
         parameters.replace("log_scales", log_scales + math.log(PROPAGATE_SCALE) * (self._beta() >= PROPAGATE_ABOVE))
-        self.sets["base"].raise_opacity()
+        self.sets[BASE].raise_opacity()
         self._hold_until = step + round(self.schedule.interval(PROPAGATE_HOLD, HOLD_FLOOR))
 
     def _reset_beta(self) -> None:
-        parameters = self.sets["base"].parameters
+        parameters = self.sets[BASE].parameters
         logits = parameters.tensors["beta_logits"].detach()
         start = inverse_sigmoid(torch.full_like(logits, self.settings.initial_beta))
         parameters.replace("beta_logits", torch.minimum(logits, start))
 
     def _beta(self) -> Tensor:
-        return self.sets["base"].parameters.tensors["beta_logits"].detach().sigmoid()
+        return self.sets[BASE].parameters.tensors["beta_logits"].detach().sigmoid()
 
-    def _initial_beta(self) -> float | None:
+    def initial_beta(self) -> float | None:
         return self.settings.initial_beta
 
-    def _rates(self) -> LearningRates:
-        return replace(super()._rates(), beta=self.settings.beta_lr * self.schedule.rate_scale)
+    def initial_learning_rates(self) -> LearningRates:
+        return replace(super().initial_learning_rates(), beta=self.settings.beta_lr * self.schedule.rate_scale)
 
-    def _state(self) -> dict:
-        return super()._state() | {"reflects": self.reflects}
+    def state(self) -> dict:
+        return super().state() | {"reflects": self.reflects}
 
-    def _restore(self, state: dict) -> None:
-        super()._restore(state)
+    def restore(self, state: dict) -> None:
+        super().restore(state)
         self.reflects = state["reflects"]

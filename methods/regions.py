@@ -80,8 +80,8 @@ def near_field_mask(
         base: the whole base set, whose normals reflect.
         surroundings: what rays may meet: the base set's part within the scene's box.
         radius: the scene's, world units.
-        near: that of `rasterize`, world units.
-        bvh: of the surroundings; built here where None.
+        near: as for `rasterize`, world units.
+        bvh: that of the surroundings; built here where None.
     """
     shown = rasterize(base, camera, near=near)
     offset = OWN_SURFACE * radius

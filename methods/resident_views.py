@@ -9,7 +9,7 @@ from torch import Tensor
 
 from envgs_bench.core import View
 
-SHARE_OF_DEVICE = 0.25  # of a GPU's memory that views may stay in
+SHARE_OF_DEVICE = 0.25  # part of a GPU's memory that views may stay in
 
 
 class ResidentViews:

@@ -6,6 +6,9 @@ from typing import ClassVar
 
 from torch import Tensor
 
+from envgs_bench.core import Statistics
+from envgs_bench.parts import BASE
+
 from .traced import TracedReflection
 
 
@@ -16,10 +19,12 @@ class SingleSet(TracedReflection):
     does not converge. Densification sees only what the picture's own pass learned.
     """
 
-    traced: ClassVar[str] = "base"
+    traced: ClassVar[str] = BASE
 
-    def _start_reflection(self) -> None:
+    def start_reflection(self) -> None:
         pass
 
-    def _reflected_color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict]:
-        return self._trace(origins, directions, step).color, {}
+    def reflected_color(
+        self, origins: Tensor, directions: Tensor, step: int | None
+    ) -> tuple[Tensor, dict[str, Statistics]]:
+        return self.trace_reflection(origins, directions, step).color, {}

@@ -23,12 +23,13 @@ class TracedReflection(ReflectiveMethod):
 
     def prepare(self) -> None:
         super().prepare()
-        gaussians = self._prepared.get(self.traced)
+        gaussians = self.prepared.get(self.traced)
         self._bvh = None if gaussians is None else build_bvh(gaussians, backend=self.settings.backend)
 
-    def _trace(self, origins: Tensor, directions: Tensor, step: int | None) -> Rendering:
+    def trace_reflection(self, origins: Tensor, directions: Tensor, step: int | None) -> Rendering:
+        """What the rays meet in the set `traced`, with `reflected_color`'s arguments, [H, W, …]."""
         return trace(
-            self._gaussians(self.traced, step),
+            self.gaussians(self.traced, step),
             origins,
             directions,
             background=self.background,

@@ -18,7 +18,7 @@ def ssim(prediction: Tensor, target: Tensor, padding: str, mask: Tensor | None =
     Returns:
         A value in [−1, 1]; None where the mask holds no window's center.
     """
-    similarity = ssim_map(prediction.double(), target.double(), padding)
+    similarity = ssim_map(prediction.double(), target.double(), padding, backend="torch")
     if mask is None:
         return float(similarity.mean())
     if padding == "valid":

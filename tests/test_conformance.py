@@ -24,14 +24,33 @@ def test_the_built_in_methods_pass(kind: str, settings: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("kind", "problem"),
     [
-        ("Forgets", "a loaded checkpoint does not render as what was saved"),
-        ("IsRandom", "the same seed does not train to the same picture"),
-        ("NamesNoTotal", "expected the total as 'loss'"),
-        ("LosesItsLoss", "loss 'loss' is nan in step 1"),
-        ("RendersNaN", "color is not finite everywhere"),
+        ("methods:Forgets", "a loaded checkpoint does not render as what was saved"),
+        ("methods:IsRandom", "the same seed does not train to the same picture"),
+        ("methods:NamesNoTotal", "expected the total as 'loss'"),
+        ("methods:LosesItsLoss", "loss 'loss' is nan in step 1"),
+        ("methods:RendersNaN", "color is not finite everywhere"),
+        ("breaches:CanBeChanged", "Settings is not frozen"),
+        ("breaches:LosesASet", "primitives() has keys ['base'], expected ['base', 'env']"),
+        ("breaches:NamesAnotherSet", "primitives() has keys ['base', 'environment'], expected ['base', 'env']"),
+        ("breaches:WeighsOtherSets", "model_bytes() has keys ['base'], expected ['base', 'env']"),
+        ("breaches:WeighsNothing", "model_bytes() is 0"),
+        ("breaches:ReturnsWholeLosses", "expected a float or a tensor of one value"),
+        ("breaches:AnnouncesSkips", "skipped_steps is 8 though every loss was finite"),
+        ("breaches:AppliesNaN", "a step whose loss is not finite was applied"),
+        ("breaches:CountsNoSkips", "skipped_steps is 0 after a step whose loss was not finite, expected 1"),
+        ("breaches:IgnoresItsPerceptualLoss", "uses_perceptual is true, but no training step calls perceptual"),
+        ("breaches:NeedsPreparing", "another prepare() changes the picture"),
+        ("breaches:RendersGradients", "color carries gradients"),
+        ("breaches:RendersHalf", "depth has shape (12, 16), expected (24, 32)"),
+        ("breaches:RendersDoubles", "alpha is torch.float64, expected torch.float32"),
+        ("breaches:TakesTheHarnesssLayer", "a layer is called 'normal', which the harness adds"),
+        ("breaches:DrawsHalfALayer", "layer 'beta' has shape (12, 32)"),
+        ("breaches:DrawsLayersOfNaN", "layer 'beta' is not finite everywhere"),
+        ("breaches:LoadsAnything", "load() of an empty folder raises neither"),
+        ("breaches:ForgetsItsCount", "primitives() is {'base': 2, 'env': 0} after load()"),
     ],
 )
 def test_a_method_that_does_not_is_told_in_what(kind: str, problem: str) -> None:
     with pytest.raises(AssertionError) as caught:
-        check_method(f"fakes.methods:{kind}")
+        check_method(f"fakes.{kind}")
     assert problem in str(caught.value)

@@ -11,6 +11,7 @@ from torch.nn.functional import normalize
 from envgs_bench.core import Rendering, View
 from envgs_bench.methods.envgs import EnvGS, EnvGSSettings
 from envgs_bench.methods.schedule import Schedule
+from envgs_bench.parts import BASE, ENV
 
 from .room import EYE, TARGET, room_camera, room_gaussians
 
@@ -29,14 +30,14 @@ def envgs_work(
         what trains it by a step on a random image, losses and Adam included.
     """
     method = EnvGS(EnvGSSettings(backend=backend), device)
-    sets = {"base": _parameters(BASE_SHARE * primitives, BETA), "env": _parameters(primitives, None)}
+    sets = {BASE: _parameters(BASE_SHARE * primitives, BETA), ENV: _parameters(primitives, None)}
     state = {
         "sets": {name: {field: x.to(device) for field, x in tensors.items()} for name, tensors in sets.items()},
         "radius": float((EYE - TARGET).norm()),
         "background": torch.zeros(3, device=device),
         "reflects": True,
     }
-    method._restore(state)
+    method.restore(state)
     method.schedule = Schedule(30_000)
     camera = room_camera(width, height).to(device)
     generator = torch.Generator().manual_seed(0)

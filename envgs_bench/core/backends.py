@@ -6,10 +6,11 @@ A backend module offers some of
     trace(gaussians, origins [R, 3], directions [R, 3], bvh, options: TraceOptions) -> Rendering, one value a ray
     reflect(image, camera, offset, alpha_min, beta_min) -> origins, directions, β
     depth_normals(depth [H, W], camera) -> normals [H, W, 3]
+    ssim_map(image [H, W, C], target, taps, pad, c1, c2) -> SSIM of every pixel and channel
     build_bvh(gaussians) -> Bvh
     why_unavailable() -> str | None: one sentence for the user, or None where it works
 
-Where `reflect` or `depth_normals` is missing, torch's formula serves.
+Where `reflect`, `depth_normals` or `ssim_map` is missing, torch's formula serves.
 
 | backend | draws | on |
 |---|---|---|

@@ -14,6 +14,8 @@ from .vectors import unit
 def depth_normals(depth: Tensor, camera: Camera, *, backend: str = "auto") -> Tensor:
     """Normals of the surface that a depth map shows, by central differences (EnvGS paper, Eq. 8). Differentiable.
 
+    kornia's `depth_to_normals` is another definition: Sobel's eight neighbors, with or without depth.
+
     Args:
         depth: [H, W] distance along each pixel's ray of `Camera.rays()`, 0 where nothing is hit.
         camera: that the map was drawn for.

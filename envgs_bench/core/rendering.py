@@ -38,7 +38,7 @@ class Rendering:
     extras: Tensor  # [..., E]
     hits: Tensor  # [...] int32, blended primitives of each pixel or ray
     statistics: Statistics
-    layers: dict[str, Tensor] = field(default_factory=dict)  # a method's named parts: "base", "reflection", "beta"
+    layers: dict[str, Tensor] = field(default_factory=dict)  # a method's named parts
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Rendering:
         """The rendering with `function` applied to each of the core's fields: the same rays in another shape."""

@@ -5,8 +5,9 @@
 per pixel and channel (Wang et al. 2004), moments weighted by the window. σ₁² and σ₂² only ever appear as a sum, so four
 images are blurred, not five, and the gradient with respect to one image takes three more: it is written out below, at
 half the cost of automatic differentiation. A blur is a sum of shifted copies: on a CPU two to three times faster than
-torch's depthwise convolutions at 640×480, as fast at 160×120. On a GPU all of it is one kernel of the CUDA backend each
-way.
+torch's depthwise convolutions at 640×480, as fast at 160×120. kornia's SSIM is the same formula once the images are
+padded with zeros, and takes four times as long with its gradient. On a GPU all of it is one kernel of the CUDA backend
+each way.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from . import cuda
+from .backends import load_backend
 
 WINDOW = 11  # pixels
 SIGMA = 1.5  # pixels
@@ -30,24 +31,27 @@ _WEIGHTS = [math.exp(-((k - _RADIUS) ** 2) / (2 * SIGMA**2)) for k in range(WIND
 TAPS = tuple(weight / math.fsum(_WEIGHTS) for weight in _WEIGHTS)
 
 
-def ssim(image: Tensor, target: Tensor, padding: str = "zero") -> Tensor:
+def ssim(image: Tensor, target: Tensor, padding: str = "zero", *, backend: str = "auto") -> Tensor:
     """The mean of `ssim_map`, a scalar: 1 where both are equal. Differentiable in `image`."""
-    return ssim_map(image, target, padding).mean()
+    return ssim_map(image, target, padding, backend=backend).mean()
 
 
-def ssim_map(image: Tensor, target: Tensor, padding: str = "zero") -> Tensor:
+def ssim_map(image: Tensor, target: Tensor, padding: str = "zero", *, backend: str = "auto") -> Tensor:
     """SSIM of every pixel and channel. Differentiable in `image`.
 
     Args:
         image, target: [H, W, C] in [0, 1], of one floating-point dtype.
         padding: "zero", the border's windows see black beyond the image (3D Gaussian Splatting), or "valid", only
             windows that lie inside the image count (Wang et al. 2004).
+        backend: "auto" (by device) or a name, as for `rasterize`; "torch" takes any dtype.
 
     Returns:
         [H, W, C] for "zero", [H − 10, W − 10, C] for "valid".
 
     Raises:
-        ValueError: shapes differ, `target` needs a gradient, the padding is unknown, or a valid map would be empty.
+        ValueError: shapes differ, `target` needs a gradient, the padding is unknown, a valid map would be empty, or
+            the backend does not take these images.
+        RuntimeError: the backend does not work on this machine.
     """
     if image.ndim != 3 or image.shape != target.shape:
         raise ValueError(f"image {tuple(image.shape)} and target {tuple(target.shape)} must share a shape [H, W, C]")
@@ -58,8 +62,9 @@ def ssim_map(image: Tensor, target: Tensor, padding: str = "zero") -> Tensor:
     if padding == "valid" and min(image.shape[:2]) < WINDOW:
         raise ValueError(f"a valid SSIM needs at least {WINDOW}×{WINDOW} pixels, got {tuple(image.shape[:2])}")
     pad = _RADIUS if padding == "zero" else 0
-    if image.is_cuda and image.dtype == torch.float32 and cuda.why_unavailable() is None:
-        return cuda.ssim_map(image, target, TAPS, pad, K1**2, K2**2)
+    module = load_backend(backend, image.device, image.dtype)
+    if hasattr(module, "ssim_map"):
+        return module.ssim_map(image, target, TAPS, pad, K1**2, K2**2)
     return _SsimMap.apply(image, target, pad)
 
 

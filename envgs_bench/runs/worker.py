@@ -110,8 +110,8 @@ def _score_renders(draft: Draft, protocol: Protocol, report: Report) -> None:
 
 
 def _offer_perceptual_loss(method: Method) -> None:
-    """Methods must not import metrics: those with an attribute `perceptual` are given the loss, if it can be had."""
-    if hasattr(method, "perceptual"):
+    """Methods must not import metrics: those that use the perceptual loss are given it, if it can be had."""
+    if method.uses_perceptual:
         try:
             method.perceptual = make_perceptual_loss(method.device)
         except WeightsUnavailable as error:

@@ -19,7 +19,7 @@ ERROR_GAIN = 4.0  # an error of a quarter of the range and more is white
 def save_view(folder: Path, view: View, rendering: Rendering, unit: float) -> None:
     """Write renders/<view>.png, targets/<view>.png, masks/<view>-<region>.png and layers/<view>-<layer>.png.
 
-    Layers are the method's own ("base", "reflection", "beta") and "normal", "depth", "error"; colors are sRGB.
+    Layers are the method's own and "normal", "depth", "error"; colors are sRGB.
 
     Args:
         unit: of depth, world units: see `depth_picture`.

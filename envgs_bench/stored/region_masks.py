@@ -18,6 +18,7 @@ from envgs_bench.datasets.registry import load_scene
 from envgs_bench.methods.initialization import quantile_box
 from envgs_bench.methods.reflection import ReflectiveMethod
 from envgs_bench.methods.regions import Ball, foreground_ball, in_box, near_field_mask, reflecting, reflective_mask
+from envgs_bench.parts import BASE
 from envgs_bench.records import write_atomically
 from envgs_bench.runs.draft import now
 from envgs_bench.settings import RunSettings
@@ -55,7 +56,7 @@ def make_masks(run: Path, choice: MaskChoice, out: Path, device: str = "auto") -
         raise ValueError(f"{run}: method {settings.method.name} knows no β; take a run of method=envgs")
     scene = load_scene(settings.dataset, settings.cache_dir)
     views = sorted([*scene.train, *scene.test], key=lambda view: view.name)
-    base = method.sets["base"].parameters.gaussians().map(Tensor.detach)
+    base = method.sets[BASE].parameters.gaussians().map(Tensor.detach)
     ball = choice.ball or foreground_ball([view.camera for view in scene.train])
     kept = reflecting(base, ball, choice.beta_min)
     if not kept.any():

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from envgs_bench.parts import BASE, ENV
+
 from ..numbers.runs import Run
 from ..tables.sections import Section
 
@@ -14,8 +16,8 @@ MOST_POINTS = 80  # of a curve, evenly chosen
 QUANTITIES = {
     "psnr": "training PSNR, dB",
     "primitives": "primitives",
-    "primitives_base": "base primitives",
-    "primitives_env": "environment primitives",
+    f"primitives_{BASE}": "base primitives",
+    f"primitives_{ENV}": "environment primitives",
     "skipped_steps": "steps skipped so far",
     "loss": "loss",
 }

@@ -11,12 +11,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from envgs_bench.parts import LAYERS
+
 from ..numbers.runs import Run
 from ..tables.sections import Section
 
 MOST_VIEWS = 8
 MOST_PICTURES = 800  # of all data sets and methods together, before fewer views are shown of each
-LAYERS = ("error", "flip", "base", "reflection", "beta", "normal", "depth")  # shown first, in this order
+SHOWN_FIRST = ("error", "flip", *LAYERS, "normal", "depth")  # the layers of a view, in this order
 REGION = "reflective"
 
 
@@ -83,8 +85,8 @@ def read_picture(path: Path) -> np.ndarray | None:
 
 
 def ordered_layers(names: Iterable[str]) -> list[str]:
-    """The names of LAYERS first and in their order, then the others."""
-    return sorted(names, key=lambda name: (LAYERS.index(name) if name in LAYERS else len(LAYERS), name))
+    """The names of SHOWN_FIRST first and in their order, then the others."""
+    return sorted(names, key=lambda name: (SHOWN_FIRST.index(name) if name in SHOWN_FIRST else len(SHOWN_FIRST), name))
 
 
 def slug(name: str) -> str:

@@ -12,6 +12,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import uniform_filter
 
+from envgs_bench.parts import BETA
+
 from .gallery import Gallery, Shot, ordered_layers, read_picture, slug
 
 CELL = 340  # width of a picture in a sheet, px
@@ -89,13 +91,13 @@ def _layer_sheet(shot: Shot) -> Image.Image:
         pictures += [read_picture(path) if (path := shot.layers[method].get(n)) else None for n in names]
         shape = shape or next((picture.shape for picture in pictures if picture is not None), None)
         lines.append((method, [(picture, "none" if picture is None else "") for picture in pictures]))
-    titles = ["render", *("β" if name == "beta" else name for name in names)]
+    titles = ["render", *("β" if name == BETA else name for name in names)]
     return _grid(titles, [""] * len(titles), lines, shape[0] / shape[1] if shape else 0.75)
 
 
 def _weight(shot: Shot, shape: tuple[int, int]) -> np.ndarray:
     """Where the scene reflects: its mask, or else the β of the last method that has one, or else everywhere."""
-    betas = [layers["beta"] for layers in shot.layers.values() if "beta" in layers]
+    betas = [layers[BETA] for layers in shot.layers.values() if BETA in layers]
     for path in filter(None, (shot.mask, *betas[-1:])):
         picture = read_picture(path)
         if picture is not None and picture.shape[:2] == shape and picture.any():

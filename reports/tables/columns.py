@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import Literal
 
+from envgs_bench.parts import ENV
+
 from ..numbers.decimals import decimal, rounded
 
 
@@ -81,7 +83,7 @@ PRIMITIVES = Column(
     "primitives", "full", "primitives", 0, "lower", "primitives", "Gaussians of all sets together", ranked=False
 )
 ENV_PRIMITIVES = Column(
-    "primitives_env", "full", "of them env", 0, "lower", "env primitives", "those that only reflect", ranked=False
+    f"primitives_{ENV}", "full", "of them env", 0, "lower", "env primitives", "those that only reflect", ranked=False
 )
 MEGA = Decimal("1e-6")
 MEGABYTES = Column("model_bytes", "full", "MB", 1, "lower", "model size, MB", "10⁶ bytes", ranked=False, scale=MEGA)

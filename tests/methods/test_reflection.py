@@ -40,8 +40,8 @@ def test_base_and_reflection_are_blended_by_beta(monkeypatch):
     method = EnvMap(EnvMapSettings(envmap_size=4, beta_threshold=0.2))
     method._set_texels(torch.logit(torch.tensor([0.9, 0.5, 0.2])).expand(6, 4, 4, 3).clone())
     method.reflects = True
-    monkeypatch.setattr(method, "_rasterize_base", lambda camera, step: rendering)
-    image = method._draw(camera, None)[0]
+    monkeypatch.setattr(method, "rasterize_base", lambda camera, step: rendering)
+    image = method.draw(camera, None)[0]
 
     expected = (1 - beta[..., None]) * 0.25 + beta[..., None] * torch.tensor([0.9, 0.5, 0.2])
     expected[beta <= 0.2] = 0.25
@@ -59,8 +59,8 @@ def test_the_filter_traces_the_pixels_of_the_greatest_beta(monkeypatch, share, t
     rendering = make_rendering(shown.depth, shown.normal, shown.alpha, beta)
     method = EnvMap(EnvMapSettings(envmap_size=4, beta_threshold=0.199, beta_filter=share))
     method.reflects = True
-    monkeypatch.setattr(method, "_rasterize_base", lambda camera, step: rendering)
-    image = method._draw(make_camera(), None)[0]
+    monkeypatch.setattr(method, "rasterize_base", lambda camera, step: rendering)
+    image = method.draw(make_camera(), None)[0]
     seen = image.layers["reflection"].sum(-1).reshape(-1) > 0
     assert seen.sum() == traced
     assert seen[-traced:].all()
@@ -81,8 +81,8 @@ def test_the_default_threshold_moves_no_pixel_visibly(monkeypatch):
         method = EnvMap(settings)
         method._set_texels(20 * torch.randn(6, 4, 4, 3, generator=torch.Generator().manual_seed(3)))
         method.reflects = True
-        monkeypatch.setattr(method, "_rasterize_base", lambda camera, step: rendering)
-        images[name] = method._draw(make_camera(), None)[0]
+        monkeypatch.setattr(method, "rasterize_base", lambda camera, step: rendering)
+        images[name] = method.draw(make_camera(), None)[0]
     traced = [(image.layers["reflection"].sum(-1) > 0).float().mean() for image in images.values()]
     assert traced[0] < 0.6 < 0.9 < traced[1]
     difference = (images["default"].color - images["all"].color).abs()
@@ -96,14 +96,14 @@ def test_envgs_and_envmap_differ_in_the_reflected_color_only():
     assert {name: getattr(envgs.settings, name) for name in shared} == {
         name: getattr(envmap.settings, name) for name in shared
     }
-    for name in ("_draw", "_losses", "_rasterize_base", "training_step", "_sabotage", "_propagate", "_reset_beta"):
+    for name in ("draw", "losses", "rasterize_base", "training_step", "_sabotage", "_propagate", "_reset_beta"):
         assert getattr(type(envgs), name) is getattr(type(envmap), name), name
 
 
 def test_the_environment_grows_by_the_bases_rule_but_for_its_threshold_and_its_cap():
     settings = {"min_coverage": 2.0, "min_views": 4.0, "env_densify_threshold": 0.5, "env_max_primitives": 7}
     method = create_method("envgs", settings)
-    base, env = method._rule("base"), method._rule("env")
+    base, env = method.densification_rule("base"), method.densification_rule("env")
     assert env == replace(base, gradient_threshold=0.5, max_primitives=7)
     assert (env.min_coverage, env.min_views) == (2.0, 4.0)
 
@@ -126,7 +126,7 @@ def trained_base(**settings) -> EnvMap:
 def test_sabotage_disturbs_what_does_not_reflect():
     method = trained_base()
     before = method.sets["base"].parameters.tensors["sh_dc"].detach().clone()
-    method._after_step(1, {"sabotage"})
+    method.after_step(1, {"sabotage"})
     change = (method.sets["base"].parameters.tensors["sh_dc"].detach() - before).abs().amax(dim=(1, 2))
     assert (change[:2] > 0).all()
     assert change.max() <= 0.4
@@ -137,13 +137,13 @@ def test_propagation_grows_what_reflects_and_holds_opacities():
     method = trained_base()
     parameters = method.sets["base"].parameters
     before = parameters.tensors["log_scales"].detach().exp().clone()
-    method._after_step(100, {"propagate"})
+    method.after_step(100, {"propagate"})
     growth = parameters.tensors["log_scales"].detach().exp() / before
     torch.testing.assert_close(growth, torch.tensor([[1.0, 1.0], [1.5, 1.5], [1.5, 1.5]]))
     torch.testing.assert_close(parameters.tensors["opacity_logits"].sigmoid().detach(), torch.full((3,), 0.9))
     rates = []
     for step in (101, 120, 121):  # 200 of 30,000 steps are 20 of 3,000
-        method._set_rates(step)
+        method.set_learning_rates(step)
         rates.append({g["name"]: g["lr"] for g in parameters.optimizer.param_groups}["opacity_logits"])
     assert rates == [0.0, 0.0, 0.05]
 
@@ -154,7 +154,7 @@ def test_propagation_grows_what_reflects_and_holds_opacities():
 def test_beta_resets(first, expected):
     method = trained_base(beta_reset_from=first, initial_beta=0.02)
     step = 600  # 6,000 of 30,000
-    method._after_step(step, method.events(step) & {"reset_beta"})
+    method.after_step(step, method.events(step) & {"reset_beta"})
     found = method.sets["base"].parameters.tensors["beta_logits"].detach().sigmoid()[:, 0]
     torch.testing.assert_close(found, torch.tensor(expected))
 
@@ -163,7 +163,7 @@ def test_the_opacity_reset_leaves_what_is_below():
     method = trained_base()
     parameters = method.sets["base"].parameters
     parameters.replace("opacity_logits", torch.logit(torch.tensor([0.005, 0.01, 0.8])))
-    method._after_step(1, {"reset_base_opacity"})
+    method.after_step(1, {"reset_base_opacity"})
     torch.testing.assert_close(
         parameters.tensors["opacity_logits"].detach().sigmoid(), torch.tensor([0.005, 0.01, 0.01])
     )
@@ -174,13 +174,13 @@ def test_the_environment_map_doubles_three_times_and_keeps_what_it_showed():
     directions = torch.nn.functional.normalize(torch.randn(500, 3), dim=-1)
     sizes = {}
     for step in range(1, 3001):
-        before = method.texels.shape[1], method._reflected_color(None, directions, step)[0]
-        method._set_rates(step)
+        before = method.texels.shape[1], method.reflected_color(None, directions, step)[0]
+        method.before_step(step)
         size = method.texels.shape[1]
         if size != before[0]:
             sizes[step] = size
             if step > 301:
-                after = method._reflected_color(None, directions, step)[0]
+                after = method.reflected_color(None, directions, step)[0]
                 assert (after - before[1]).abs().mean() < 0.6 * (before[1] - before[1].mean(0)).abs().mean()
             method._set_texels(torch.randn(6, size, size, 3))
     assert sizes == {301: 4, 750: 8, 1350: 16, 2100: 32}

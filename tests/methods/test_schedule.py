@@ -105,7 +105,7 @@ def test_the_normals_of_what_reflects_settle():
     for kind in ("2dgs", "envgs"):
         method = create_method(kind)
         method.initialize(scene, 30_000)
-        method._set_rates(30_000)
+        method.set_learning_rates(30_000)
         groups = method.sets["base"].parameters.optimizer.param_groups
         rates[kind] = next(group["lr"] for group in groups if group["name"] == "quaternions")
     assert rates == {"2dgs": pytest.approx(1e-3), "envgs": pytest.approx(1e-4)}

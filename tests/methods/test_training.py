@@ -130,7 +130,7 @@ def test_a_seed_determines_a_run(scene, kind):
 def test_a_gradient_that_is_not_finite_never_reaches_adam(scene, kind):
     method = make_method(kind)
     train(method, scene, 10)
-    optimizers = method._optimizers()
+    optimizers = method.optimizers()
     before = [value.detach().clone() for o in optimizers for group in o.param_groups for value in group["params"]]
     states = [{k: v.clone() for k, v in o.state[p].items()} for o in optimizers for p in o.state]
     record = method.sets["base"].record.gradients.clone()
@@ -140,11 +140,11 @@ def test_a_gradient_that_is_not_finite_never_reaches_adam(scene, kind):
         spoilt = NotFinite(**{f.name: getattr(spoilt, f.name) for f in dataclasses.fields(spoilt)})
     losses = method.training_step(spoilt, 11)
 
-    after = [value.detach() for o in method._optimizers() for group in o.param_groups for value in group["params"]]
+    after = [value.detach() for o in method.optimizers() for group in o.param_groups for value in group["params"]]
     assert not torch.isfinite(losses["loss"])
     assert method.skipped_steps == 1
     assert all(torch.equal(a, b) for a, b in zip(before, after, strict=True))
-    kept = [o.state[p] for o in method._optimizers() for p in o.state]
+    kept = [o.state[p] for o in method.optimizers() for p in o.state]
     assert all(torch.equal(a[k], b[k]) for a, b in zip(states, kept, strict=True) for k in a)
     assert torch.equal(record, method.sets["base"].record.gradients)
     assert torch.isfinite(method.training_step(scene.train[0], 12)["loss"])
@@ -166,7 +166,7 @@ def test_a_perceptual_loss_counts_once_the_harness_sets_it(scene):
 def test_sh_degrees_are_added_one_by_one(scene):
     method = make_method("2dgs", sh_every=1000)
     method.initialize(scene, 300)
-    assert [method._gaussians("base", step).sh_degree for step in (1, 9, 10, 19, 20, 300)] == [0, 0, 1, 1, 2, 2]
+    assert [method.gaussians("base", step).sh_degree for step in (1, 9, 10, 19, 20, 300)] == [0, 0, 1, 1, 2, 2]
 
 
 @pytest.mark.parametrize(("near", "free_space", "expected"), [(0.2, 0.0, 0.2), (0.2, 100.0, 100.0), (3.0, 1.0, 3.0)])

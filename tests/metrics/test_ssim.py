@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import convolve
 from skimage.metrics import structural_similarity
+from torch.nn import functional
 from torchmetrics.functional.image import structural_similarity_index_measure
 
 from envgs_bench.core.ssim import TAPS, ssim, ssim_map
@@ -35,7 +36,7 @@ def test_valid_map_is_scikit_images():
         channel_axis=-1,
         full=True,
     )
-    np.testing.assert_allclose(ssim_map(image, target, "valid"), expected[5:-5, 5:-5], atol=1e-12)
+    np.testing.assert_allclose(ssim_map(image, target, "valid", backend="torch"), expected[5:-5, 5:-5], atol=1e-12)
 
 
 def test_valid_map_is_torchmetrics_and_kornias():
@@ -44,10 +45,24 @@ def test_valid_map_is_torchmetrics_and_kornias():
     first, second = (x.permute(2, 0, 1)[None] for x in (image, target))
     mean, padded = structural_similarity_index_measure(first, second, data_range=1.0, return_full_image=True)
     kornias = kornia.metrics.ssim(first, second, 11, eps=0.0, padding="valid")
-    ours = ssim_map(image, target, "valid").permute(2, 0, 1)[None]
+    ours = ssim_map(image, target, "valid", backend="torch").permute(2, 0, 1)[None]
     torch.testing.assert_close(ours, padded[..., 5:-5, 5:-5], atol=1e-10, rtol=0)
     torch.testing.assert_close(ours, kornias, atol=1e-10, rtol=0)
     assert abs(float(mean) - float(ours.mean())) > 1e-3
+
+
+def test_zero_padded_map_and_its_gradient_are_kornias_of_padded_images():
+    """kornia pads by reflection alone: black is put around both images first."""
+    image, target = picture()
+    found, expected = (image.clone().requires_grad_() for _ in range(2))
+    ours = ssim_map(found, target, backend="torch")
+    first, second = (functional.pad(x.permute(2, 0, 1)[None], (5, 5, 5, 5)) for x in (expected, target))
+    kornias = kornia.metrics.ssim(first, second, 11, eps=0.0, padding="valid")[0].permute(1, 2, 0)
+    torch.testing.assert_close(ours, kornias, atol=1e-12, rtol=0)
+    weights = torch.linspace(-1, 1, ours.numel(), dtype=torch.float64).reshape(ours.shape)
+    for values in (ours, kornias):
+        (values * weights).sum().backward()
+    torch.testing.assert_close(found.grad, expected.grad, atol=1e-10, rtol=1e-10)
 
 
 def test_zero_padded_map_is_the_formula_with_black_beyond_the_image():
@@ -64,7 +79,7 @@ def test_zero_padded_map_is_the_formula_with_black_beyond_the_image():
     expected = ((2 * mean_x * mean_y + 1e-4) * (2 * covariance + 9e-4)) / (
         (mean_x**2 + mean_y**2 + 1e-4) * (variance_x + variance_y + 9e-4)
     )
-    ours = ssim_map(torch.from_numpy(image), torch.from_numpy(target))
+    ours = ssim_map(torch.from_numpy(image), torch.from_numpy(target), backend="torch")
     np.testing.assert_allclose(ours, expected, atol=1e-12)
 
 
@@ -72,7 +87,7 @@ def test_definitions_of_the_border_differ_beyond_the_third_decimal():
     """So a table may hold one of them only."""
     image, target = picture()
     first, second = (x.permute(2, 0, 1)[None] for x in (image, target))
-    zero, valid = float(ssim(image, target)), float(ssim(image, target, "valid"))
+    zero, valid = (float(ssim(image, target, padding, backend="torch")) for padding in ("zero", "valid"))
     reflected = float(torch.as_tensor(structural_similarity_index_measure(first, second, data_range=1.0)))
     assert min(abs(zero - valid), abs(zero - reflected), abs(valid - reflected)) > 1e-3
 
@@ -82,7 +97,7 @@ def test_gradient_is_the_derivative(padding):
     generator = torch.Generator().manual_seed(0)
     image = torch.rand(14, 12, 2, dtype=torch.float64, generator=generator).requires_grad_()
     target = torch.rand(14, 12, 2, dtype=torch.float64, generator=generator)
-    assert torch.autograd.gradcheck(lambda x: ssim_map(x, target, padding), (image,))
+    assert torch.autograd.gradcheck(lambda x: ssim_map(x, target, padding, backend="torch"), (image,))
 
 
 @settings(max_examples=25, deadline=None)
@@ -90,16 +105,18 @@ def test_gradient_is_the_derivative(padding):
 def test_any_size_is_symmetric_bounded_and_one_for_equal_images(height, width, seed):
     generator = torch.Generator().manual_seed(seed)
     a, b = torch.rand(2, height, width, 3, generator=generator, dtype=torch.float64)
-    there, back = ssim_map(a, b), ssim_map(b, a)
+    there, back = (ssim_map(*pair, backend="torch") for pair in ((a, b), (b, a)))
     torch.testing.assert_close(there, back)
     assert there.shape == a.shape
     assert there.abs().max() <= 1 + 1e-9
-    assert float(ssim(a, a)) == pytest.approx(1.0, abs=1e-12)
+    assert float(ssim(a, a, backend="torch")) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_float32_is_close_enough_to_train_with():
     image, target = picture()
-    assert float(ssim(image.float(), target.float())) == pytest.approx(float(ssim(image, target)), abs=1e-5)
+    assert float(ssim(image.float(), target.float())) == pytest.approx(
+        float(ssim(image, target, backend="torch")), abs=1e-5
+    )
 
 
 def test_window_is_normalized_and_symmetric():
@@ -111,7 +128,7 @@ def test_masked_mean_counts_window_centers_inside_the_mask():
     image, target = picture()
     mask = torch.zeros(image.shape[:2], dtype=torch.bool)
     mask[2:20, 7:31] = True
-    full = ssim_map(image, target)
+    full = ssim_map(image, target, backend="torch")
     assert scored_ssim(image, target, "zero", mask) == pytest.approx(float(full[2:20, 7:31].mean()))
     assert scored_ssim(image, target, "valid", mask) == pytest.approx(float(full[5:20, 7:31].mean()))
     border = torch.zeros_like(mask)
@@ -129,3 +146,5 @@ def test_bad_input_is_named():
         ssim_map(image, target, "same")
     with pytest.raises(ValueError, match="at least 11×11 pixels"):
         ssim_map(image[:10], target[:10], "valid")
+    with pytest.raises(ValueError, match=r"backend 'cpu' takes float32 tensors on cpu, got torch\.float64"):
+        ssim_map(image, target)

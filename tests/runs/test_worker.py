@@ -38,11 +38,13 @@ def test_methods_that_want_it_are_given_the_perceptual_loss(monkeypatch: pytest.
         return (image - target).abs().mean()
 
     monkeypatch.setattr(worker, "make_perceptual_loss", lambda device: loss)
-    wants, does_not = create_method("2dgs"), MeanColor(Settings())
-    worker._offer_perceptual_loss(wants)
-    worker._offer_perceptual_loss(does_not)
+    wants, does_not = create_method("envgs"), MeanColor(Settings())
+    without = create_method("envgs", {"perceptual_weight": 0.0})
+    for method in (wants, does_not, without):
+        worker._offer_perceptual_loss(method)
     assert wants.perceptual is loss
-    assert not hasattr(does_not, "perceptual")
+    assert does_not.perceptual is None
+    assert without.perceptual is None
 
 
 def test_without_weights_methods_train_without_it(
@@ -52,10 +54,12 @@ def test_without_weights_methods_train_without_it(
         raise WeightsUnavailable("no weights here")
 
     monkeypatch.setattr(worker, "make_perceptual_loss", unavailable)
-    method = create_method("2dgs")
+    method = create_method("envgs")
     worker._offer_perceptual_loss(method)
     assert method.perceptual is None
     assert "training without the perceptual loss: no weights here" in capsys.readouterr().err
+    worker._offer_perceptual_loss(create_method("2dgs"))  # its weight is 0: nothing is missing
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("kind", ["train", "test"])

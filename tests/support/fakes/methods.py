@@ -32,7 +32,10 @@ class MeanColor(Method):
 
     def training_step(self, view: View, step: int) -> dict[str, float]:
         difference = view.rgb().mean((0, 1)) - self.color
-        self.color = self.color + self.settings.rate * difference
+        if difference.isfinite().all():
+            self.color = self.color + self.settings.rate * difference
+        else:
+            self.skipped_steps += 1
         return {"loss": float(difference.square().mean()), "psnr": float(-10 * difference.square().mean().log10())}
 
     def render(self, camera: Camera) -> Rendering:
@@ -146,6 +149,7 @@ class Announces(MeanColor):
 
 class Forgets(MeanColor):
     def load(self, folder: Path) -> None:
+        super().load(folder)
         self.color = torch.zeros(3)
 
 

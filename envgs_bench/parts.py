@@ -1,0 +1,9 @@
+"""What the parts of a model and of its pictures are called, wherever they are stored, counted or shown."""
+
+BASE = "base"  # the set that a camera sees; the layer of its color alone
+ENV = "env"  # the set, or the cube map, that only reflected rays meet
+SETS = (BASE, ENV)  # the keys of every method's `primitives` and `model_bytes`
+
+REFLECTION = "reflection"  # the layer of the reflected color
+BETA = "beta"  # the layer of the blending weight β
+LAYERS = (BASE, REFLECTION, BETA)  # in the order of reports; a method without reflections draws none of them

@@ -1,0 +1,99 @@
+"""The two ways to add a method that README shows: both are run as it says."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from fakes.runs import CONF, records, set_environment
+
+from envgs_bench.cli.main import main
+from envgs_bench.methods.registry import create_method
+from envgs_bench.testing import check_method, tiny_scene
+
+TESTS = Path(__file__).parent
+EXAMPLE = TESTS / "example_method"
+QUICK = ("dataset=tiny", "steps=6", "timing.frames=1", "timing.seconds=0.01", "device=cpu")
+
+
+@pytest.fixture(autouse=True)
+def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    set_environment(monkeypatch)
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The example package as an installer leaves it, on the path of this process and of runs; the method's name."""
+    project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    site = tmp_path / "site"
+    info = site / f"{project['name']}-{project['version']}.dist-info"
+    info.mkdir(parents=True)
+    heading = f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
+    (info / "METADATA").write_text(heading, encoding="utf-8")
+    lines = [
+        line
+        for group, points in project["entry-points"].items()
+        for line in (f"[{group}]", *(f"{name} = {path}" for name, path in points.items()))
+    ]
+    (info / "entry_points.txt").write_text("\n".join(lines), encoding="utf-8")
+    (site / "blobs.py").write_bytes((EXAMPLE / "blobs.py").read_bytes())
+    add_to_path(site, monkeypatch)
+    (name,) = project["entry-points"]["envgs_bench.methods"]
+    return name
+
+
+def add_to_path(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setenv("PYTHONPATH", str(folder), prepend=":")
+
+
+def run(runs_dir: Path, *overrides: str) -> int:
+    return main(["run", "--config-dir", str(CONF), *QUICK, f"runs_dir={runs_dir}", *overrides])
+
+
+def test_the_example_package_is_listed_runs_and_conforms(
+    installed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["list"]) == 0
+    (row,) = (line for line in capsys.readouterr().out.splitlines() if "2dgs" in line)
+    assert re.search(rf"\b{installed}\b", row)
+    assert run(tmp_path / "runs", f"method={installed}", "method.settings.size=0.05") == 0
+    (record,) = records(tmp_path / "runs")
+    assert (record.status, record.method, record.steps) == ("ok", installed, 6)
+    assert record.config["method"]["settings"]["size"] == 0.05
+    assert record.cost is not None
+    assert record.cost.primitives == {"base": len(tiny_scene().points), "env": 0}
+    check_method(installed)
+
+
+def test_the_example_learns(installed: str) -> None:
+    method, scene = create_method(installed), tiny_scene()
+    method.initialize(scene, 100)
+    losses = [float(method.training_step(scene.train[step % 5], step)["loss"]) for step in range(1, 101)]
+    assert sum(losses[-5:]) < 0.8 * sum(losses[:5])
+
+
+def test_readmes_method_conforms_and_runs_by_readmes_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    section = (TESTS.parent / "README.md").read_text(encoding="utf-8").split("\n## Add a method")[1].split("\n## ")[0]
+    (code,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+    (command,) = re.findall(r"^ {4}PYTHONPATH=\. envgs-bench run (.*)$", section, re.MULTILINE)
+    assert len(code.splitlines()) <= 20
+    (tmp_path / "my_method.py").write_text(code, encoding="utf-8")
+    add_to_path(tmp_path, monkeypatch)
+    kind = next(word.removeprefix("method=") for word in shlex.split(command) if word.startswith("method="))
+    try:
+        check_method(kind)
+        assert run(tmp_path / "runs", *shlex.split(command)) == 0
+        (record,) = records(tmp_path / "runs")
+        assert (record.status, record.kind, record.method) == ("ok", kind, "Dark")
+        bright, dark = (create_method(name) for name in ("2dgs", kind))
+        for method in (bright, dark):
+            method.initialize(tiny_scene(), 6)
+        camera = tiny_scene().test[0].camera
+        assert (dark.render(camera).color == bright.render(camera).color * 0.5).all()
+    finally:
+        sys.modules.pop("my_method", None)
