@@ -74,8 +74,8 @@ def read_member(archive: Path) -> bytes:
     with archive.open("rb") as file:
         _check(hashlib.file_digest(file, "sha256").hexdigest(), ARCHIVE_SHA256, archive.name)
     with tarfile.open(archive) as members:
-        file = members.extractfile(MEMBER)
-        content = file.read() if file else b""
+        member = members.extractfile(MEMBER)
+        content = member.read() if member else b""
     _check(hashlib.sha256(content).hexdigest(), MEMBER_SHA256, MEMBER)
     return content
 

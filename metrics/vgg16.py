@@ -22,7 +22,8 @@ class Vgg16(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.features = make_layers(cfgs["D"])[:-1]  # the last pooling is the classifier's
+        *layers, _ = make_layers(cfgs["D"])  # the last pooling is the classifier's
+        self.features = nn.Sequential(*layers)
 
     def forward(self, images: Tensor) -> list[Tensor]:
         """Features at the end of each of the five stages, [B, C, H / 2^k, W / 2^k].
@@ -56,7 +57,7 @@ def load_vgg16(device: torch.device | str = "cpu") -> Vgg16:
     device = torch.device(device)
     # Channels last, oneDNN does the convolutions in 70% of the time.
     layout = torch.channels_last if device.type == "cpu" else torch.contiguous_format
-    return loaded.to(device, memory_format=layout)
+    return loaded.to(device, memory_format=layout)  # type: ignore[call-overload]  # PyTorch's stubs lack this one
 
 
 def make_perceptual_loss(device: torch.device | str = "cpu") -> Callable[[Tensor, Tensor], Tensor]:

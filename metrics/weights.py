@@ -83,7 +83,7 @@ def fingerprint(convolutions: Mapping[str, Tensor]) -> str:
     digest = hashlib.sha256()
     for name, value in sorted(convolutions.items()):
         digest.update(f"{name} {tuple(value.shape)} {value.dtype}\0".encode())
-        digest.update(value.contiguous().numpy())
+        digest.update(value.contiguous().numpy().tobytes())
     return digest.hexdigest()
 
 
