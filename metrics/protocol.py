@@ -27,7 +27,8 @@ from .flip import PIXELS_PER_DEGREE, flip
 from .lpips import load_heads, lpips
 from .psnr import CEILING_DB, psnr
 from .ssim import ssim
-from .vgg16 import MINIMUM_SIZE, WEIGHTS_SHA256, WeightsUnavailable, load_vgg16
+from .vgg16 import MINIMUM_SIZE, load_vgg16
+from .weights import TORCHVISION_SHA256, WeightsUnavailable
 
 METRICS = ("psnr", "ssim", "flip", "lpips")
 
@@ -60,7 +61,7 @@ class Protocol:
             "psnr": CEILING_DB,
             "ssim": [WINDOW, SIGMA, K1, K2],
             "flip": ["LDR", round(PIXELS_PER_DEGREE, 3)],
-            "lpips": ["VGG-16", WEIGHTS_SHA256, "0.1"],
+            "lpips": ["VGG-16", TORCHVISION_SHA256[:8], "0.1"],
         }
         return hashlib.sha256(json.dumps(choices, sort_keys=True).encode()).hexdigest()[:8]
 
@@ -75,13 +76,18 @@ class Protocol:
 
     @property
     def not_computed(self) -> dict[str, str]:
-        """Why, for every metric that cannot be had on this machine. May download weights, once a process."""
+        """Why, for every metric that cannot be had on this machine."""
         try:
             load_heads()
             load_vgg16()
         except WeightsUnavailable as error:
             return {"lpips": str(error)}
         return {}
+
+    @property
+    def weights(self) -> str | None:
+        """Where the weights of LPIPS's network come from, None where LPIPS is not computed."""
+        return None if self.not_computed else load_vgg16().source
 
     def of_pictures(self) -> Protocol:
         """What of this protocol 8-bit pictures allow, which are clamped and rounded already.

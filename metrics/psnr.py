@@ -1,16 +1,16 @@
-"""PSNR: peak signal-to-noise ratio."""
+"""PSNR: peak signal-to-noise ratio, by scikit-image."""
 
 from __future__ import annotations
 
-import math
-
+import numpy as np
+from skimage.metrics import peak_signal_noise_ratio
 from torch import Tensor
 
 CEILING_DB = 100.0  # what equal images score: infinity has no mean and no place in JSON
 
 
 def psnr(prediction: Tensor, target: Tensor, mask: Tensor | None = None) -> float:
-    """−10·log10 of the mean squared error over pixels and channels, dB, at most `CEILING_DB`.
+    """−10·log10 of the mean squared error over pixels and channels, in float64, dB, at most `CEILING_DB`.
 
     A data set's PSNR is the mean of its images' values, never the PSNR of a pooled error.
 
@@ -18,6 +18,7 @@ def psnr(prediction: Tensor, target: Tensor, mask: Tensor | None = None) -> floa
         prediction, target: [H, W, 3], peak value 1.
         mask: [H, W] bool with at least one pixel inside; the error is averaged over these pixels only.
     """
-    squared_error = (prediction.double() - target.double()).square()
-    mean = float((squared_error if mask is None else squared_error[mask]).mean())
-    return CEILING_DB if mean == 0 else min(CEILING_DB, -10 * math.log10(mean))
+    images = [image.double() if mask is None else image[mask].double() for image in (target, prediction)]
+    with np.errstate(divide="ignore"):
+        decibels = peak_signal_noise_ratio(*(image.cpu().numpy() for image in images), data_range=1)
+    return min(CEILING_DB, float(decibels))

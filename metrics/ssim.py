@@ -1,27 +1,43 @@
-"""SSIM as a number. The formula and its window are core's, which the training loss shares."""
+"""SSIM as a number, by scikit-image. The loss is core's own, differentiable, with the same window and constants."""
 
 from __future__ import annotations
 
+import numpy as np
+from skimage.metrics import structural_similarity
 from torch import Tensor
 
-from envgs_bench.core.ssim import WINDOW, ssim_map
+from envgs_bench.core.ssim import K1, K2, SIGMA, WINDOW
+
+_BORDER = WINDOW // 2  # pixels; scikit-image's window ends at 3.5 σ, which is here
 
 
 def ssim(prediction: Tensor, target: Tensor, padding: str, mask: Tensor | None = None) -> float | None:
     """The mean of the SSIM map over pixels and channels, in float64.
 
     Args:
-        prediction, target: [H, W, 3] in [0, 1].
+        prediction, target: [H, W, 3] in [0, 1], at least 11×11 pixels.
         padding: "zero" or "valid", see `ssim_map`.
         mask: [H, W] bool; the map is averaged where the mask holds the window's center. Windows reach beyond the mask.
 
     Returns:
         A value in [−1, 1]; None where the mask holds no window's center.
     """
-    similarity = ssim_map(prediction.double(), target.double(), padding, backend="torch")
+    zeros = _BORDER if padding == "zero" else 0
+    _, padded = structural_similarity(
+        *(np.pad(image.double().cpu(), ((zeros, zeros), (zeros, zeros), (0, 0))) for image in (target, prediction)),
+        gaussian_weights=True,
+        sigma=SIGMA,
+        use_sample_covariance=False,
+        K1=K1,
+        K2=K2,
+        data_range=1,
+        channel_axis=2,
+        full=True,
+    )
+    similarity = padded[_BORDER:-_BORDER, _BORDER:-_BORDER]  # beyond, scikit-image reflects the image
     if mask is None:
         return float(similarity.mean())
+    inside = mask.cpu().numpy()
     if padding == "valid":
-        border = WINDOW // 2
-        mask = mask[border:-border, border:-border]
-    return float(similarity[mask].mean()) if mask.any() else None
+        inside = inside[_BORDER:-_BORDER, _BORDER:-_BORDER]
+    return float(similarity[inside].mean()) if inside.any() else None

@@ -1,55 +1,28 @@
-"""VGG-16's convolutions with the weights that LPIPS and the perceptual loss are defined on, and where to find them.
-
-The weights are torchvision's ImageNet classifier (`vgg16-397923af.pth`, 528 MB). They are looked for in this order:
-
-1. the file that the environment variable `ENVGS_BENCH_VGG16` names ("off": do without);
-2. torch.hub's cache, `~/.cache/torch/hub/checkpoints/` unless `TORCH_HOME` says otherwise;
-3. the network, once, into that cache.
-
-A file of any other content is refused: with other weights the numbers would look like LPIPS and not be it.
-"""
+"""VGG-16's convolutions: the features that LPIPS and the perceptual loss compare."""
 
 from __future__ import annotations
 
-import hashlib
 import os
-import socket
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 
 import torch
+from kornia.feature.dedode.vgg import cfgs, make_layers
 from torch import Tensor, nn
 
-WEIGHTS_URL = "https://download.pytorch.org/models/vgg16-397923af.pth"
-WEIGHTS_SHA256 = "397923af"  # the first digits, as torch.hub checks them
-WEIGHTS_VARIABLE = "ENVGS_BENCH_VGG16"
-TIMEOUT_SECONDS = 5.0  # without an answer from the network
+from .weights import WEIGHTS_VARIABLE, WeightsUnavailable, find_weights
 
-STAGES = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))  # channels; max-pooled in between
 MINIMUM_SIZE = 16  # pixels: smaller images vanish in the four poolings
 
 
-class WeightsUnavailable(RuntimeError):
-    """The weights cannot be had here; the message says why and what to do."""
-
-
 class Vgg16(nn.Module):
-    """The 13 convolutions of VGG-16 (Simonyan and Zisserman 2015), named as torchvision names them."""
+    """The 13 convolutions of VGG-16 (Simonyan and Zisserman 2015), kornia's layers, named as torchvision names them."""
+
+    source: str  # where the weights come from, once there are any
 
     def __init__(self) -> None:
         super().__init__()
-        layers: list[nn.Module] = []
-        self.outputs: list[int] = []  # indices of relu1_2, relu2_2, relu3_3, relu4_3, relu5_3
-        channels = 3
-        for stage in STAGES:
-            if layers:
-                layers.append(nn.MaxPool2d(2))
-            for width in stage:
-                layers += [nn.Conv2d(channels, width, kernel_size=3, padding=1), nn.ReLU(inplace=True)]
-                channels = width
-            self.outputs.append(len(layers) - 1)
+        *layers, _ = make_layers(cfgs["D"])  # the last pooling is the classifier's
         self.features = nn.Sequential(*layers)
 
     def forward(self, images: Tensor) -> list[Tensor]:
@@ -59,11 +32,17 @@ class Vgg16(nn.Module):
             images: [B, 3, H, W], of ImageNet's mean 0 and deviation 1, at least 16×16 pixels.
         """
         features = []
-        for index, layer in enumerate(self.features):
-            images = layer(images)
-            if index in self.outputs:
+        for layer in self.features:
+            if isinstance(layer, nn.MaxPool2d):
                 features.append(images)
-        return features
+            images = layer(images)
+        return [*features, images]
+
+
+def convolution_names() -> list[str]:
+    """The names of the 13 convolutions, from the image on: "features.0", "features.2", …, "features.28"."""
+    with torch.device("meta"):
+        return [name for name, layer in Vgg16().named_modules() if isinstance(layer, nn.Conv2d)]
 
 
 def load_vgg16(device: torch.device | str = "cpu") -> Vgg16:
@@ -75,47 +54,10 @@ def load_vgg16(device: torch.device | str = "cpu") -> Vgg16:
     loaded = _load(os.environ.get(WEIGHTS_VARIABLE, ""))
     if isinstance(loaded, str):
         raise WeightsUnavailable(loaded)
-    return loaded.to(device)
-
-
-def why_unavailable() -> str | None:
-    """Why `load_vgg16` fails here, or None where it works. Loads, and so may download."""
-    try:
-        load_vgg16()
-    except WeightsUnavailable as error:
-        return str(error)
-    return None
-
-
-def find_weights(download: bool = True) -> Path:
-    """The path of the weights, their content checked.
-
-    Args:
-        download: fetch them where they are not on this machine.
-
-    Raises:
-        WeightsUnavailable: they are not to be had, or the file has another content.
-    """
-    given = os.environ.get(WEIGHTS_VARIABLE, "")
-    if given == "off":
-        raise WeightsUnavailable(f"VGG-16 is switched off by {WEIGHTS_VARIABLE}=off")
-    cached = Path(torch.hub.get_dir()) / "checkpoints" / Path(WEIGHTS_URL).name
-    path = Path(given).expanduser() if given else cached
-    remedy = f"download {WEIGHTS_URL} and set {WEIGHTS_VARIABLE} to its path, or put it at {cached}"
-    if not path.is_file():
-        if given:
-            raise WeightsUnavailable(f"{WEIGHTS_VARIABLE} names {path}, which is no file: {remedy}")
-        if not download:
-            raise WeightsUnavailable(f"VGG-16's weights are not on this machine: {remedy}")
-        _download(cached, remedy)
-    with path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    if not digest.startswith(WEIGHTS_SHA256):
-        raise WeightsUnavailable(
-            f"{path} is not torchvision's VGG-16 for ImageNet (SHA-256 {digest[:8]}…, expected {WEIGHTS_SHA256}…): "
-            f"truncated, or other weights; {remedy}"
-        )
-    return path
+    device = torch.device(device)
+    # Channels last, oneDNN does the convolutions in 70% of the time.
+    layout = torch.channels_last if device.type == "cpu" else torch.contiguous_format
+    return loaded.to(device, memory_format=layout)  # type: ignore[call-overload]  # PyTorch's stubs lack this one
 
 
 def make_perceptual_loss(device: torch.device | str = "cpu") -> Callable[[Tensor, Tensor], Tensor]:
@@ -147,32 +89,11 @@ def make_perceptual_loss(device: torch.device | str = "cpu") -> Callable[[Tensor
 def _load(given: str) -> Vgg16 | str:
     """The network, or why there is none. `given`, the environment's choice, is there to be part of the cache's key."""
     try:
-        path = find_weights()
+        weights = find_weights()
     except (WeightsUnavailable, OSError) as error:
         return str(error)
-    state = torch.load(path, map_location="cpu", weights_only=True)
     with torch.device("meta"):
         network = Vgg16()
-    convolutions = {name: value for name, value in state.items() if name.startswith("features.")}
-    network.load_state_dict(convolutions, assign=True)
+    network.load_state_dict(weights.read(), assign=True)
+    network.source = weights.source
     return network.requires_grad_(False).eval()
-
-
-def _download(path: Path, remedy: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        with _network_timeout(TIMEOUT_SECONDS):
-            torch.hub.download_url_to_file(WEIGHTS_URL, str(path), hash_prefix=WEIGHTS_SHA256)
-    except (OSError, RuntimeError) as error:
-        raise WeightsUnavailable(f"VGG-16's weights could not be downloaded ({error}): {remedy}") from error
-
-
-@contextmanager
-def _network_timeout(seconds: float) -> Iterator[None]:
-    """torch.hub waits for ever on a network that swallows packets, unless sockets have a default timeout."""
-    before = socket.getdefaulttimeout()
-    socket.setdefaulttimeout(seconds)
-    try:
-        yield
-    finally:
-        socket.setdefaulttimeout(before)

@@ -26,6 +26,7 @@ PACKAGES = (
     "flip-evaluator",
     "torchmetrics",
     "kornia",
+    "scikit-image",
 )
 
 
@@ -68,9 +69,10 @@ def _version(package: str) -> tuple[str | None, str]:
 
 def _weights() -> tuple[str | None, str]:
     try:
-        return None, str(find_weights(download=False))
+        weights = find_weights()
     except WeightsUnavailable as error:
         return f"{error}. Without them LPIPS reads n/c, and methods train without their perceptual loss", ""
+    return None, f"{weights.path} ({weights.source})"
 
 
 def _loading_error(point) -> str | None:

@@ -19,6 +19,7 @@ COMMANDS = {
     "export": "a data set in COLMAP's or blender's layout",
     "list": "methods, data sets, protocols, experiments, backends; the settings of a method",
     "bench": "time the core itself",
+    "weights": "fetch VGG-16's weights, which LPIPS and the perceptual loss need",
     "doctor": "what works on this machine, and why not what does not",
 }
 

@@ -37,7 +37,9 @@ def score_pairs(pairs: Iterable[Pair], protocol: Protocol) -> tuple[Metrics, dic
             if mask.any():
                 scores = _scores(pair, region, protocol.score(pair.prediction, pair.target, mask))
                 regions.setdefault(region, []).append(scores)
-    metrics = Metrics(mean=_means(full), per_view=full, not_computed=dict(protocol.not_computed))
+    metrics = Metrics(
+        mean=_means(full), per_view=full, not_computed=dict(protocol.not_computed), weights=protocol.weights
+    )
     masked = {
         region: MaskedScores.model_validate({"per_view": per_view, **_means(per_view)})
         for region, per_view in regions.items()

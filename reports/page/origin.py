@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from envgs_bench.records import Provenance
+from envgs_bench.records import Record
 
 from ..tables.sections import LabeledRun, Section
 
@@ -15,7 +15,7 @@ def origins(section: Section) -> list[dict[str, Any]]:
     """Each combination of code, versions and machine among the section's runs, the most frequent first."""
     groups: dict[tuple[tuple[str, str], ...], int] = {}
     for item in section.runs:
-        facts = tuple(_facts(item.run.record.provenance))
+        facts = tuple(_facts(item.run.record))
         groups[facts] = groups.get(facts, 0) + 1
     ordered = sorted(groups.items(), key=lambda group: -group[1])
     return [{"title": f"{count} run{'s' * (count != 1)}: code, versions, machine", "facts": f} for f, count in ordered]
@@ -63,12 +63,15 @@ def _command(items: list[LabeledRun]) -> str:
     return shlex.join(["envgs-bench", "run", *(["-m"] if len(items) > 1 else []), *overrides, f"seed={seeds}"])
 
 
-def _facts(provenance: Provenance) -> Iterable[tuple[str, str]]:
+def _facts(record: Record) -> Iterable[tuple[str, str]]:
+    provenance = record.provenance
     commit = provenance.commit or "unknown"
     yield "version", provenance.version
     yield "commit", commit + {True: ", with uncommitted changes", False: "", None: ""}[provenance.dirty]
     yield "python", provenance.python
     yield "packages", _listed(provenance.packages)
+    if record.metrics is not None:
+        yield "weights of VGG-16", record.metrics.weights or "none"
     yield "machine", _listed(provenance.machine)
     yield "device", provenance.device if isinstance(provenance.device, str) else _listed(provenance.device)
     yield "threads", str(provenance.threads)

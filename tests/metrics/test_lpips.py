@@ -1,17 +1,16 @@
-"""LPIPS and VGG-16 against kornia's layers and torchmetrics' network, with random weights in torchvision's layout."""
+"""LPIPS and VGG-16 against plain convolutions and torchmetrics' network; random weights in torchvision's layout."""
 
 import hashlib
-import socket
-import urllib.error
 
 import pytest
 import torch
 from kornia.feature.dedode.vgg import cfgs, make_layers
+from torch.nn import functional
 from torchmetrics.functional.image import lpips as reference
 
-from envgs_bench.metrics import get_protocol, make_perceptual_loss, vgg16
+from envgs_bench.metrics import WeightsUnavailable, get_protocol, make_perceptual_loss, vgg16, weights
 from envgs_bench.metrics.lpips import load_heads, lpips
-from envgs_bench.metrics.vgg16 import WeightsUnavailable, find_weights, load_vgg16
+from envgs_bench.metrics.vgg16 import load_vgg16
 
 
 @pytest.fixture(autouse=True)
@@ -37,7 +36,7 @@ def weights_file(tmp_path_factory):
 def random_weights(weights_file, monkeypatch):
     path, digest = weights_file
     monkeypatch.setenv("ENVGS_BENCH_VGG16", str(path))
-    monkeypatch.setattr(vgg16, "WEIGHTS_SHA256", digest[:8])
+    monkeypatch.setattr(weights, "TORCHVISION_SHA256", digest)
     return path
 
 
@@ -55,11 +54,18 @@ def images(height=40, width=50):
     return torch.rand(2, height, width, 3, generator=torch.Generator().manual_seed(1))
 
 
-def test_features_are_those_of_kornias_vgg16(kornias_layers):
+def test_features_are_those_of_the_plain_convolutions(random_weights):
+    """Simonyan and Zisserman's configuration D, written out: rectified 3×3 convolutions, halved after five of them."""
+    state = torch.load(random_weights, weights_only=True)
     batch = torch.randn(2, 3, 35, 50, generator=torch.Generator().manual_seed(2))
     found = load_vgg16()(batch)
-    with torch.no_grad():
-        expected = [kornias_layers[:end](batch) for end in (4, 9, 16, 23, 30)]  # after relu1_2 … relu5_3
+    expected, images = [], batch
+    for stage in ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21), (24, 26, 28)):
+        images = functional.max_pool2d(images, 2) if expected else images
+        for layer in stage:
+            kernel, bias = (state[f"features.{layer}.{part}"] for part in ("weight", "bias"))
+            images = functional.conv2d(images, kernel, bias, padding=1).clamp(min=0)
+        expected.append(images)
     assert [tuple(features.shape[2:]) for features in found] == [(35, 50), (17, 25), (8, 12), (4, 6), (2, 3)]
     for ours, theirs in zip(found, expected, strict=True):
         torch.testing.assert_close(ours, theirs)
@@ -84,6 +90,7 @@ def test_lpips_is_zero_for_equal_images_and_enters_the_scores(random_weights):
     prediction, target = images()
     protocol = get_protocol("envgs")
     assert protocol.not_computed == {}
+    assert protocol.weights == "torchvision vgg16-397923af"
     assert protocol.score(target, target)["lpips"] == 0
     assert protocol.score(prediction, target)["lpips"] > 0
 
@@ -116,49 +123,9 @@ def test_without_weights_lpips_is_none_with_a_reason(monkeypatch):
     prediction, target = images()
     assert protocol.score(prediction, target)["lpips"] is None
     assert protocol.not_computed == {"lpips": "VGG-16 is switched off by ENVGS_BENCH_VGG16=off"}
+    assert protocol.weights is None
     with pytest.raises(WeightsUnavailable):
         make_perceptual_loss()
-
-
-def test_a_failed_download_is_tried_once_with_a_timeout_and_says_what_to_do(monkeypatch, tmp_path):
-    attempts = []
-
-    def no_network(url, path, hash_prefix):
-        attempts.append((url, hash_prefix, socket.getdefaulttimeout()))
-        raise urllib.error.URLError("no route to host")
-
-    monkeypatch.delenv("ENVGS_BENCH_VGG16", raising=False)
-    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
-    monkeypatch.setattr(torch.hub, "download_url_to_file", no_network)
-    for _ in range(2):
-        with pytest.raises(WeightsUnavailable, match=r"could not be downloaded .*no route to host.*ENVGS_BENCH_VGG16"):
-            load_vgg16()
-    assert attempts == [("https://download.pytorch.org/models/vgg16-397923af.pth", "397923af", 5.0)]
-    assert socket.getdefaulttimeout() is None
-    with pytest.raises(WeightsUnavailable, match="not on this machine"):
-        find_weights(download=False)
-    assert len(attempts) == 1
-
-
-def test_torch_hubs_cache_is_found(weights_file, monkeypatch, tmp_path):
-    path, digest = weights_file
-    cached = tmp_path / "checkpoints" / "vgg16-397923af.pth"
-    cached.parent.mkdir()
-    cached.symlink_to(path)
-    monkeypatch.delenv("ENVGS_BENCH_VGG16", raising=False)
-    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
-    monkeypatch.setattr(vgg16, "WEIGHTS_SHA256", digest[:8])
-    assert find_weights(download=False) == cached
-
-
-def test_a_missing_or_foreign_file_is_refused(monkeypatch, tmp_path):
-    path = tmp_path / "vgg16.pth"
-    monkeypatch.setenv("ENVGS_BENCH_VGG16", str(path))
-    with pytest.raises(WeightsUnavailable, match=r"ENVGS_BENCH_VGG16 names .*vgg16\.pth, which is no file"):
-        find_weights()
-    path.write_bytes(b"truncated")
-    with pytest.raises(WeightsUnavailable, match=r"is not torchvision's VGG-16.*expected 397923af"):
-        find_weights()
 
 
 def test_unknown_input_range_is_refused():

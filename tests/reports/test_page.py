@@ -237,6 +237,7 @@ def test_the_page_says_where_numbers_came_from(report: Report) -> None:
         "envgs-bench run -m method=envgs dataset=toy/chrome_room seed=0,1",
         "step 413  loss nan",
         "no VGG-16 weights on this machine",
+        "weights of VGG-16",
     ):
         assert words in html, words
 

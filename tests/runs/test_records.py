@@ -41,6 +41,7 @@ CONTENT = {
         "mean": SCORES,
         "per_view": [{"view": "a", **SCORES, "normal_degrees": 3.5}],
         "not_computed": {"lpips": "no weights"},
+        "weights": None,
     },
     "masked": {"reflective": {**SCORES, "fraction": 0.25, "per_view": [{"view": "a", **SCORES}]}},
     "timing": {

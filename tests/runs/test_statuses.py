@@ -126,6 +126,7 @@ def test_the_one_that_worked_has_everything(sweep: Sweep) -> None:
     assert set(record.metrics.mean) == {"psnr", "ssim", "flip", "lpips", "normal_degrees"}
     assert record.metrics.mean["lpips"] is None
     assert "lpips" in record.metrics.not_computed
+    assert record.metrics.weights is None
     assert record.masked["reflective"].fraction == 0.5
     assert [view.view for view in record.masked["reflective"].per_view] == ["view0"]
     assert record.timing is not None
