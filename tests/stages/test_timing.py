@@ -6,7 +6,8 @@ import torch
 
 from envgs_bench.core import Camera, View
 from envgs_bench.settings import TimingSettings
-from envgs_bench.stages import timing
+from envgs_bench.stages import stopwatch
+from envgs_bench.stages.stopwatch import time_calls
 from envgs_bench.stages.timing import FrameTimes, contract, time_frames, time_views
 
 
@@ -23,7 +24,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch):
     clock = Clock()
-    monkeypatch.setattr(timing, "perf_counter", clock)
+    monkeypatch.setattr(stopwatch, "perf_counter", clock)
     return clock
 
 
@@ -61,6 +62,15 @@ def test_time_ends_a_view_before_its_frames_do(clock):
     np.testing.assert_allclose(times, [[300] * 4])
     one = time_views(Renderer(clock, 5.0).render, [camera()], "cpu", frames=50, seconds=1.0).times_ms
     np.testing.assert_allclose(one, [[5000]])
+
+
+def test_slow_work_is_timed_as_often_as_was_asked_for(clock):
+    """At least so often, however few repeats were wanted and however long each takes."""
+    renderer = Renderer(clock, 5.0)
+    for repeats, expected in ((1, 3), (2, 3), (9, 3)):
+        times = time_calls(lambda: renderer.render(None), torch.device("cpu"), repeats, 1.0, at_least=3)
+        np.testing.assert_allclose(times, [5000] * expected)
+    assert len(time_calls(lambda: renderer.render(None), torch.device("cpu"), 4, 100.0, at_least=3)) == 4
 
 
 def test_a_scenes_value_is_the_mean_of_medians_and_a_hiccup_shows_in_p95_only():
