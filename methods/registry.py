@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 import torch
@@ -24,9 +24,14 @@ BUILT_IN = {
 }
 
 
+def installed_methods() -> dict[str, EntryPoint]:
+    """The methods that installed packages register, by name."""
+    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
+
+
 def method_names() -> list[str]:
     """The kinds that `create_method` knows by name: built in, and registered by installed packages."""
-    return sorted({*BUILT_IN, *(point.name for point in entry_points(group=ENTRY_POINT_GROUP))})
+    return sorted({*BUILT_IN, *installed_methods()})
 
 
 def create_method(
@@ -48,7 +53,7 @@ def create_method(
 
 
 def _method_class(kind: str) -> type[Method]:
-    paths = {point.name: point.value for point in entry_points(group=ENTRY_POINT_GROUP)} | BUILT_IN
+    paths = {name: point.value for name, point in installed_methods().items()} | BUILT_IN
     path = paths.get(kind, kind)
     if ":" not in path:
         raise ValueError(
