@@ -69,7 +69,7 @@ class MaskedScores(BaseModel):
     model_config = ConfigDict(extra="allow", frozen=True)
     __pydantic_extra__: Scores
 
-    fraction: Finite  # of the pixels of those views
+    fraction: Finite  # the region's share of the pixels of those views
     per_view: list[ViewScores]
 
     @property

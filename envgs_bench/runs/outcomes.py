@@ -27,7 +27,7 @@ class Outcome:
     dataset: str
     method: str
     seed: int
-    status: str  # of the record; "" where there is none to read
+    status: str  # the record's; "" where there is none to read
     action: str
     message: str  # what the user should know or do, "" where all is well
     psnr: float | None

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import envgs_bench
 from envgs_bench import reports
 
 ROOT = Path(reports.__file__).parent
@@ -18,7 +19,7 @@ MAY_IMPORT = {
     "pictures": {"numbers", "tables", "pictures"},
     "page": {"numbers", "tables", "charts", "pictures", "page"},
 }
-CONTRACTS = {"records", "run_folder"}
+CONTRACTS = {path.stem for path in Path(envgs_bench.__file__).parent.glob("*.py")} - {"testing"}
 
 
 def imports(path: Path) -> Iterator[tuple[int, str]]:
