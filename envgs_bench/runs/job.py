@@ -25,7 +25,7 @@ from envgs_bench.settings import RunSettings, SettingsError
 from .display import Display
 from .draft import Draft, log_tail
 from .identity import run_id
-from .outcomes import Outcome, outcome_of
+from .outcome import Outcome, outcome_of
 
 # How long a process may take to write its record once its time is up or it was interrupted.
 GRACE_SECONDS = 20.0
