@@ -15,6 +15,7 @@ from PIL import Image
 from torch import Tensor
 
 from envgs_bench.core import Scene, View
+from envgs_bench.datasets import DatasetError
 from envgs_bench.datasets.formats.pictures import read_picture
 from envgs_bench.methods.settings import make_settings
 from envgs_bench.metrics import Protocol
@@ -122,7 +123,9 @@ def read_render(path: Path, background: Tensor) -> Tensor:
         else:
             red, green, blue = background.tolist()
             values, scale = read_picture(path, (red, green, blue))[0], 255
-    except (OSError, SyntaxError, ValueError) as error:
+    except DatasetError as error:
+        raise RendersError(str(error)) from error
+    except (OSError, ValueError) as error:
         raise RendersError(f"{path}: cannot be read ({error}); write it again") from error
     image = torch.from_numpy(np.array(values, np.float32)) / scale
     if not torch.isfinite(image).all():

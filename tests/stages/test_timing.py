@@ -111,6 +111,51 @@ def test_contract_says_what_was_timed():
     assert "perf_counter" in contract([camera()], "cpu", 50, 1.0)
 
 
+class Device:
+    """A GPU whose calls take 20 ms each, and 1 ms to launch; an event tells when all that lies before it has ended."""
+
+    def __init__(self, clock):
+        self.clock, self.busy_until, self.most_waiting = clock, clock.now, 0
+
+    def launch(self):
+        self.clock.now += 0.001
+        self.busy_until = max(self.busy_until, self.clock.now) + 0.020
+        self.most_waiting = max(self.most_waiting, round((self.busy_until - self.clock.now) / 0.020))
+
+    def event(self, enable_timing):
+        assert enable_timing
+        return DeviceEvent(self)
+
+    def synchronize(self):
+        self.clock.now = max(self.clock.now, self.busy_until)
+
+
+class DeviceEvent:
+    def __init__(self, device):
+        self.device = device
+
+    def record(self):
+        self.at = max(self.device.busy_until, self.device.clock.now)
+
+    def synchronize(self):
+        self.device.clock.now = max(self.device.clock.now, self.at)
+
+    def elapsed_time(self, later):
+        return 1000 * (later.at - self.at)
+
+
+@pytest.mark.parametrize(("queued", "each_ms"), [(1, 21), (3, 20)])
+def test_on_a_gpu_no_more_calls_are_under_way_than_may_be(clock, monkeypatch, queued, each_ms):
+    """One at a time, a call's time has its launch in it; with others queued before it, it has not."""
+    device = Device(clock)
+    monkeypatch.setattr(torch.cuda, "Event", device.event)
+    monkeypatch.setattr(torch.cuda, "synchronize", device.synchronize)
+    times = time_calls(device.launch, torch.device("cuda"), 20, 10.0, queued=queued)
+    np.testing.assert_allclose(times, [21] + [each_ms] * 19)
+    assert device.most_waiting == queued
+    assert len(time_calls(device.launch, torch.device("cuda"), 1000, 0.5, queued=queued)) < 30
+
+
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 def test_on_a_gpu_every_frame_is_positive():
     square = torch.randn(512, 512, device="cuda")
