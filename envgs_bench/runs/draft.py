@@ -11,7 +11,7 @@ from envgs_bench.metrics import get_protocol
 from envgs_bench.records import Failure, ProtocolName, Provenance, Record, Status, write_record
 from envgs_bench.run_folder import LOG_NAME
 from envgs_bench.settings import RunSettings
-from envgs_bench.stages.execution import Results
+from envgs_bench.stages.results import Results
 
 from . import provenance
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import sys
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from envgs_bench.datasets.store.progress import listening
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
 from envgs_bench.metrics import Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
-from envgs_bench.records import RENDERS, Cost, MaskedScores, Metrics, Timing
+from envgs_bench.records import RENDERS
 from envgs_bench.run_folder import CHECKPOINT, CURVE_NAME
 from envgs_bench.settings import RunSettings
 
@@ -24,20 +23,9 @@ from .cost import cost_of
 from .evaluation import evaluate
 from .events import EventListener
 from .renders import score_renders
+from .results import Results
 from .timing import time_frames
 from .training import Training
-
-
-@dataclass
-class Results:
-    """The parts of a run's record that its stages fill in; what was reached stays, however the run ends."""
-
-    dataset: str  # the configured name; once the data are loaded, the scene's own
-    steps: int
-    metrics: Metrics | None = None
-    masked: dict[str, MaskedScores] = field(default_factory=dict)
-    timing: Timing | None = None
-    cost: Cost | None = None
 
 
 def execute(settings: RunSettings, folder: Path, results: Results, report: EventListener) -> None:
