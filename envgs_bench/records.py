@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from .run_folder import CONFIG_NAME, LOG_NAME, RECORD_NAME
+
 SCHEMA_VERSION = 1
-RECORD_NAME = "record.json"
 RENDERS = "renders"  # the kind of a run that draws nothing itself
 
 Status = Literal["ok", "failed", "diverged", "out_of_memory", "timeout", "interrupted"]
@@ -70,7 +70,7 @@ class MaskedScores(BaseModel):
     model_config = ConfigDict(extra="allow", frozen=True)
     __pydantic_extra__: Scores
 
-    fraction: Finite  # of the pixels of those views
+    fraction: Finite  # the region's share of the pixels of those views
     per_view: list[ViewScores]
 
     @property
@@ -207,15 +207,27 @@ def write_record(folder: Path, content: Record) -> Path:
     return path
 
 
-def find_records(root: Path) -> Iterator[Path]:
-    """Paths of all record.json files under `root`, sorted.
+def find_runs(root: Path) -> list[Path]:
+    """The folders of all runs under `root`, sorted: those with a record, and those whose run wrote none (yet).
+
+    `root` may be one run's folder itself. Runs do not nest: nothing below a run's folder is taken for another run.
 
     Raises:
         RecordError: `root` is no folder.
     """
     if not root.is_dir():
         raise RecordError(f"{root}: no such folder; expected the runs_dir of an `envgs-bench run`")
-    yield from sorted(root.rglob(RECORD_NAME))
+    found = []
+    for folder, children, files in os.walk(root):
+        if RECORD_NAME in files or (CONFIG_NAME in files and LOG_NAME in files):
+            found.append(Path(folder))
+            children.clear()
+    return sorted(found)
+
+
+def find_records(root: Path) -> list[Path]:
+    """The record.json of every run under `root` that has one, sorted. Raises RecordError as `find_runs`."""
+    return [folder / RECORD_NAME for folder in find_runs(root) if (folder / RECORD_NAME).is_file()]
 
 
 def write_atomically(path: Path, text: str) -> None:

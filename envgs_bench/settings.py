@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-CONFIG_NAME = "config.yaml"
+from .run_folder import CONFIG_NAME
 
 # Keys of a method or a data set that name files; made absolute, so that a run does not depend on where it was started.
 PATH_KEYS = ("root", "path")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 import torch
@@ -24,9 +24,14 @@ BUILT_IN = {
 }
 
 
+def installed_methods() -> dict[str, EntryPoint]:
+    """The methods that installed packages register, by name."""
+    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
+
+
 def method_paths() -> dict[str, str]:
     """The import paths of the kinds that `create_method` knows by name: built in, or of installed packages."""
-    return {point.name: point.value for point in entry_points(group=ENTRY_POINT_GROUP)} | BUILT_IN
+    return {name: point.value for name, point in installed_methods().items()} | BUILT_IN
 
 
 def method_names() -> list[str]:

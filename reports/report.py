@@ -9,7 +9,7 @@ from pathlib import Path
 from .charts.pareto_chart import draw_charts
 from .numbers.runs import BrokenRecord, read_runs
 from .outputs import files_below, forget, remember
-from .page.page import write_page
+from .page.html import write_page
 from .pictures.error_maps import draw_error_maps
 from .pictures.gallery import Gallery, copy_pictures, galleries, slug
 from .pictures.sheets import draw_sheets

@@ -14,8 +14,8 @@ from envgs_bench.core import GaussianSet, Rendering, build_bvh, rasterize, trace
 
 from .frame import envgs_work
 from .peers import PEERS, PeerImage, peer_drawing
+from .repeats import time_work
 from .room import reflected_rays, room_camera, room_gaussians
-from .stopwatch import time_work
 
 Size = tuple[int, int]
 Drawn = Rendering | PeerImage

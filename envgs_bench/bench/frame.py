@@ -17,7 +17,7 @@ from .room import EYE, TARGET, room_camera, room_gaussians
 
 BASE_SHARE = 5  # base surfels for each of the environment's, as in the paper's scenes
 BETA = 0.5  # every pixel reflects
-STEP = 10_001  # out of 30,000: one that traces, and neither densifies nor resets
+STEP = 10_001  # one of 30,000 that traces, and neither densifies nor resets
 
 
 def envgs_work(

@@ -15,8 +15,8 @@ from torch import Tensor
 from envgs_bench.core import Camera, GaussianSet, available_backends, build_bvh, rasterize, trace
 
 from .arguments import positive, size
+from .repeats import time_work
 from .room import reflected_rays, room_gaussians
-from .stopwatch import time_work
 
 DESCRIPTION = """\
 Time one frame of reflected rays through a room of surfels, without gradients: by the tracer; by testing every ray

@@ -16,10 +16,10 @@ from rich.console import Console
 from envgs_bench.metrics import get_protocol
 from envgs_bench.runs.display import make_display
 from envgs_bench.runs.job import run_job
-from envgs_bench.runs.outcomes import close_ledger, enter, print_outcomes
 from envgs_bench.settings import SettingsError
 
 from .composition import CONF, explain, register_methods, settings_of
+from .ledger import close_ledger, enter, print_outcomes
 
 INTERRUPTED = 130  # a shell's exit code for Ctrl-C
 

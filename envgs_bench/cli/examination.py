@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import platform
 import shutil
-from importlib.metadata import PackageNotFoundError, entry_points, version
+from importlib.metadata import EntryPoint, PackageNotFoundError, version
 
 import torch
 from rich.console import Console
 from rich.table import Table
 
 from envgs_bench.core import available_backends
-from envgs_bench.methods.registry import ENTRY_POINT_GROUP
+from envgs_bench.methods.registry import installed_methods
 from envgs_bench.metrics import WeightsUnavailable, find_weights
 from envgs_bench.settings import default_cache_dir
 
@@ -41,8 +41,8 @@ def examine() -> int:
     for name, reason in backends.items():
         _add(table, f"backend {name}", reason)
     _add(table, "VGG-16 weights", *_weights())
-    for point in entry_points(group=ENTRY_POINT_GROUP):
-        _add(table, f"method {point.name}", _loading_error(point))
+    for name, point in installed_methods().items():
+        _add(table, f"method {name}", _loading_error(point))
     _add(table, "cache", _cache_error(), str(default_cache_dir()))
     for package in PACKAGES:
         _add(table, package, *_version(package))
@@ -75,7 +75,7 @@ def _weights() -> tuple[str | None, str]:
     return None, f"{weights.path} ({weights.source})"
 
 
-def _loading_error(point) -> str | None:
+def _loading_error(point: EntryPoint) -> str | None:
     try:
         point.load()
     except Exception as error:

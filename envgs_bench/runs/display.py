@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import Any, Protocol, TextIO
+from typing import Protocol, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from envgs_bench.stages.events import Event
 
 LINES_A_STAGE = 10
 
@@ -17,7 +19,7 @@ class Display(Protocol):
 
     def start(self, title: str) -> None: ...
 
-    def update(self, event: dict[str, Any]) -> None: ...
+    def update(self, event: Event) -> None: ...
 
     def stop(self) -> None: ...
 
@@ -48,7 +50,7 @@ class Bar:
         self._title, self._stage = title, "starting"
         self._task = self._progress.add_task(self._stage, total=None, title=title, numbers="")
 
-    def update(self, event: dict[str, Any]) -> None:
+    def update(self, event: Event) -> None:
         if self._progress is None:
             return
         if event["stage"] != self._stage:
@@ -73,7 +75,7 @@ class Lines:
         self._title, self._stage, self._share = title, "", -1
         self._print("starting")
 
-    def update(self, event: dict[str, Any]) -> None:
+    def update(self, event: Event) -> None:
         stage, step, steps = event["stage"], event.get("step", 0), event.get("steps", 0)
         if stage != self._stage:
             self._stage, self._share, self._began, self._first = stage, -1, time.monotonic(), step
@@ -97,7 +99,7 @@ class Lines:
         print(f"{self._title}: {text}", file=self._stream, flush=True)
 
 
-def numbers(event: dict[str, Any]) -> str:
+def numbers(event: Event) -> str:
     """Loss, PSNR and primitives of a training event; "" of any other."""
     if "loss" not in event:
         return ""

@@ -1,4 +1,4 @@
-"""Draft: a record while its run is under way, filled in part by part; what was reached is kept however the run ends."""
+"""Draft: a record while its run is under way. It can be written at any moment, with whatever was reached by then."""
 
 from __future__ import annotations
 
@@ -8,23 +8,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from envgs_bench.metrics import get_protocol
-from envgs_bench.records import (
-    Cost,
-    Failure,
-    MaskedScores,
-    Metrics,
-    ProtocolName,
-    Provenance,
-    Record,
-    Status,
-    Timing,
-    write_record,
-)
+from envgs_bench.records import Failure, ProtocolName, Provenance, Record, Status, write_record
+from envgs_bench.run_folder import LOG_NAME
 from envgs_bench.settings import RunSettings
+from envgs_bench.stages.results import Results
 
 from . import provenance
 
-LOG_NAME = "log.txt"
 TAIL_LINES = 30
 
 
@@ -36,16 +26,11 @@ class Draft:
         self.settings = settings
         self.started = now()
         self.checkout = provenance.checkout()
-        self.dataset = settings.dataset_name
-        self.steps = settings.steps
-        self.metrics: Metrics | None = None
-        self.masked: dict[str, MaskedScores] = {}
-        self.timing: Timing | None = None
-        self.cost: Cost | None = None
+        self.results = Results(settings.dataset_name, settings.steps)
 
     def write(self, status: Status, failure: Failure | None = None) -> Record:
         """Write record.json; the record that was written."""
-        settings = self.settings
+        settings, results = self.settings, self.results
         protocol = get_protocol(settings.protocol)
         source = self.checkout | provenance.collect(settings.device)
         source["command"] = shlex.join(["envgs-bench", "run", *settings.overrides])  # the user's, not this process's
@@ -54,17 +39,17 @@ class Draft:
             error=failure,
             method=settings.method_name,
             kind=settings.method.kind,
-            dataset=self.dataset,
+            dataset=results.dataset,
             seed=settings.seed,
-            steps=self.steps,
+            steps=results.steps,
             run_id=self.folder.name,
             overrides=settings.overrides,
             config=settings.model_dump(mode="json"),
             protocol=ProtocolName(name=protocol.name, hash=protocol.hash, description=protocol.description),
-            metrics=self.metrics,
-            masked=self.masked,
-            timing=self.timing,
-            cost=self.cost,
+            metrics=results.metrics,
+            masked=results.masked,
+            timing=results.timing,
+            cost=results.cost,
             provenance=Provenance(**source, started=self.started, finished=now()),
         )
         write_record(self.folder, record)

@@ -6,17 +6,16 @@ import hashlib
 import importlib.util
 import json
 from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 from envgs_bench.datasets.store.contents import digest_of, files_in
-from envgs_bench.methods.registry import ENTRY_POINT_GROUP
+from envgs_bench.methods.registry import installed_methods
 from envgs_bench.metrics import WeightsUnavailable, find_weights
 from envgs_bench.records import RENDERS
 from envgs_bench.settings import PATH_KEYS, RunSettings
 
-# The rooms of this package whose code can change a result.
+# The rooms whose code can change a result: all that `stages.execution.execute` does lies in them.
 RESULT_CODE = ("core", "datasets", "methods", "metrics", "stages")
 SOURCES = {".py", ".h", ".cpp", ".cu", ".cuh"}
 COMPRESSED = (".png", ".jpg", ".jpeg", ".webp")  # files that other pixels make another size
@@ -88,7 +87,8 @@ def _extension_hash(kind: str) -> str | None:
 
     `kind` is an import path "package.module:name" or the name of an entry point; None for what this package brings.
     """
-    path = {point.name: point.value for point in entry_points(group=ENTRY_POINT_GROUP)}.get(kind, kind)
+    installed = installed_methods()
+    path = installed[kind].value if kind in installed else kind
     if ":" not in path:
         return None
     try:

@@ -18,13 +18,14 @@ import torch
 import yaml
 
 from envgs_bench.core import available_backends
-from envgs_bench.records import RECORD_NAME, Failure, Record, RecordError, Status, read_record, write_atomically
-from envgs_bench.settings import CONFIG_NAME, RunSettings, SettingsError
+from envgs_bench.records import Failure, Record, RecordError, Status, read_record, write_atomically
+from envgs_bench.run_folder import CONFIG_NAME, LOG_NAME, RECORD_NAME
+from envgs_bench.settings import RunSettings, SettingsError
 
 from .display import Display
-from .draft import LOG_NAME, Draft, log_tail
+from .draft import Draft, log_tail
 from .identity import run_id
-from .outcomes import Outcome, outcome_of
+from .outcome import Outcome, outcome_of
 
 # How long a process may take to write its record once its time is up or it was interrupted.
 GRACE_SECONDS = 20.0
@@ -189,6 +190,6 @@ def _diagnosis(code: int, settings: RunSettings, timed_out: bool, interrupted: b
         return "out_of_memory", Failure(type="SIGKILL", message=message, log_tail="")
     if code < 0:
         name = signal.Signals(-code).name
-        return "failed", Failure(type=name, message=f"the process died of {name}; see log.txt", log_tail="")
-    message = f"the process ended with exit code {code} and left no record; see log.txt"
+        return "failed", Failure(type=name, message=f"the process died of {name}; see {LOG_NAME}", log_tail="")
+    message = f"the process ended with exit code {code} and left no record; see {LOG_NAME}"
     return "failed", Failure(type="ProcessError", message=message, log_tail="")

@@ -64,22 +64,6 @@ def collect(device: str) -> dict[str, Any]:
     }
 
 
-def peak_host_bytes() -> int:
-    """The most resident memory that this process ever held."""
-    if sys.platform == "win32":
-        return psutil.Process().memory_info().peak_wset
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else 1024 * peak
-
-
-def peak_device_bytes(device: torch.device | str) -> int | None:
-    """The most memory that this process's tensors ever took on a GPU; None on a CPU."""
-    device = torch.device(device)
-    return torch.cuda.max_memory_allocated(device) if device.type == "cuda" else None
-
-
 def _machine() -> dict[str, Any]:
     return {
         "cpu": _cpu_model(),

@@ -14,19 +14,20 @@ from envgs_bench.methods.method import Method
 from envgs_bench.metrics import Protocol
 from envgs_bench.records import MaskedScores, Metrics, Scores
 
+from .events import EventListener
 from .pictures import depth_unit, save_view
 from .scoring import FULL, Pair, score_pairs
-from .training import Diverged, Report
+from .training import Diverged
 
 NORMAL_METRIC = "normal_degrees"
 
 
 def evaluate(
-    method: Method, views: Sequence[View], protocol: Protocol, folder: Path, report: Report
+    method: Method, views: Sequence[View], protocol: Protocol, folder: Path, report: EventListener
 ) -> tuple[Metrics, dict[str, MaskedScores]]:
     """Scores of `views` and of every region that their masks name.
 
-    Leaves the pictures of `view_pictures.save_view` in `folder`. Where a view brings exact normals, `normal_degrees` is
+    Leaves the pictures of `pictures.save_view` in `folder`. Where a view brings exact normals, `normal_degrees` is
     added to its scores: see `normal_error`.
 
     Raises:
@@ -35,7 +36,7 @@ def evaluate(
     return score_pairs(_drawn(method, views, folder, report), protocol)
 
 
-def _drawn(method: Method, views: Sequence[View], folder: Path, report: Report) -> Iterator[Pair]:
+def _drawn(method: Method, views: Sequence[View], folder: Path, report: EventListener) -> Iterator[Pair]:
     unit = depth_unit([view.camera for view in views])
     for number, view in enumerate(views):
         report({"stage": "scoring", "step": number, "steps": len(views)})

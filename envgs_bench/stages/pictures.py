@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from envgs_bench.core import Camera, Rendering, View
+from envgs_bench.run_folder import layer_path, mask_path, render_path, target_path
 
 ERROR_GAIN = 4.0  # an error of a quarter of the range and more is white
 
@@ -34,12 +35,12 @@ def save_view(folder: Path, view: View, rendering: Rendering, unit: float) -> No
 def save_pair(folder: Path, view: View, image: Tensor, layers: Mapping[str, Tensor]) -> None:
     """As `save_view`, of a picture [H, W, 3] and the layers given; "error" is added."""
     target = view.rgb()
-    save_png(folder / "renders" / f"{view.name}.png", image)
-    save_png(folder / "targets" / f"{view.name}.png", target)
+    save_png(render_path(folder, view.name), image)
+    save_png(target_path(folder, view.name), target)
     for region, mask in view.masks.items():
-        save_png(folder / "masks" / f"{view.name}-{region}.png", mask)
+        save_png(mask_path(folder, view.name, region), mask)
     for name, layer in {**layers, "error": error_picture(image, target)}.items():
-        save_png(folder / "layers" / f"{view.name}-{name}.png", layer)
+        save_png(layer_path(folder, view.name, name), layer)
 
 
 def depth_picture(depth: Tensor, unit: float) -> Tensor:

@@ -15,18 +15,20 @@ from PIL import Image
 from torch import Tensor
 
 from envgs_bench.core import Scene, View
+from envgs_bench.datasets import DatasetError
+from envgs_bench.datasets.formats.pictures import read_picture
 from envgs_bench.methods.settings import make_settings
 from envgs_bench.metrics import Protocol
 from envgs_bench.records import MaskedScores, Metrics
 
+from .events import EventListener
 from .pictures import save_pair
 from .scoring import Pair, score_pairs
-from .training import Report
 
-PICTURES = (".png", ".jpg", ".jpeg")
-SUFFIXES = (*PICTURES, ".npy")
-MODES = ("L", "LA", "P", "RGB", "RGBA")  # of 8 bits a channel
-NAMED_AT_MOST = 20  # of each kind of problem
+DECODED = (".png", ".jpg", ".jpeg")
+SUFFIXES = (*DECODED, ".npy")
+MODES = ("L", "LA", "P", "RGB", "RGBA")  # those of 8 bits a channel
+NAMED_AT_MOST = 20  # problems of each kind
 BRIGHTEST = 1.5  # mean of a picture whose range is [0, 1], with room for what overshoots
 
 
@@ -37,11 +39,11 @@ class RendersError(ValueError):
 @dataclass(frozen=True)
 class RendersSettings:
     path: str = ""  # the folder
-    match: str = "name"  # of files to views: name, or order
+    match: str = "name"  # how files find their views: name, or order
 
 
 def score_renders(
-    settings: Mapping[str, Any], scene: Scene, protocol: Protocol, folder: Path, report: Report
+    settings: Mapping[str, Any], scene: Scene, protocol: Protocol, folder: Path, report: EventListener
 ) -> tuple[Metrics, dict[str, MaskedScores]]:
     """Scores of the pictures that `settings` name as the scene's test views; a copy of each is left in `folder`.
 
@@ -119,8 +121,11 @@ def read_render(path: Path, background: Tensor) -> Tensor:
             values: NDArray[Any] = np.load(path, allow_pickle=False)
             scale = 255 if values.dtype == np.uint8 else 1
         else:
-            values, scale = _decoded(path, background), 255
-    except (OSError, SyntaxError, ValueError) as error:
+            red, green, blue = background.tolist()
+            values, scale = read_picture(path, (red, green, blue))[0], 255
+    except DatasetError as error:
+        raise RendersError(str(error)) from error
+    except (OSError, ValueError) as error:
         raise RendersError(f"{path}: cannot be read ({error}); write it again") from error
     image = torch.from_numpy(np.array(values, np.float32)) / scale
     if not torch.isfinite(image).all():
@@ -130,14 +135,6 @@ def read_render(path: Path, background: Tensor) -> Tensor:
             f"{path}: its values average {float(image.mean()):.3g}, expected sRGB in [0, 1]; divide by 255?"
         )
     return image
-
-
-def _decoded(path: Path, background: Tensor) -> NDArray[np.uint8]:
-    with Image.open(path) as image:
-        if "A" not in image.getbands() and "transparency" not in image.info:
-            return np.array(image.convert("RGB"))
-        ground = Image.new("RGBA", image.size, tuple(round(255 * channel) for channel in [*background.tolist(), 1.0]))
-        return np.array(Image.alpha_composite(ground, image.convert("RGBA")).convert("RGB"))
 
 
 def _misfit(path: Path, view: View) -> str | None:

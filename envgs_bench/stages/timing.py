@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,8 @@ from envgs_bench.core import Camera, View
 from envgs_bench.methods.method import Method
 from envgs_bench.records import Timing, ViewTimes
 from envgs_bench.settings import TimingSettings
+
+from .stopwatch import time_calls
 
 FRAMES_QUEUED = 3  # on a GPU: enough that the device never waits for the host
 
@@ -51,7 +52,7 @@ def time_frames(method: Method, views: Sequence[View], settings: TimingSettings)
         raise ValueError("there are no views to time: the data set has no test views")
     device = method.device
     cameras = [view.camera.to(device) for view in views]
-    prepare_ms = _stopwatch(device)(method.prepare, 1, float("inf"))[0]
+    prepare_ms = time_calls(method.prepare, device, 1, float("inf"))[0]
     frames = time_views(method.render, cameras, device, settings.frames, settings.seconds)
     return Timing(
         frame_ms=frames.frame_ms,
@@ -86,11 +87,10 @@ def time_views(
         seconds: no frame of a view is begun after this time, but for the first.
     """
     device = torch.device(device)
-    stopwatch = _stopwatch(device)
     times = []
     for camera in cameras:
         render(camera)
-        times.append(stopwatch(partial(render, camera), frames, seconds))
+        times.append(time_calls(partial(render, camera), device, frames, seconds, queued=FRAMES_QUEUED))
     return FrameTimes(times)
 
 
@@ -105,38 +105,3 @@ def contract(cameras: Sequence[Camera], device: torch.device | str, frames: int,
         f"warmed up once, then {frames} frames or {seconds:g} s, whichever ends first; {clock}; frame_ms is the mean "
         "of per-view medians, frame_ms_p95 the 95th percentile of all frames, fps 1000 / frame_ms"
     )
-
-
-Stopwatch = Callable[[Callable[[], Any], int, float], list[float]]
-
-
-def _stopwatch(device: torch.device) -> Stopwatch:
-    return _time_on_cuda if device.type == "cuda" else _time_on_cpu
-
-
-def _time_on_cpu(work: Callable[[], Any], repeats: int, seconds: float) -> list[float]:
-    """Milliseconds of each call, until `repeats` calls or `seconds` are over."""
-    times_ms: list[float] = []
-    started = perf_counter()
-    while len(times_ms) < repeats and (not times_ms or perf_counter() - started < seconds):
-        before = perf_counter()
-        work()
-        times_ms.append(1000 * (perf_counter() - before))
-    return times_ms
-
-
-def _time_on_cuda(work: Callable[[], Any], repeats: int, seconds: float) -> list[float]:
-    """As `_time_on_cpu`, on the device's clock."""
-    torch.cuda.synchronize()
-    events: list[tuple[torch.cuda.Event, torch.cuda.Event]] = []
-    started = perf_counter()
-    while len(events) < repeats and (not events or perf_counter() - started < seconds):
-        before, after = torch.cuda.Event(enable_timing=True), torch.cuda.Event(enable_timing=True)
-        before.record()
-        work()
-        after.record()
-        events.append((before, after))
-        if len(events) >= FRAMES_QUEUED:  # or all would be launched before the first has ended, whatever `seconds` say
-            events[-FRAMES_QUEUED][1].synchronize()
-    torch.cuda.synchronize()
-    return [before.elapsed_time(after) for before, after in events]

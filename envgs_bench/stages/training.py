@@ -6,7 +6,7 @@ import csv
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +16,13 @@ from torch import Tensor
 from envgs_bench.core import Scene, View
 from envgs_bench.methods.method import Method
 
+from .events import EventListener
+
 # This many steps in a row without a finite loss, and the run has diverged.
 NON_FINITE_STEPS = 20
 READ_EVERY = 10  # steps whose losses are read at once: reading waits for the device
 CURVE_ROWS = 500
 REPORT_SECONDS = 0.2
-
-Report = Callable[[dict[str, Any]], None]
 
 
 class Diverged(RuntimeError):
@@ -46,7 +46,7 @@ class Training:
         self._psnr: deque[float] = deque(maxlen=len(scene.train))
         self._non_finite = 0
 
-    def run(self, curve: Path, report: Report) -> None:
+    def run(self, curve: Path, report: EventListener) -> None:
         """Train; `curve` becomes a CSV table of step, seconds, loss, psnr, skipped_steps and primitives_<set>.
 
         `psnr` is the mean over the last steps, as many as there are training views, of what the method saw in dB.
@@ -63,7 +63,7 @@ class Training:
         finally:
             self.seconds = time.perf_counter() - started
 
-    def _loop(self, rows: Any, report: Report, started: float) -> None:
+    def _loop(self, rows: Any, report: EventListener, started: float) -> None:
         sets = list(self.method.primitives())
         rows.writerow(["step", "seconds", "loss", "psnr", "skipped_steps", *(f"primitives_{name}" for name in sets)])
         every = max(1, self.steps // CURVE_ROWS)

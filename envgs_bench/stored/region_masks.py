@@ -26,8 +26,8 @@ from envgs_bench.settings import RunSettings
 from .reopening import reopen
 
 REGIONS = ("reflective", "near_field")
-BOX_QUANTILE = 0.995  # of the points, as where EnvGS places its environment (paper, Sec. 4.3)
-BOX_MARGIN = 0.05  # of its edges, on each side: a room's walls stand on the box's faces
+BOX_QUANTILE = 0.995  # the share of the points that it holds, as where EnvGS places its environment (paper, Sec. 4.3)
+BOX_MARGIN = 0.05  # added on each side, as a share of the edge: a room's walls stand on the box's faces
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
+from envgs_bench.run_folder import CHECKPOINT, CONFIG_NAME
 from envgs_bench.runs.job import resolve_device
-from envgs_bench.settings import CONFIG_NAME, RunSettings, SettingsError, read_settings
+from envgs_bench.settings import RunSettings, SettingsError, read_settings
 
 
 def reopen(folder: Path, device: str = "auto") -> tuple[RunSettings, Method]:
@@ -22,5 +23,5 @@ def reopen(folder: Path, device: str = "auto") -> tuple[RunSettings, Method]:
         raise SettingsError(f"{folder}: holds no {CONFIG_NAME}; expected the folder of one run")
     settings = read_settings(folder)
     method = create_method(settings.method.kind, settings.method.settings, resolve_device(device), settings.seed)
-    method.load(folder / "checkpoint")
+    method.load(folder / CHECKPOINT)
     return settings, method

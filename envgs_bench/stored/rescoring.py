@@ -12,9 +12,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 
 from envgs_bench.datasets.registry import load_scene
@@ -25,12 +23,12 @@ from envgs_bench.records import (
     Metrics,
     ProtocolName,
     Record,
-    RecordError,
     Scores,
     ViewScores,
     read_record,
     write_record,
 )
+from envgs_bench.run_folder import CURVE_NAME, PICTURES, mask_path, read_png, render_path, target_path
 from envgs_bench.runs.draft import now
 from envgs_bench.settings import read_settings
 from envgs_bench.stages.evaluation import evaluate
@@ -38,9 +36,6 @@ from envgs_bench.stages.renders import score_renders
 from envgs_bench.stages.scoring import FULL, Pair, score_pairs
 
 from .reopening import reopen
-
-PICTURES = ("renders", "targets", "masks", "layers")
-CURVE = "curve.csv"
 
 
 def rescore(run: Path, protocol: Protocol, out: Path) -> Record:
@@ -50,18 +45,19 @@ def rescore(run: Path, protocol: Protocol, out: Path) -> Record:
     Pictures are linked, not copied. The run's folder is only read.
 
     Raises:
-        RecordError: the run's record cannot be read, or a picture is missing or unreadable.
+        RecordError: the run's record cannot be read.
+        PictureError: a picture is missing or unreadable.
     """
     record, protocol = read_record(run), protocol.of_pictures()
     scores = None if record.metrics is None else score_pairs(_pairs(run, record), protocol)
-    return _write(run, record, protocol, scores, out, "pictures", (*PICTURES, CURVE))
+    return _write(run, record, protocol, scores, out, "pictures", (*PICTURES, CURVE_NAME))
 
 
 def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Record:
     """As `rescore`, of the test views drawn again from the run's checkpoint, with the masks that the data have now.
 
     Raises:
-        RecordError, ValueError, FileNotFoundError: as `rescore`, `reopen` and `load_scene`.
+        RecordError, ValueError, FileNotFoundError: as `read_record`, `reopen` and `load_scene`.
     """
     record = read_record(run)
     scores = None
@@ -77,7 +73,7 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
             _, method = reopen(run, device)
             method.prepare()
             scores = evaluate(method, scene.test, protocol, out, _silent)
-    return _write(run, record, protocol, scores, out, "checkpoint", (CURVE,))
+    return _write(run, record, protocol, scores, out, "checkpoint", (CURVE_NAME,))
 
 
 def _write(
@@ -119,9 +115,9 @@ def _pairs(run: Path, record: Record) -> Iterator[Pair]:
         shown = {region: rows[row.view] for region, rows in regions.items() if row.view in rows}
         yield Pair(
             view=row.view,
-            prediction=read_picture(run / "renders" / f"{row.view}.png"),
-            target=read_picture(run / "targets" / f"{row.view}.png"),
-            masks={region: read_picture(run / "masks" / f"{row.view}-{region}.png")[..., 0] > 0.5 for region in shown},
+            prediction=_picture(render_path(run, row.view)),
+            target=_picture(target_path(run, row.view)),
+            masks={region: _picture(mask_path(run, row.view, region))[..., 0] > 0.5 for region in shown},
             others={FULL: _others(row)} | {region: _others(scores) for region, scores in shown.items()},
         )
 
@@ -131,10 +127,6 @@ def _others(row: ViewScores) -> Scores:
     return {name: value for name, value in row.scores.items() if name not in (*METRICS, "fraction")}
 
 
-def read_picture(path: Path) -> Tensor:
+def _picture(path: Path) -> Tensor:
     """[H, W, 3] floats in [0, 1]."""
-    try:
-        with Image.open(path) as image:
-            return torch.from_numpy(np.array(image.convert("RGB"))).float() / 255
-    except (OSError, SyntaxError, ValueError) as error:
-        raise RecordError(f"{path}: cannot be read ({error}); its run has to be run again with force=true") from error
+    return torch.from_numpy(read_png(path)).float() / 255

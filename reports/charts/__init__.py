@@ -1,1 +1,1 @@
-"""Accuracy against what it costs, as pictures."""
+"""Accuracy against what it costs, as pictures, and how training got there, as curves."""

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from envgs_bench.parts import BASE, ENV
+from envgs_bench.run_folder import CURVE_NAME
 
 from ..numbers.runs import Run
 from ..tables.sections import Section
 
-MOST_POINTS = 80  # of a curve, evenly chosen
+MOST_POINTS = 80  # drawn of a curve, evenly chosen
 QUANTITIES = {
     "psnr": "training PSNR, dB",
     "primitives": "primitives",
@@ -46,7 +47,7 @@ def read_curve(run: Run) -> Curve | None:
     Steps increase; a run that was cut off within a line is read up to that line.
     """
     try:
-        head, *lines = (run.folder / "curve.csv").read_text(encoding="utf-8").splitlines()
+        head, *lines = (run.folder / CURVE_NAME).read_text(encoding="utf-8").splitlines()
         names = head.split(",")
         rows = [line for line in lines if line.count(",") == len(names) - 1]
         values = np.loadtxt(rows, delimiter=",", ndmin=2) if rows else np.empty((0, len(names)))

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-COVERED = 0.1  # of a label's area: what a label that can be left out may cover at most
+COVERED = 0.1  # the share of its area that a label which can be left out may cover at most
 
 
 @dataclass(frozen=True)

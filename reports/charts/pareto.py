@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..tables.columns import Column
@@ -43,30 +43,6 @@ def front(places: Sequence[Point], x: Column, y: Column) -> list[Point]:
         point for a, b, point in competing if not any(c <= a and d <= b and (c < a or d < b) for c, d, _ in competing)
     ]
     return sorted(kept, key=lambda point: point.x)
-
-
-def knobs(settings: Mapping[str, Mapping[str, str]]) -> list[list[str]]:
-    """The lines that one turned knob makes: rows of one code that differ in one numeric setting alone, by its value.
-
-    Args:
-        settings: row -> all its settings, its code's name ("kind") among them, as text.
-    """
-    turned = {key for given in settings.values() for key in given if len({o.get(key) for o in settings.values()}) > 1}
-    families: dict[tuple[str, frozenset[tuple[str, str]]], list[tuple[float, str]]] = {}
-    for row, given in settings.items():
-        for key, value in given.items():
-            if key in turned and (number := _number(value)) is not None:
-                others = frozenset(item for item in given.items() if item[0] != key)
-                families.setdefault((key, others), []).append((number, row))
-    lines = [[row for _, row in sorted(family)] for family in families.values() if len({v for v, _ in family}) > 1]
-    return [line for line in lines if len(line) > 2 or len({row.split(" [")[0] for row in line}) == 1]
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
 
 
 def _point(row: Row, x: Column, y: Column) -> Point | None:

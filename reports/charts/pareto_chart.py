@@ -17,7 +17,7 @@ from .pareto_panel import GRAY, INK, SOFT, Panel, draw_panel, name_marks
 MOST_ROWS = 4  # data sets drawn one by one; more are drawn as their means
 FORMATS = ("png", "pdf")
 DPI = 200
-WIDTH, HEIGHT = 5.6, 2.9  # of one panel, inches
+WIDTH, HEIGHT = 5.6, 2.9  # a panel's, inches
 LEFT, RIGHT, BOTTOM, TOP = 0.85, 0.2, 0.62, 0.72  # around it, for what stands beside its axes
 REGIONS = ("near_field", "reflective", "foreground")  # the first that the data set has is drawn beside the full image
 RC: dict[Any, Any] = {

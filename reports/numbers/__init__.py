@@ -1,1 +1,1 @@
-"""From records to numbers: one tidy table, means, intervals."""
+"""From records to numbers: what tells runs apart, one tidy table, means and intervals; and what the paper printed."""

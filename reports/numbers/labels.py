@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from .runs import Run
+from .settings import as_number, flat_settings
 
 ORDER = (  # by what they model of reflections, then what is left out, as in the paper's Table 4
     *("3dgs", "2dgs", "envmap", "envmap128", "envmap256", "envgs"),
@@ -53,7 +52,7 @@ def label_runs(runs: list[Run]) -> dict[int, tuple[Label, Label]]:
 def method_order(label: Label) -> tuple[int, str, tuple[tuple[str, float, str], ...]]:
     """Sort key: the ladder's methods first, then the others by name; a knob's rows by its value."""
     position = ORDER.index(label.name) if label.name in ORDER else len(ORDER)
-    return position, label.name, tuple((key, _numeric(value), value) for key, value in label.settings)
+    return position, label.name, tuple((key, _position(value), value) for key, value in label.settings)
 
 
 def _labels(named: list[tuple[str, dict[str, str]]], groups: list[str]) -> list[Label]:
@@ -72,22 +71,6 @@ def _labels(named: list[tuple[str, dict[str, str]]], groups: list[str]) -> list[
     ]
 
 
-def flat_settings(settings: Any, prefix: str = "") -> dict[str, str]:
-    """Nested settings with dotted keys and their values as text; locations and addresses are not settings."""
-    if not isinstance(settings, Mapping):
-        return {}
-    flat: dict[str, str] = {}
-    for key, value in settings.items():
-        name = f"{prefix}{key}"
-        if isinstance(value, Mapping):
-            flat |= flat_settings(value, f"{name}.")
-        elif key not in ("root", "path", "cache_dir", "name", "obtain"):
-            flat[name] = str(value)
-    return flat
-
-
-def _numeric(value: str) -> float:
-    try:
-        return float(value)
-    except ValueError:
-        return float("inf")
+def _position(value: str) -> float:
+    number = as_number(value)
+    return float("inf") if number is None else number

@@ -1,12 +1,12 @@
-"""Run: one record and its folder, and how all of them are found. A record that cannot be read is listed, not fatal."""
+"""Run: one record and its folder. A record that cannot be read is listed, not fatal."""
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from envgs_bench.records import RECORD_NAME, RENDERS, Record, RecordError, read_record
+from envgs_bench.records import RENDERS, Record, RecordError, find_runs, read_record
+from envgs_bench.run_folder import LOG_NAME, RECORD_NAME
 
 UNTIMED = "no device: pictures from elsewhere"
 
@@ -58,10 +58,8 @@ def read_runs(folder: Path) -> tuple[list[Run], list[BrokenRecord]]:
     Raises:
         RecordError: `folder` is not there.
     """
-    if not folder.is_dir():
-        raise RecordError(f"{folder}: no such folder; expected the runs_dir of an `envgs-bench run`")
     runs, broken = [], []
-    for path in _run_folders(folder):
+    for path in find_runs(folder):
         try:
             runs.append(read_run(path))
         except RecordError as error:
@@ -72,18 +70,8 @@ def read_runs(folder: Path) -> tuple[list[Run], list[BrokenRecord]]:
 def read_run(folder: Path) -> Run:
     """The run in `folder`. Raises RecordError saying what is wrong with its record."""
     if not (folder / RECORD_NAME).is_file():
-        raise RecordError(f"{folder}: no {RECORD_NAME}: the run goes on, or its process was killed; see its log.txt")
+        raise RecordError(f"{folder}: no {RECORD_NAME}: the run goes on, or its process was killed; see its {LOG_NAME}")
     record = read_record(folder)
     if record.timing is not None:
         record = record.model_copy(update={"timing": record.timing.model_copy(update={"per_view": []})})
     return Run(folder, record)
-
-
-def _run_folders(root: Path) -> list[Path]:
-    """Folders with a record, or with the configuration of a run that never wrote one. Runs do not nest."""
-    found = []
-    for folder, children, files in os.walk(root):
-        if RECORD_NAME in files or ("config.yaml" in files and "log.txt" in files):
-            found.append(Path(folder))
-            children.clear()
-    return sorted(found)

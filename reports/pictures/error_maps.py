@@ -9,9 +9,11 @@ import flip_evaluator
 import numpy as np
 from PIL import Image
 
-from .gallery import Gallery, Shot, read_picture
+from envgs_bench.run_folder import read_png_if_any
 
-MOST_PIXELS = 40_000_000  # of all maps of a data set but those of the worst and the median view
+from .gallery import Gallery, Shot
+
+MOST_PIXELS = 40_000_000  # in the maps of a data set, without those of the worst and the median view
 
 
 def draw_error_maps(gallery: Gallery, out: Path) -> None:
@@ -19,7 +21,7 @@ def draw_error_maps(gallery: Gallery, out: Path) -> None:
     as far as MOST_PIXELS reach."""
     jobs, pixels = [], 0
     for shot in sorted(gallery.shots, key=lambda shot: not shot.roles):
-        target = read_picture(shot.target)
+        target = read_png_if_any(shot.target)
         if target is None or (pixels > MOST_PIXELS and not shot.roles):
             continue
         pixels += target[..., 0].size * len(shot.renders)
@@ -27,7 +29,7 @@ def draw_error_maps(gallery: Gallery, out: Path) -> None:
 
     def draw(job: tuple[Shot, str, np.ndarray]) -> None:
         shot, method, target = job
-        render = read_picture(shot.renders[method])
+        render = read_png_if_any(shot.renders[method])
         if render is not None and render.shape == target.shape:
             name = gallery.files[shot.renders[method]].removesuffix(".png") + "-flip.png"
             Image.fromarray((flip_map(render, target)[0] * 255 + 0.5).astype(np.uint8)).save(out / name)

@@ -9,15 +9,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from envgs_bench.parts import LAYERS
+from envgs_bench.run_folder import has_renders, layers_of, mask_path, render_path, target_path
 
 from ..numbers.runs import Run
 from ..tables.sections import Section
 
 MOST_VIEWS = 8
-MOST_PICTURES = 800  # of all data sets and methods together, before fewer views are shown of each
+MOST_PICTURES = 800  # over all data sets and methods together, before fewer views are shown of each
 SHOWN_FIRST = ("error", "flip", *LAYERS, "normal", "depth")  # the layers of a view, in this order
 REGION = "reflective"
 
@@ -27,12 +27,12 @@ class Shot:
     """One test view as the methods drew it. Paths are those of the runs' own files."""
 
     view: str
-    roles: tuple[str, ...]  # of "worst" and "median", or none
+    roles: tuple[str, ...]  # "worst", "median", both or none
     target: Path
     renders: dict[str, Path]  # method -> picture, of its first finished seed
     layers: dict[str, dict[str, Path]]  # method -> layer -> picture
     psnr: dict[str, float]  # method -> dB, of the same run
-    mask: Path | None  # of the reflective region
+    mask: Path | None  # where the view shows REGION
 
     @property
     def title(self) -> str:
@@ -75,15 +75,6 @@ def copy_pictures(gallery: Gallery, out: Path, folder: str) -> None:
             gallery.files[path] = relative
 
 
-def read_picture(path: Path) -> np.ndarray | None:
-    """[H, W, 3] uint8, or None where there is no readable picture."""
-    try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("RGB"))
-    except (OSError, ValueError, SyntaxError):
-        return None
-
-
 def ordered_layers(names: Iterable[str]) -> list[str]:
     """The names of SHOWN_FIRST first and in their order, then the others."""
     return sorted(names, key=lambda name: (SHOWN_FIRST.index(name) if name in SHOWN_FIRST else len(SHOWN_FIRST), name))
@@ -102,7 +93,7 @@ def _gallery(section: Section, dataset: str, most: int) -> Gallery:
         if item.run.ok:
             for view, psnr in item.run.view_psnr.items():
                 difficulty.setdefault(view, []).append(psnr)
-            if (item.run.folder / "renders").is_dir():
+            if has_renders(item.run.folder):
                 chosen.setdefault(item.method, item.run)
         missing.setdefault(item.method, "no pictures" if item.run.ok else item.run.record.status.replace("_", " "))
     shots = []
@@ -128,9 +119,9 @@ def _views(difficulty: dict[str, list[float]], most: int) -> Iterable[tuple[str,
 
 
 def _shot(view: str, roles: tuple[str, ...], chosen: dict[str, Run]) -> Shot | None:
-    renders = {m: path for m, run in chosen.items() if (path := run.folder / "renders" / f"{view}.png").is_file()}
-    targets = [path for m in renders if (path := chosen[m].folder / "targets" / f"{view}.png").is_file()]
-    masks = [path for m in renders if (path := chosen[m].folder / "masks" / f"{view}-{REGION}.png").is_file()]
+    renders = {m: path for m, run in chosen.items() if (path := render_path(run.folder, view)).is_file()}
+    targets = [path for m in renders if (path := target_path(chosen[m].folder, view)).is_file()]
+    masks = [path for m in renders if (path := mask_path(chosen[m].folder, view, REGION)).is_file()]
     if not targets:
         return None
     return Shot(
@@ -144,10 +135,8 @@ def _shot(view: str, roles: tuple[str, ...], chosen: dict[str, Run]) -> Shot | N
     )
 
 
-def _layers(folder: Path, view: str) -> dict[str, Path]:
-    prefix = f"{view}-"
-    files = sorted((folder / "layers").glob("*.png")) if (folder / "layers").is_dir() else []
-    found = {path.stem.removeprefix(prefix): path for path in files if path.stem.startswith(prefix)}
+def _layers(run: Path, view: str) -> dict[str, Path]:
+    found = layers_of(run, view)
     return {name: found[name] for name in ordered_layers(found)}
 
 

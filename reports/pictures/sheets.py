@@ -13,8 +13,9 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import uniform_filter
 
 from envgs_bench.parts import BETA
+from envgs_bench.run_folder import read_png_if_any
 
-from .gallery import Gallery, Shot, ordered_layers, read_picture, slug
+from .gallery import Gallery, Shot, ordered_layers, slug
 
 CELL = 340  # width of a picture in a sheet, px
 MARGIN, GAP, HEAD, MOST_SIDE = 26, 14, 44, 300
@@ -56,17 +57,17 @@ def zoom_window(errors: Sequence[np.ndarray], weight: np.ndarray) -> tuple[slice
 
 
 def _comparison(gallery: Gallery, shot: Shot, out: Path) -> Image.Image:
-    target = read_picture(shot.target)
+    target = read_png_if_any(shot.target)
     if target is None:
         return _grid(["ground truth"], [""], [("", [(None, "not readable")])], 0.75)
     methods = [method for method in gallery.methods if method in shot.renders][:MOST_COLUMNS]
-    renders = {method: read_picture(shot.renders[method]) for method in methods}
+    renders = {method: read_png_if_any(shot.renders[method]) for method in methods}
     fitting = {m: picture for m, picture in renders.items() if picture is not None and picture.shape == target.shape}
     rows, columns = slice(0, target.shape[0]), slice(0, target.shape[1])
     if fitting:
         errors = [np.abs(picture / 255.0 - target / 255.0).mean(-1) for picture in fitting.values()]
         rows, columns = zoom_window(errors, _weight(shot, target.shape[:2]))
-    maps = {m: read_picture(out / flip["flip"]) for m in fitting if (flip := gallery.flips.get((shot.view, m)))}
+    maps = {m: read_png_if_any(out / flip["flip"]) for m in fitting if (flip := gallery.flips.get((shot.view, m)))}
     notes = ["", *(f"{shot.psnr[m]:.2f} dB" if m in shot.psnr else "" for m in methods)]
     failed = list(gallery.missing)[: MOST_COLUMNS - len(methods)]
 
@@ -87,8 +88,8 @@ def _layer_sheet(shot: Shot) -> Image.Image:
     lines = []
     shape = None
     for method in list(shot.layers)[:MOST_COLUMNS]:
-        pictures = [read_picture(shot.renders[method])]
-        pictures += [read_picture(path) if (path := shot.layers[method].get(n)) else None for n in names]
+        pictures = [read_png_if_any(shot.renders[method])]
+        pictures += [read_png_if_any(path) if (path := shot.layers[method].get(n)) else None for n in names]
         shape = shape or next((picture.shape for picture in pictures if picture is not None), None)
         lines.append((method, [(picture, "none" if picture is None else "") for picture in pictures]))
     titles = ["render", *("β" if name == BETA else name for name in names)]
@@ -99,7 +100,7 @@ def _weight(shot: Shot, shape: tuple[int, int]) -> np.ndarray:
     """Where the scene reflects: its mask, or else the β of the last method that has one, or else everywhere."""
     betas = [layers[BETA] for layers in shot.layers.values() if BETA in layers]
     for path in filter(None, (shot.mask, *betas[-1:])):
-        picture = read_picture(path)
+        picture = read_png_if_any(path)
         if picture is not None and picture.shape[:2] == shape and picture.any():
             return picture[..., 0] / 255.0
     return np.ones(shape)

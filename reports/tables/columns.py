@@ -52,7 +52,7 @@ class Column:
         return f"{self.printed(value):,}"
 
 
-def of(datasets: Iterable[str], columns: Iterable[Column], group: str = "") -> tuple[Column, ...]:
+def over(datasets: Iterable[str], columns: Iterable[Column], group: str = "") -> tuple[Column, ...]:
     """The columns over these data sets, below a heading of their own."""
     return tuple(replace(column, datasets=tuple(datasets), group=group) for column in columns)
 

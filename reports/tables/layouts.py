@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from ..numbers.estimates import Numbers
 from ..numbers.labels import Label
+from ..numbers.published import paper_scene, published_source, published_values
 from .columns import (
     FLIP,
     FRAME_MS,
@@ -22,9 +23,8 @@ from .columns import (
     TRAIN_SECONDS,
     Column,
     in_region,
-    of,
+    over,
 )
-from .published import paper_scene, published_source, published_values
 from .table import Table, build_table
 
 KINDS = {
@@ -93,8 +93,8 @@ def overview(contents: Contents, everything: str) -> list[Table]:
     whole = tuple(dict.fromkeys(dataset for members in groups.values() for dataset in members))
     if len(whole) < 2:
         return []
-    columns = [c for name, members in groups.items() for c in of(members, SCORES, name)]
-    columns += of(whole, (FRAME_MS, TRAIN_SECONDS, MEGABYTES, *PAPER_SPEED), everything)
+    columns = [c for name, members in groups.items() for c in over(members, SCORES, name)]
+    columns += over(whole, (FRAME_MS, TRAIN_SECONDS, MEGABYTES, *PAPER_SPEED), everything)
     return [contents.table("Overview", "overview", columns)]
 
 
@@ -116,8 +116,8 @@ def scenes(contents: Contents, everything: str) -> list[Table]:
                 having = contents.numbers.having(members, score.region)
                 if len(having) < 2:
                     continue
-                columns = [c for d in having for c in of((d,), (score,), _scene(d, name))]
-                columns += of(having, (score,), "mean")
+                columns = [c for d in having for c in over((d,), (score,), _scene(d, name))]
+                columns += over(having, (score,), "mean")
                 tables.append(contents.table(f"{name}: {score.title}", "scenes", columns))
     return [table for table in tables if any(cell.shown for row in table.rows for cell in row.cells.values())]
 
@@ -135,7 +135,7 @@ def regions(contents: Contents) -> list[Table]:
         columns: list[Column] = []
         for region in contents.numbers.regions(members):
             inside = [replace(in_region(score, region), title=score.title) for score in (*SCORES, NORMALS)]
-            columns += of(contents.numbers.having(members, region), inside, region.replace("_", "-"))
+            columns += over(contents.numbers.having(members, region), inside, region.replace("_", "-"))
         tables.append(contents.table(f"{name}: inside the regions", "regions", columns))
     return tables
 
@@ -151,11 +151,11 @@ def ablations(contents: Contents) -> list[Table]:
             PSNR, title="Δ PSNR", against=full, explanation=f"minus {full}, seed by seed", ranked=False
         )
         for subject, members in contents.subjects.items() if parts else ():
-            columns = list(of(members, (PSNR, difference, SSIM, LPIPS, FLIP)))
+            columns = list(over(members, (PSNR, difference, SSIM, LPIPS, FLIP)))
             for region in REGIONS_OF_ABLATION:
                 having = contents.numbers.having(members, region)
-                columns += of(having, (in_region(PSNR, region), in_region(difference, region))) if having else ()
-            columns += of(members, (NORMALS,))
+                columns += over(having, (in_region(PSNR, region), in_region(difference, region))) if having else ()
+            columns += over(members, (NORMALS,))
             title = f"{subject}: {full} and what it is without"
             tables.append(
                 contents.table(title, "ablation", columns, [*parts, full], lambda m: published_source(m) == "ablation")
@@ -181,6 +181,6 @@ def speeds(contents: Contents) -> list[Table]:
     tables = []
     for name, members in contents.subjects.items():
         timed = set(published_values(members, "full", "fps"))
-        columns = of(members, (*SPEED_COLUMNS, *PAPER_SPEED))
+        columns = over(members, (*SPEED_COLUMNS, *PAPER_SPEED))
         tables.append(contents.table(f"{name}: speed and memory", "speed", columns, paper=timed.__contains__))
     return [table for table in tables if any(column.key == "frame_ms" for column in table.columns)]

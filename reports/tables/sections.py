@@ -11,13 +11,14 @@ import pandas as pd
 
 from envgs_bench.records import ProtocolName
 
-from ..charts.pareto import knobs
 from ..numbers.estimates import Numbers
-from ..numbers.labels import Label, flat_settings, label_runs, method_order
+from ..numbers.knobs import knobs
+from ..numbers.labels import Label, label_runs, method_order
+from ..numbers.published import PROTOCOL, paper_scene
 from ..numbers.runs import UNTIMED, Run
+from ..numbers.settings import flat_settings
 from ..numbers.tidy import attempts_table, tidy_table
 from .layouts import Contents, layouts
-from .published import PROTOCOL, paper_scene
 from .table import Table
 
 ALL = "all data sets"

@@ -9,11 +9,11 @@ from decimal import Decimal
 from functools import cached_property
 
 from ..numbers.estimates import Estimate, Numbers
+from ..numbers.published import Source, paper_method, published_source, published_values
 from ..numbers.statistics import Interval
 from .columns import Column
-from .published import Source, paper_method, published_source, published_values
 
-Kind = str  # of a table: see layouts.KINDS
+Kind = str  # what a table is for: see layouts.KINDS
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Row:
     cells: dict[str, Cell]  # by the column's key; empty for a method that only the paper ran
     statuses: Counter[str] = field(default_factory=Counter)
     published: dict[str, Decimal] = field(default_factory=dict)  # by the column's key: what the paper printed
-    source: Source | None = None  # of a row that is the paper's alone
+    source: Source | None = None  # where the paper prints a row that is its alone
 
     @property
     def done(self) -> int:

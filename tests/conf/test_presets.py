@@ -18,7 +18,7 @@ from envgs_bench.cli.main import main
 from envgs_bench.datasets import DatasetError, load_scene
 from envgs_bench.methods.registry import create_method
 from envgs_bench.records import find_records, read_record
-from envgs_bench.reports.tables.published import paper_scene, paper_tables
+from envgs_bench.reports.numbers.published import paper_scene, paper_tables
 from envgs_bench.settings import parse_settings
 
 FAMILIES = ("ref_real", "nerf_casting", "envgs", "shiny_blender", "mipnerf360")

@@ -15,8 +15,9 @@ from reports_runs import METHODS, record, run_folder, write_failure, write_recor
 from envgs_bench.reports.charts.curves import merged_curves, read_curve, training_curves
 from envgs_bench.reports.charts.label_placement import Box, place_labels
 from envgs_bench.reports.charts.palette import styles
-from envgs_bench.reports.charts.pareto import Point, front, knobs, points
+from envgs_bench.reports.charts.pareto import Point, front, points
 from envgs_bench.reports.charts.pareto_chart import draw_charts, panel_rows
+from envgs_bench.reports.numbers.knobs import knobs
 from envgs_bench.reports.numbers.runs import read_run, read_runs
 from envgs_bench.reports.tables.columns import FLIP, FRAME_MS, MEGABYTES, PRIMITIVES, PSNR, in_region
 from envgs_bench.reports.tables.sections import split_sections

@@ -16,7 +16,7 @@ from reports_runs import record, run_folder, write_failure, write_record, write_
 
 from envgs_bench.reports import Report, build_report
 from envgs_bench.reports.charts.pareto import front, points
-from envgs_bench.reports.page.page import SCRIPTS
+from envgs_bench.reports.page.html import SCRIPTS
 from envgs_bench.reports.tables.columns import FRAME_MS, PSNR
 from envgs_bench.reports.tables.entries import entries, headings
 from envgs_bench.reports.tables.table import Table

@@ -11,9 +11,10 @@ from reports_runs import METHODS, ball_in_a_box, record, run_folder, write_failu
 
 from envgs_bench.reports.numbers.runs import read_runs
 from envgs_bench.reports.pictures.error_maps import draw_error_maps, flip_map
-from envgs_bench.reports.pictures.gallery import Gallery, copy_pictures, galleries, read_picture, slug
+from envgs_bench.reports.pictures.gallery import Gallery, copy_pictures, galleries, slug
 from envgs_bench.reports.pictures.sheets import CELL, draw_sheets, zoom_window
 from envgs_bench.reports.tables.sections import split_sections
+from envgs_bench.run_folder import read_png_if_any
 
 ROOM = "toy/chrome_room"
 
@@ -122,8 +123,8 @@ def test_flip_maps_lie_beside_their_renders(tmp_path: Path) -> None:
     draw_error_maps(gallery, tmp_path / "out")
     assert set(gallery.flips) == {(shot.view, method) for shot in gallery.shots for method in ("3dgs", "envgs")}
     shot = gallery.shots[0]
-    render, target = read_picture(shot.renders["envgs"]), read_picture(shot.target)
-    drawn = read_picture(tmp_path / "out" / gallery.flips[shot.view, "envgs"]["flip"])
+    render, target = read_png_if_any(shot.renders["envgs"]), read_png_if_any(shot.target)
+    drawn = read_png_if_any(tmp_path / "out" / gallery.flips[shot.view, "envgs"]["flip"])
     assert render is not None
     assert target is not None
     np.testing.assert_allclose(drawn, 255 * flip_map(render, target)[0], atol=0.51)
@@ -140,5 +141,5 @@ def test_flip_is_0_for_equal_pictures_and_large_for_opposite_ones() -> None:
 def test_pictures_are_read_as_they_are(tmp_path: Path) -> None:
     pixels = np.arange(60, dtype=np.uint8).reshape(4, 5, 3)
     Image.fromarray(pixels).save(tmp_path / "picture.png")
-    np.testing.assert_array_equal(read_picture(tmp_path / "picture.png"), pixels)
-    assert read_picture(tmp_path / "missing.png") is None
+    np.testing.assert_array_equal(read_png_if_any(tmp_path / "picture.png"), pixels)
+    assert read_png_if_any(tmp_path / "missing.png") is None

@@ -29,7 +29,7 @@ from envgs_bench.records import RecordError
 from envgs_bench.reports.numbers.decimals import mean, rounded
 from envgs_bench.reports.numbers.estimates import Numbers
 from envgs_bench.reports.report import build_report
-from envgs_bench.reports.tables.columns import MAIN_COLUMNS, of
+from envgs_bench.reports.tables.columns import MAIN_COLUMNS, over
 from envgs_bench.reports.tables.entries import entries
 from envgs_bench.reports.tables.latex import latex
 from envgs_bench.reports.tables.markdown import markdown
@@ -56,7 +56,7 @@ def table_of(scores: dict[str, list[float | None]], metric: str = "psnr", attemp
     frame = pd.DataFrame(tidy, columns=["dataset", "method", "seed", "region", "metric", "value"])
     tried = pd.DataFrame(runs, columns=["dataset", "method", "seed", "status"])
     return build_table(
-        Numbers(frame.astype({"value": float}), tried), ROOM, "subject", of((ROOM,), MAIN_COLUMNS), scores
+        Numbers(frame.astype({"value": float}), tried), ROOM, "subject", over((ROOM,), MAIN_COLUMNS), scores
     )
 
 

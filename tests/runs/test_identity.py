@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from envgs_bench.methods import registry
 from envgs_bench.records import Failure
 from envgs_bench.runs import identity, provenance
 from envgs_bench.runs.draft import Draft
@@ -106,8 +107,8 @@ def test_a_method_of_ones_own_counts_by_its_source(tmp_path: Path, monkeypatch: 
     (tmp_path / "mine_alone").mkdir()
     for name in ("__init__.py", "method.py", "losses.py"):
         (tmp_path / "mine_alone" / name).touch()
-    points = EntryPoints([EntryPoint("mine", "mine_alone.method:Method", identity.ENTRY_POINT_GROUP)])
-    monkeypatch.setattr(identity, "entry_points", lambda group: points)
+    points = EntryPoints([EntryPoint("mine", "mine_alone.method:Method", registry.ENTRY_POINT_GROUP)])
+    monkeypatch.setattr(registry, "entry_points", lambda group: points)
 
     def identities() -> list[str]:
         kinds = ("mine", "mine_alone.method:Method")

@@ -12,7 +12,8 @@ import pytest
 import torch
 
 from envgs_bench.runs import provenance
-from envgs_bench.runs.provenance import collect, peak_device_bytes, peak_host_bytes
+from envgs_bench.runs.provenance import collect
+from envgs_bench.stages.cost import peak_device_bytes, peak_host_bytes
 
 REPOSITORY = Path(provenance.__file__).resolve().parents[2]
 

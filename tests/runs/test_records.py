@@ -8,7 +8,15 @@ from pathlib import Path
 import pytest
 
 from envgs_bench import records
-from envgs_bench.records import Record, RecordError, find_records, read_record, write_atomically, write_record
+from envgs_bench.records import (
+    Record,
+    RecordError,
+    find_records,
+    find_runs,
+    read_record,
+    write_atomically,
+    write_record,
+)
 
 PROVENANCE = {
     "version": "0.1.0",
@@ -167,4 +175,13 @@ def test_records_are_found_in_order(tmp_path: Path) -> None:
     found = [str(path.parent.relative_to(tmp_path)) for path in find_records(tmp_path)]
     assert found == ["a/1", "b/1", "b/2"]
     with pytest.raises(RecordError, match="no such folder"):
-        list(find_records(tmp_path / "nowhere"))
+        find_records(tmp_path / "nowhere")
+
+
+def test_a_run_without_a_record_is_a_run_and_runs_do_not_nest(tmp_path: Path) -> None:
+    for path in ("a/record.json", "a/old/record.json", "b/config.yaml", "b/log.txt", "c/config.yaml", "d/log.txt"):
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).touch()
+    assert find_runs(tmp_path) == [tmp_path / "a", tmp_path / "b"]
+    assert find_runs(tmp_path / "b") == [tmp_path / "b"]
+    assert find_records(tmp_path) == [tmp_path / "a" / "record.json"]

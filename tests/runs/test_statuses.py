@@ -10,8 +10,8 @@ import pytest
 from fakes.runs import run, set_environment
 
 from envgs_bench.records import find_records, read_record
+from envgs_bench.run_folder import LOG_NAME
 from envgs_bench.runs import job
-from envgs_bench.runs.draft import LOG_NAME
 
 KINDS = (
     "Raises",

@@ -168,3 +168,12 @@ def test_transparent_pictures_are_laid_on_the_background(tmp_path: Path) -> None
     Image.new("RGBA", (WIDTH, HEIGHT), (255, 0, 0, 0)).save(tmp_path / "a.png")
     assert read_render(tmp_path / "a.png", torch.ones(3)).min() == 1
     assert read_render(tmp_path / "a.png", BLACK).max() == 0
+
+
+def test_a_picture_that_ends_early_is_named_once(tmp_path: Path) -> None:
+    Image.effect_noise((WIDTH, HEIGHT), 80).save(tmp_path / "a.png")
+    content = (tmp_path / "a.png").read_bytes()
+    (tmp_path / "a.png").write_bytes(content[: len(content) // 2])
+    with pytest.raises(RendersError, match=r"a\.png: cannot be decoded") as caught:
+        read_render(tmp_path / "a.png", BLACK)
+    assert str(caught.value).count("a.png") == 1

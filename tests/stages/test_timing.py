@@ -6,7 +6,8 @@ import torch
 
 from envgs_bench.core import Camera, View
 from envgs_bench.settings import TimingSettings
-from envgs_bench.stages import timing
+from envgs_bench.stages import stopwatch
+from envgs_bench.stages.stopwatch import time_calls
 from envgs_bench.stages.timing import FrameTimes, contract, time_frames, time_views
 
 
@@ -23,7 +24,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch):
     clock = Clock()
-    monkeypatch.setattr(timing, "perf_counter", clock)
+    monkeypatch.setattr(stopwatch, "perf_counter", clock)
     return clock
 
 
@@ -63,6 +64,15 @@ def test_time_ends_a_view_before_its_frames_do(clock):
     np.testing.assert_allclose(one, [[5000]])
 
 
+def test_slow_work_is_timed_as_often_as_was_asked_for(clock):
+    """At least so often, however few repeats were wanted and however long each takes."""
+    renderer = Renderer(clock, 5.0)
+    for repeats, expected in ((1, 3), (2, 3), (9, 3)):
+        times = time_calls(lambda: renderer.render(None), torch.device("cpu"), repeats, 1.0, at_least=3)
+        np.testing.assert_allclose(times, [5000] * expected)
+    assert len(time_calls(lambda: renderer.render(None), torch.device("cpu"), 4, 100.0, at_least=3)) == 4
+
+
 def test_a_scenes_value_is_the_mean_of_medians_and_a_hiccup_shows_in_p95_only():
     frames = FrameTimes([[10.0] * 9 + [500.0], [30.0] * 10])
     assert frames.frame_ms == 20
@@ -99,6 +109,51 @@ def test_contract_says_what_was_timed():
     assert "2 views" in text
     assert "device events" in text
     assert "perf_counter" in contract([camera()], "cpu", 50, 1.0)
+
+
+class Device:
+    """A GPU whose calls take 20 ms each, and 1 ms to launch; an event tells when all that lies before it has ended."""
+
+    def __init__(self, clock):
+        self.clock, self.busy_until, self.most_waiting = clock, clock.now, 0
+
+    def launch(self):
+        self.clock.now += 0.001
+        self.busy_until = max(self.busy_until, self.clock.now) + 0.020
+        self.most_waiting = max(self.most_waiting, round((self.busy_until - self.clock.now) / 0.020))
+
+    def event(self, enable_timing):
+        assert enable_timing
+        return DeviceEvent(self)
+
+    def synchronize(self):
+        self.clock.now = max(self.clock.now, self.busy_until)
+
+
+class DeviceEvent:
+    def __init__(self, device):
+        self.device = device
+
+    def record(self):
+        self.at = max(self.device.busy_until, self.device.clock.now)
+
+    def synchronize(self):
+        self.device.clock.now = max(self.device.clock.now, self.at)
+
+    def elapsed_time(self, later):
+        return 1000 * (later.at - self.at)
+
+
+@pytest.mark.parametrize(("queued", "each_ms"), [(1, 21), (3, 20)])
+def test_on_a_gpu_no_more_calls_are_under_way_than_may_be(clock, monkeypatch, queued, each_ms):
+    """One at a time, a call's time has its launch in it; with others queued before it, it has not."""
+    device = Device(clock)
+    monkeypatch.setattr(torch.cuda, "Event", device.event)
+    monkeypatch.setattr(torch.cuda, "synchronize", device.synchronize)
+    times = time_calls(device.launch, torch.device("cuda"), 20, 10.0, queued=queued)
+    np.testing.assert_allclose(times, [21] + [each_ms] * 19)
+    assert device.most_waiting == queued
+    assert len(time_calls(device.launch, torch.device("cuda"), 1000, 0.5, queued=queued)) < 30
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")

@@ -13,8 +13,8 @@ from envgs_bench.cli.main import main
 from envgs_bench.metrics import get_protocol
 from envgs_bench.records import Failure, read_record, write_record
 from envgs_bench.reports import build_report
+from envgs_bench.run_folder import read_png
 from envgs_bench.stages.pictures import save_png
-from envgs_bench.stored.rescoring import read_picture
 
 
 @pytest.fixture(autouse=True)
@@ -111,8 +111,9 @@ def test_saved_pictures_round_as_protocols_do(tmp_path: Path) -> None:
     image = values.reshape(3, 255, 1).repeat(8, 1, 3)
     save_png(tmp_path / "a.png", image)
     strict, target = get_protocol("strict"), torch.zeros_like(image)
-    assert strict.score(read_picture(tmp_path / "a.png"), target) == strict.score(image, target)
-    assert strict.score(read_picture(tmp_path / "a.png"), read_picture(tmp_path / "a.png"))["psnr"] == 100
+    saved = torch.from_numpy(read_png(tmp_path / "a.png")).float() / 255
+    assert strict.score(saved, target) == strict.score(image, target)
+    assert strict.score(saved, saved)["psnr"] == 100
 
 
 def test_failed_runs_stay_failures(tmp_path: Path, finished: Path) -> None:

@@ -10,7 +10,8 @@ from typing import Literal
 
 import pandas as pd
 
-from ..numbers.decimals import mean
+from .decimals import mean
+from .settings import as_number
 
 PROTOCOL = "envgs"  # the protocol whose numbers compare with the paper's
 FAMILY_NAMES = {
@@ -88,9 +89,12 @@ def paper_scene(dataset: str) -> Scene | None:
 
 def paper_method(method: str) -> str:
     """The paper's name of one of our rows, or the row's own: its Table 6 is the turn of one knob."""
-    name, _, share = method.removesuffix("]").partition(" [beta_filter=")
-    if share and float(share) > 0:
-        return f"w/ {100 * float(share):.0f}% weight filtering"
+    name, turned, text = method.partition(" [beta_filter=")
+    share = as_number(text.removesuffix("]")) if turned else 0.0
+    if share is None:
+        return method
+    if share > 0:
+        return f"w/ {100 * share:.0f}% weight filtering"
     return METHOD_NAMES.get(name, _spellings().get(_plain(name), name))
 
 

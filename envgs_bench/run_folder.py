@@ -1,0 +1,73 @@
+"""A run's folder: what lies where in it, and how its pictures are read. `stages/pictures.py` draws them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+CONFIG_NAME = "config.yaml"  # the run's settings
+LOG_NAME = "log.txt"  # what the run printed
+RECORD_NAME = "record.json"  # what it was and how it ended
+CURVE_NAME = "curve.csv"  # how its training went
+CHECKPOINT = "checkpoint"  # the folder with what it learned
+PICTURES = ("renders", "targets", "masks", "layers")  # the folders with its test views
+
+
+class PictureError(ValueError):
+    """A run's picture that is missing or cannot be decoded; the message names the file."""
+
+
+def render_path(run: Path, view: str) -> Path:
+    """The test view as the method drew it."""
+    return run / "renders" / f"{view}.png"
+
+
+def target_path(run: Path, view: str) -> Path:
+    """The photograph that the render is scored against."""
+    return run / "targets" / f"{view}.png"
+
+
+def mask_path(run: Path, view: str, region: str) -> Path:
+    """The region's pixels in the view: white."""
+    return run / "masks" / f"{view}-{region}.png"
+
+
+def layer_path(run: Path, view: str, layer: str) -> Path:
+    """What explains a render: one of the method's own layers, or normal, depth or error."""
+    return run / "layers" / f"{view}-{layer}.png"
+
+
+def layers_of(run: Path, view: str) -> dict[str, Path]:
+    """The layers that the run left of the view, by name."""
+    prefix = layer_path(run, view, "").stem
+    files = sorted((run / "layers").glob("*.png"))
+    return {path.stem.removeprefix(prefix): path for path in files if path.stem.startswith(prefix)}
+
+
+def has_renders(run: Path) -> bool:
+    """Whether the run came as far as to draw test views."""
+    return (run / "renders").is_dir()
+
+
+def read_png(path: Path) -> NDArray[np.uint8]:
+    """[H, W, 3] bytes, sRGB; a gray picture three times the same.
+
+    Raises:
+        PictureError: it is missing, truncated or no picture.
+    """
+    try:
+        with Image.open(path) as image:
+            return np.array(image.convert("RGB"))
+    except (OSError, SyntaxError, ValueError) as error:
+        raise PictureError(f"{path}: cannot be read ({error}); run its run again with force=true") from error
+
+
+def read_png_if_any(path: Path) -> NDArray[np.uint8] | None:
+    """As `read_png`; None where there is no readable picture."""
+    try:
+        return read_png(path)
+    except PictureError:
+        return None

@@ -1,0 +1,69 @@
+"""Outcome: what became of one job."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from envgs_bench.records import Record, RecordError, read_record
+from envgs_bench.settings import RunSettings
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One job. `action` is ran, reused, not retried, skipped (another process is at it) or unreadable."""
+
+    dataset: str
+    method: str
+    seed: int
+    status: str  # the record's; "" where there is none to read
+    action: str
+    message: str  # what the user should know or do, "" where all is well
+    psnr: float | None
+    frame_ms: float | None
+    train_seconds: float | None
+    folder: str
+
+    @property
+    def ok(self) -> bool:
+        return self.status == "ok"
+
+    @property
+    def name(self) -> str:
+        return f"{self.dataset} · {self.method} · seed {self.seed}"
+
+    @property
+    def run(self) -> str:
+        """The hash in the folder's name, which tells runs of one method apart."""
+        return self.folder.rpartition("-")[2]
+
+    @property
+    def state(self) -> str:
+        """The status, with what was done where it was not to run."""
+        return self.status if self.action == "ran" else f"{self.status} ({self.action})".strip()
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.state}, {self.folder}"
+
+
+def outcome_of(folder: Path, settings: RunSettings, action: str, message: str = "") -> Outcome:
+    """The outcome that the record in `folder` tells."""
+    record: Record | None
+    try:
+        record = read_record(folder)
+    except RecordError:
+        record = None
+    if record and record.error:
+        message = f"{record.error.type}: {record.error.message}" + (f" ({message})" if message else "")
+    return Outcome(
+        dataset=record.dataset if record else settings.dataset_name,
+        method=settings.method_name,
+        seed=settings.seed,
+        status=record.status if record else "",
+        action=action,
+        message=message,
+        psnr=record.metrics.mean.get("psnr") if record and record.metrics else None,
+        frame_ms=record.timing.frame_ms if record and record.timing else None,
+        train_seconds=record.cost.train_seconds if record and record.cost else None,
+        folder=str(folder),
+    )

@@ -1,0 +1,11 @@
+"""Events: how a run says what it is doing, to whoever shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+# "stage" says what is being done; "step" and "steps" how much of how much is, where that is known; while training,
+# "loss", "psnr" and "primitives" (set -> count) how the model stands.
+Event = dict[str, Any]
+EventListener = Callable[[Event], None]

@@ -1,0 +1,98 @@
+"""Execution: all that a run does, in order, each part's result kept as soon as it is there."""
+
+from __future__ import annotations
+
+import random
+import sys
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from envgs_bench.core import Scene
+from envgs_bench.datasets.registry import load_scene
+from envgs_bench.datasets.store.progress import listening
+from envgs_bench.methods.method import Method
+from envgs_bench.methods.registry import create_method
+from envgs_bench.metrics import Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
+from envgs_bench.records import RENDERS
+from envgs_bench.run_folder import CHECKPOINT, CURVE_NAME
+from envgs_bench.settings import RunSettings
+
+from .cost import cost_of
+from .evaluation import evaluate
+from .events import EventListener
+from .renders import score_renders
+from .results import Results
+from .timing import time_frames
+from .training import Training
+
+
+def execute(settings: RunSettings, folder: Path, results: Results, report: EventListener) -> None:
+    """Train, draw, score and time as `settings` say; pictures, curve and checkpoint go into `folder`.
+
+    Raises:
+        Diverged: the loss or a render is not finite.
+        ValueError, OSError: settings or data that cannot be used.
+    """
+    _seed(settings.seed)
+    protocol = get_protocol(settings.protocol)
+    if settings.method.kind == RENDERS:
+        _score_renders(settings, folder, results, protocol, report)
+        return
+    method = create_method(settings.method.kind, settings.method.settings, settings.device, settings.seed)
+    _offer_perceptual_loss(method)
+    scene = _load(settings, results, report)
+    _check_scene(scene)
+    training = Training(method, scene, settings.steps, settings.seed)
+    try:
+        training.run(folder / CURVE_NAME, report)
+    finally:
+        if training.step:  # however it ends, what was learned is kept
+            results.cost = cost_of(method, training)
+            method.save(folder / CHECKPOINT)
+    report({"stage": "preparing"})
+    method.prepare()
+    results.metrics, results.masked = evaluate(method, scene.test, protocol, folder, report)
+    report({"stage": "timing"})
+    results.timing = time_frames(method, scene.test, settings.timing)
+    results.cost = cost_of(method, training)
+
+
+def _score_renders(
+    settings: RunSettings, folder: Path, results: Results, protocol: Protocol, report: EventListener
+) -> None:
+    """The run of a method whose pictures come from elsewhere: nothing is trained, drawn or timed."""
+    results.steps = 0
+    scene = _load(settings, results, report)
+    results.metrics, results.masked = score_renders(settings.method.settings, scene, protocol, folder, report)
+
+
+def _load(settings: RunSettings, results: Results, report: EventListener) -> Scene:
+    """The run's scene; making one for the first time may take minutes, and its source says how far it has come."""
+    report({"stage": "loading"})
+    with listening(lambda stage, done, total: report({"stage": stage, "step": done, "steps": total})):
+        scene = load_scene(settings.dataset, settings.cache_dir)
+    results.dataset = scene.name
+    return scene
+
+
+def _check_scene(scene: Scene) -> None:
+    for name, views in (("training", scene.train), ("test", scene.test)):
+        if not views:
+            raise ValueError(f"data set {scene.name} has no {name} views: it needs at least two images")
+
+
+def _offer_perceptual_loss(method: Method) -> None:
+    """Methods must not import metrics: those that use the perceptual loss are given it, if it can be had."""
+    if method.uses_perceptual:
+        try:
+            method.perceptual = make_perceptual_loss(method.device)
+        except WeightsUnavailable as error:
+            print(f"training without the perceptual loss: {error}", file=sys.stderr)
+
+
+def _seed(seed: int) -> None:
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002 (for libraries that draw from the global generator)
+    torch.manual_seed(seed)

@@ -1,0 +1,19 @@
+"""Results: what a run has reached so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from envgs_bench.records import Cost, MaskedScores, Metrics, Timing
+
+
+@dataclass
+class Results:
+    """The parts of a run's record that its stages fill in; what was reached stays, however the run ends."""
+
+    dataset: str  # the configured name; once the data are loaded, the scene's own
+    steps: int
+    metrics: Metrics | None = None
+    masked: dict[str, MaskedScores] = field(default_factory=dict)
+    timing: Timing | None = None
+    cost: Cost | None = None

@@ -1,0 +1,28 @@
+"""A run's settings as text, which is how runs are told apart and how a turned knob is found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def flat_settings(settings: Any, prefix: str = "") -> dict[str, str]:
+    """Nested settings with dotted keys and their values as text; locations and addresses are not settings."""
+    if not isinstance(settings, Mapping):
+        return {}
+    flat: dict[str, str] = {}
+    for key, value in settings.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            flat |= flat_settings(value, f"{name}.")
+        elif key not in ("root", "path", "cache_dir", "name", "obtain"):
+            flat[name] = str(value)
+    return flat
+
+
+def as_number(text: str) -> float | None:
+    """The number that a setting's text is; None where it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return None
