@@ -12,20 +12,22 @@ from envgs_bench.core import Camera, Scene, Statistics
 from envgs_bench.parts import ENV
 
 from .densification import DensificationRule, spatial_criterion
-from .initialization import quantile_box, random_points_in_grid
+from .initialization import quantile_box, random_points_in_grid, random_points_on_sphere
 from .reflection import ReflectionSettings
 from .schedule import DENSIFY_FLOOR, ENV_RESET_FLOOR, RECOVERY
 from .traced import TracedReflection
 
-PAPER_GRID = 32  # N of Sec. 4.3
-
 
 @dataclass(frozen=True)
 class EnvGSSettings(ReflectionSettings):
-    env_grid: int = 0  # N: the box is divided into N³ cells (paper: 32); 0: as many primitives as points, N ≤ 32
+    env_grid: int = 16  # N: the box is divided into N³ cells
     env_per_cell: int = 5  # K: random primitives in each
     env_box_quantile: float = 0.995  # share of the points' range, on each axis, that the box covers
     env_box: float = 0.0  # half the edge of a cube around the origin as the box; 0: the scene's bounds, or by quantile
+    env_far: float = 4.0  # radius of a sphere around the box that primitives start on too, × half its diagonal
+    env_far_count: int = 2_000  # primitives on it; 0: none
+    env_initial_opacity: float = 0.05  # of the environment's primitives
+    env_position_scale: float = 5.0  # × the base set's position rate
     env_densify_every: int = 500  # steps between the environment's densifications
     env_densify_threshold: float = 1e-4  # of ½·t·∂L/∂mean
     env_max_primitives: int = 630_000  # those of the least blending weight go
@@ -42,20 +44,26 @@ class EnvGS(TracedReflection):
     def __init__(self, settings: EnvGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
         self._box = (torch.zeros(3), torch.ones(3))
-        self._points = 0
 
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
         self.sets.pop(ENV, None)
-        self._points = len(scene.points)
         self._box = environment_box(scene, self.settings)
 
     def start_reflection(self) -> None:
-        s = self.settings
-        grid = s.env_grid or min(PAPER_GRID, max(1, round((self._points / s.env_per_cell) ** (1 / 3))))
-        points = random_points_in_grid(*self._box, grid, s.env_per_cell, self.generator)
+        """Fill the box with random primitives (Sec. 4.3), and a sphere around it: the sky, where no point lies."""
+        s, (low, high) = self.settings, self._box
+        inside = random_points_in_grid(low, high, s.env_grid, s.env_per_cell, self.generator)
+        radius = s.env_far * 0.5 * float((high - low).norm())
+        around = random_points_on_sphere((low + high) / 2, radius, s.env_far_count, self.generator)
+        points = torch.cat([inside, around])
         colors = torch.rand(points.shape, generator=self.generator)
-        self.sets[ENV] = self.new_set(points, colors, self.densification_rule(ENV), None, self.generator)
+        rule = self.densification_rule(ENV)
+        self.sets[ENV] = self.new_set(points, colors, rule, s.env_initial_opacity, beta=None, generator=self.generator)
+
+    def position_rate(self, name: str, step: int) -> float:
+        scale = self.settings.env_position_scale if name == ENV else 1.0
+        return scale * super().position_rate(name, step)
 
     def reflected_color(
         self, origins: Tensor, directions: Tensor, step: int | None

@@ -60,6 +60,7 @@ class GaussianMethod(Method):
         self.radius = 1.0
         self.near = settings.near
         self.background = torch.zeros(3, device=self.device)
+        self._most_primitives = settings.max_primitives
         self.prepared: dict[str, GaussianSet] = {}
         self._views = ResidentViews(self.device, room=0)
 
@@ -70,8 +71,14 @@ class GaussianMethod(Method):
         self.radius = scene.radius or _extent(scene.points)
         self.near = max(self.settings.near, scene.free_space)
         self.background = scene.background.to(self.device)
+        self._most_primitives = _bound(self.settings, scene)
         self.sets[BASE] = self.new_set(
-            scene.points, scene.point_colors, self.densification_rule(BASE), self.initial_beta(), generator=None
+            scene.points,
+            scene.point_colors,
+            self.densification_rule(BASE),
+            opacity=self.settings.initial_opacity,
+            beta=self.initial_beta(),
+            generator=None,
         )
         self.prepared.clear()
         self._views = ResidentViews.of(self.device)
@@ -139,11 +146,15 @@ class GaussianMethod(Method):
     def set_learning_rates(self, step: int) -> None:
         """Give the optimizers the rates of this step: positions and rotations decay log-linearly, others rest."""
         s, schedule = self.settings, self.schedule
-        position = schedule.rate(step, s.position_lr, s.position_lr_final) * schedule.rate_scale
         rotation = schedule.rate(step, s.rotation_lr, s.rotation_lr_final) * schedule.rate_scale
-        for trained in self.sets.values():
-            trained.parameters.set_learning_rate("means", position * self.radius)
+        for name, trained in self.sets.items():
+            trained.parameters.set_learning_rate("means", self.position_rate(name, step))
             trained.parameters.set_learning_rate("quaternions", rotation)
+
+    def position_rate(self, name: str, step: int) -> float:
+        """The learning rate of the positions of the set `name`, world units."""
+        s, schedule = self.settings, self.schedule
+        return schedule.rate(step, s.position_lr, s.position_lr_final) * schedule.rate_scale * self.radius
 
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
         """The picture [H, W, …], and by set what its passes learned.
@@ -171,13 +182,19 @@ class GaussianMethod(Method):
             terms["normal"] = settings.normal_weight * normal_loss(rendering.normal, reference, weight)
         if settings.mono_weight > 0 and view.normal is not None:
             mono_weight = settings.mono_weight * self.schedule.rate_scale
-            error = normal_loss(rendering.normal, view.normal, weight)
+            trusted = self.mono_weights(rendering)
+            trusted = trusted if weight is None or trusted is None else trusted * weight
+            error = normal_loss(rendering.normal, view.normal, trusted)
             if settings.mono_loss == "l1_cos":
-                error = error + normal_distance(rendering.normal, view.normal, weight)
+                error = error + normal_distance(rendering.normal, view.normal, trusted)
             terms["mono"] = mono_weight * error
         if self.perceptual and self.uses_perceptual and step > self.schedule.at(settings.perceptual_from):
             terms["perceptual"] = settings.perceptual_weight * self.perceptual(rendering.color, target)
         return terms
+
+    def mono_weights(self, rendering: Rendering) -> Tensor | None:
+        """How much the view's own normals count at each pixel, [H, W] without gradients; None: alike everywhere."""
+        return None
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
         """All that step together; none does where a loss or gradient is not finite."""
@@ -215,7 +232,7 @@ class GaussianMethod(Method):
     def densification_rule(self, name: str) -> DensificationRule:
         """When a primitive of the set `name` is cloned, split or removed."""
         s = self.settings
-        return DensificationRule(s.densify_threshold, s.min_opacity, s.max_primitives, s.min_coverage, s.min_views)
+        return DensificationRule(s.densify_threshold, s.min_opacity, self._most_primitives, s.min_coverage, s.min_views)
 
     def initial_learning_rates(self) -> LearningRates:
         """Adam's step sizes of a new set."""
@@ -270,6 +287,7 @@ class GaussianMethod(Method):
         points: Tensor,  # [N, 3]
         colors: Tensor,  # [N, 3] in [0, 1]
         rule: DensificationRule,
+        opacity: float,
         beta: float | None,
         generator: torch.Generator | None,
     ) -> TrainedSet:
@@ -279,7 +297,7 @@ class GaussianMethod(Method):
             colors.to(self.device, torch.float32),
             axes=self.axes,
             sh_degree=self.settings.sh_degree,
-            opacity=self.settings.initial_opacity,
+            opacity=opacity,
             beta=beta,
             radius=self.radius,
             generator=generator,
@@ -294,6 +312,14 @@ class GaussianMethod(Method):
         gradients = [p.grad for o in self.optimizers() for g in o.param_groups for p in g["params"]]
         present = [gradient for gradient in gradients if gradient is not None and gradient.numel()]
         return torch.nn.utils.get_total_norm([loss, *present], math.inf).isfinite()
+
+
+def _bound(settings: GaussianSettings, scene: Scene) -> int:
+    """The most primitives that the base set may have: as many as it starts with, at least."""
+    if settings.pixels_per_primitive <= 0:
+        return settings.max_primitives
+    pixels = sum(view.camera.width * view.camera.height for view in scene.train)
+    return min(settings.max_primitives, max(len(scene.points), int(pixels / settings.pixels_per_primitive)))
 
 
 def _extent(points: Tensor) -> float:

@@ -7,6 +7,7 @@ import torch
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from torch import Tensor
+from torch.nn import functional
 
 from .parameters import inverse_sigmoid, sh_from_rgb
 
@@ -98,3 +99,9 @@ def random_points_in_grid(low: Tensor, high: Tensor, grid: int, per_cell: int, g
     cells = torch.cartesian_prod(axis, axis, axis).repeat_interleave(per_cell, dim=0)
     unit = (cells + torch.rand(cells.shape, generator=generator)) / grid
     return low + unit.to(low) * (high - low)
+
+
+def random_points_on_sphere(center: Tensor, radius: float, count: int, generator: torch.Generator) -> Tensor:
+    """`count` points [count, 3] at `radius` around `center` [3], uniform in direction."""
+    directions = functional.normalize(torch.randn(count, 3, generator=generator), dim=1)
+    return center + radius * directions.to(center)

@@ -37,7 +37,15 @@ class ReflectionSettings(GaussianSettings):
 
     rotation_lr_final: float = 1e-4  # of the quaternions, at the end: little, as a mirror shows each degree twice
 
+    normal_from: int = 7_000
+    mono_weight: float = 0.05
+    mono_loss: str = "l1_cos"
+    mono_floor: float = 0.1  # share of mono_weight where nothing reflects; all of it counts from β = initial_beta on
+    perceptual_weight: float = 0.0
+
     densify_until: int = 21_000
+    min_coverage: float = 1.5
+    pixels_per_primitive: float = 14.0
     settling_interval: int = 5  # × densify_every, or less in a short run, while the reflections settle
 
     bootstrap: int = 3_000  # steps with the base set alone
@@ -48,7 +56,7 @@ class ReflectionSettings(GaussianSettings):
     beta_filter: float = 0.0  # share of an image's pixels, those of the smallest β, that are not traced either
     ray_offset: float = 1e-3  # a reflected ray starts this far above the surface, × scene radius
 
-    disturb_every: int = 1_000  # steps between color sabotages and normal propagations; 0: never
+    disturb_every: int = 0  # steps between color sabotages and normal propagations; 0: never
     disturb_until: int = 18_000  # step up to which reflections settle: disturbed, and growing more rarely
     sabotage: bool = True  # disturb the base color of what does not reflect
     propagate: bool = True  # grow what reflects over its neighbors
@@ -68,6 +76,8 @@ class ReflectiveMethod(GaussianMethod):
             raise ValueError(f"beta_filter is {settings.beta_filter:g}, expected a share of at least 0 and below 1")
         if settings.settling_interval < 1:
             raise ValueError(f"settling_interval is {settings.settling_interval}, expected at least 1 × densify_every")
+        if not 0 <= settings.mono_floor <= 1:
+            raise ValueError(f"mono_floor is {settings.mono_floor:g}, expected a share from 0 to 1")
         self.reflects = False  # once the bootstrapping is over
         self._hold_until = 0
 
@@ -136,6 +146,17 @@ class ReflectiveMethod(GaussianMethod):
             return threshold
         rank = max(1, round(share * beta.numel()))
         return beta.reshape(-1).kthvalue(rank).values.clamp_min(threshold)
+
+    def mono_weights(self, rendering: Rendering) -> Tensor | None:
+        """1 where β is at least its start, in proportion to β below, and `mono_floor` at least.
+
+        A mirror's depth map shows what it mirrors: there only the view's own normals tell the surface. On what is matt
+        the depth map knows better than an estimate that is off by some degrees.
+        """
+        s = self.settings
+        if s.mono_floor == 1:
+            return None
+        return (rendering.extras.detach()[..., 0] / s.initial_beta).clamp(s.mono_floor, 1)
 
     def events(self, step: int) -> set[str]:
         s, schedule = self.settings, self.schedule

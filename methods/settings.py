@@ -39,6 +39,7 @@ class GaussianSettings:
     min_views: float = 3.0  # steps since the last densification that must have shown it for that, by its weights
     min_opacity: float = 0.05  # primitives below are pruned
     max_primitives: int = 1_800_000  # of the base set; those of the least blending weight go
+    pixels_per_primitive: float = 0.0  # the base set has at most a primitive for so many training pixels; 0: no bound
     opacity_reset_every: int = 3_000  # steps between the base set's opacity resets; 0: never
 
     normal_weight: float = 0.04  # of L_norm, rendered normals against those of the depth map

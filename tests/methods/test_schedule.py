@@ -23,7 +23,7 @@ def events(kind: str, steps: int, **settings) -> dict[str, list[int]]:
 
 
 def test_envgs_at_30000_steps_is_the_recipe():
-    found = events("envgs", 30_000, beta_reset_from=6_000)
+    found = events("envgs", 30_000, beta_reset_from=6_000, disturb_every=1000)
     assert found.pop("densify_base") == [*range(600, 3001, 100), *range(3500, 18_001, 500), *range(18_100, 21_000, 100)]
     assert found.pop("densify_env") == list(range(3500, 21_000, 500))
     thousands = [4, 5, 7, 8, 10, 11, 13, 14, 16, 17]
@@ -44,7 +44,7 @@ def test_the_baselines_at_30000_steps_are_the_originals(kind):
 
 
 def test_twice_the_steps_stretch_the_schedule():
-    once, twice = events("envgs", 30_000), events("envgs", 60_000)
+    once, twice = (events("envgs", steps, disturb_every=1000) for steps in (30_000, 60_000))
     assert twice == {name: [2 * step for step in steps] for name, steps in once.items()}
 
 
@@ -53,7 +53,7 @@ def test_twice_the_steps_stretch_the_schedule():
     [(2000, set()), (300, {"sabotage", "propagate", "reset_base_opacity", "reset_beta", "reset_env_opacity"})],
 )
 def test_a_short_run_has_every_phase_that_it_can_recover_from(steps, missing):
-    full, short = (events("envgs", length, beta_reset_from=6_000) for length in (30_000, steps))
+    full, short = (events("envgs", length, beta_reset_from=6_000, disturb_every=1000) for length in (30_000, steps))
     assert set(short) == set(full) - missing
     assert min(len(short["densify_base"]), len(short["densify_env"])) >= 2
     last = max(step for happened in short.values() for step in happened)
@@ -123,7 +123,7 @@ def test_a_run_without_steps_is_refused():
 
 def check_recovery(steps: int) -> set[str]:
     """Walk through what a run of this length does around its resets; returns the names of all that happens then."""
-    method = create_method("envgs", {"beta_reset_from": 6000})
+    method = create_method("envgs", {"beta_reset_from": 6000, "disturb_every": 1000})
     schedule = method.schedule = Schedule(steps)
     s = method.settings
     resets = [step for step in range(1, schedule.at(s.densify_until)) if resets_base(schedule, step)]
@@ -176,8 +176,8 @@ def test_every_length_is_disturbed_between_its_resets(steps):
 
 
 def test_a_run_that_does_not_stretch_is_the_reference_run_and_more():
-    method = create_method("envgs", {"beta_reset_from": 6000})
-    reference = events("envgs", 30_000, beta_reset_from=6000)
+    method = create_method("envgs", {"beta_reset_from": 6000, "disturb_every": 1000})
+    reference = events("envgs", 30_000, beta_reset_from=6000, disturb_every=1000)
     method.schedule = Schedule(40_000, stretches=False)
     found: dict[str, list[int]] = {}
     for step in range(1, 40_001):
