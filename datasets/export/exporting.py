@@ -10,7 +10,7 @@ from typing import Any
 
 from envgs_bench.core import Scene
 
-from ..settings import DatasetError
+from ..errors import DatasetError
 from .blender import write_blender
 from .colmap import write_colmap
 
@@ -38,6 +38,8 @@ def export_scene(scene: Scene, folder: Path, form: str) -> dict[str, Any]:
     """
     if form not in FORMATS:
         raise DatasetError(f"format {form!r} is unknown: expected one of {', '.join(FORMATS)}")
+    if scene.val:
+        raise DatasetError(f"{scene.name}: no format holds a validation split; export it with dataset.validation=false")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise DatasetError(f"{folder}: is there already; give a new or an empty folder")
     folder.parent.mkdir(parents=True, exist_ok=True)

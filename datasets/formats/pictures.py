@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, ImageOps
 
-from ..settings import DatasetError
+from ..errors import DatasetError
 
 Bytes = NDArray[np.uint8]
 Color = tuple[float, float, float]
