@@ -19,7 +19,15 @@ from envgs_bench.datasets import DatasetError, load_scene
 from envgs_bench.datasets.export import export_scene
 from envgs_bench.testing import tiny_scene
 
-TOY = {"kind": "toy", "scene": "sky_ball", "width": 24, "height": 18, "views": 24, "normal_noise": 5, "supersampling": 1}
+TOY = {
+    "kind": "toy",
+    "scene": "sky_ball",
+    "width": 24,
+    "height": 18,
+    "views": 24,
+    "normal_noise": 5,
+    "supersampling": 1,
+}
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +73,9 @@ def test_the_split_is_the_same_each_time(toys: tuple[Scene, Scene, Scene]) -> No
         assert all(same(a, b) for a, b in zip(getattr(once, part), getattr(again, part), strict=True))
 
 
-def test_a_toy_s_validation_views_have_regions_and_exact_normals(toys: tuple[Scene, Scene, Scene], tmp_path: Path) -> None:
+def test_a_toy_s_validation_views_have_regions_and_exact_normals(
+    toys: tuple[Scene, Scene, Scene], tmp_path: Path
+) -> None:
     whole, parted, _ = toys
     exact = {view.name: view for view in load_scene({**TOY, "normal_noise": 0}, tmp_path).train}
     noisy = {view.name: view for view in whole.train}
@@ -160,5 +170,5 @@ def test_facts_that_are_no_lengths_are_refused(capture: Path, key: str, value: A
 
 
 def test_no_format_holds_a_validation_split(capture: Path, tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="export it with dataset.validation=false"):
+    with pytest.raises(DatasetError, match=r"export it with dataset\.validation=false"):
         export_scene(load(capture), tmp_path / "out", "blender")
