@@ -11,7 +11,7 @@ from envgs_bench.core import Scene
 from envgs_bench.import_path import load_import_path
 
 from .errors import DatasetError
-from .settings import Statements, parse_settings
+from .settings import SceneSettings, parse_settings
 from .split import with_validation
 
 # Its scene's `val` are those of its training views that may validate, as scores are to see them, and still train too:
@@ -33,7 +33,7 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     Args:
         settings: `kind` picks the source: one of `BUILT_IN`, or an import path "package.module:function" to a function
             of these same two arguments. `obtain` says where the data are to be had, for whoever has no folder `root`;
-            the keys of `settings.Statements` hold for every source. The other keys are the source's own.
+            the keys of `settings.SceneSettings` hold for every source. The other keys are the source's own.
         cache_dir: where sources keep what took them time; made if missing.
 
     Raises:
@@ -49,7 +49,9 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
             f"dataset.root={root}: there is no such folder. Get it: {obtain}. If it lies elsewhere, give the folder "
             "above as data_root=… or once for all as $ENVGS_BENCH_DATA_ROOT, or the folder itself as dataset.root=…"
         )
-    stated = parse_settings(Statements, {key: settings[key] for key in Statements.model_fields if key in settings})
+    stated = parse_settings(
+        SceneSettings, {key: settings[key] for key in SceneSettings.model_fields if key in settings}
+    )
     scene = source(own_settings(settings), Path(cache_dir))
     scene = with_validation(scene) if stated.validation else replace(scene, val=())
     free_space, bounds = stated.free_space or scene.free_space, stated.bounds or scene.bounds
@@ -58,7 +60,7 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
 def own_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Of a data set's settings those that its source is given: without what `load_scene` heeds itself."""
-    return {key: value for key, value in settings.items() if key not in ("obtain", *Statements.model_fields)}
+    return {key: value for key, value in settings.items() if key not in ("obtain", *SceneSettings.model_fields)}
 
 
 def _source(kind: str) -> Source:

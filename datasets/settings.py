@@ -12,8 +12,8 @@ from .errors import DatasetError
 Length = Annotated[float, Field(ge=0, allow_inf_nan=False)]  # world units; 0 where unknown
 
 
-class Statements(BaseModel):
-    """What any data set may state, whatever its source: `load_scene` itself heeds these, sources do not see them."""
+class SceneSettings(BaseModel):
+    """What holds for a scene from any source: `load_scene` itself heeds these settings, sources are not given them."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -22,14 +22,14 @@ class Statements(BaseModel):
     bounds: Length = 0.0  # half the edge of a cube around the world's origin that holds the surroundings
 
 
-class SourceSettings(Statements):
+class SourceSettings(SceneSettings):
     """Base of every source's settings: unknown keys are refused, nothing changes after reading."""
 
     kind: str
     name: str | None = None  # in tables
 
 
-Settings = TypeVar("Settings", bound=Statements)
+Settings = TypeVar("Settings", bound=SceneSettings)
 
 
 def parse_settings(model: type[Settings], given: Mapping[str, Any]) -> Settings:

@@ -50,4 +50,6 @@ def export_scene(scene: Scene, folder: Path, form: str) -> dict[str, Any]:
     finally:
         shutil.rmtree(part, ignore_errors=True)
     background = [float(channel) for channel in scene.background]
-    return {"root": str(folder.absolute()), "name": scene.name, "background": background, **settings}
+    facts = {"free_space": scene.free_space, "bounds": scene.bounds}
+    stated = {key: value for key, value in facts.items() if value}
+    return {"root": str(folder.absolute()), "name": scene.name, "background": background, **stated, **settings}

@@ -162,6 +162,12 @@ def test_facts_are_carried_and_change_no_cached_scene(capture: Path) -> None:
     assert len(os.listdir(capture.parent / "cache/scenes")) == 1
 
 
+def test_facts_are_exported(capture: Path, tmp_path: Path) -> None:
+    scene = load(capture, validation=False, free_space=2.2)
+    again = load_scene(export_scene(scene, tmp_path / "out", "blender"), tmp_path / "cache")
+    assert (again.free_space, again.bounds) == (2.2, 0)
+
+
 @pytest.mark.parametrize("key", ["free_space", "bounds"])
 @pytest.mark.parametrize("value", [-1, float("inf"), "wide"])
 def test_facts_that_are_no_lengths_are_refused(capture: Path, key: str, value: Any) -> None:
