@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from PIL import Image
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
+from envgs_bench.datasets.progress import streamed
 from envgs_bench.datasets.sources import colmap
 from envgs_bench.datasets.store import contents
 from envgs_bench.datasets.store.cache import cached_scene
@@ -125,6 +127,21 @@ def test_views_are_on_disk_as_soon_as_they_are_made(tmp_path: Path) -> None:
     kept_early, kept_late = (next((tmp_path / "scenes").glob(f"{name}-*")).stat().st_size for name in "ab")
     assert kept_early == pytest.approx(kept_late, abs=1000)  # nothing is there twice
     assert all(torch.equal(a, view.image) for a, view in zip(kept, scene.train, strict=True))
+
+
+def test_no_more_is_read_ahead_than_two_views_a_core() -> None:
+    begun: list[int] = []
+
+    def read(index: int) -> int:
+        begun.append(index)
+        return index
+
+    results = streamed("reading", read, range(1000))
+    assert not begun
+    assert [next(results) for _ in range(10)] == list(range(10))
+    time.sleep(0.1)  # for the threads to run as far ahead as they may
+    assert len(begun) <= 9 + 2 * (os.cpu_count() or 1)
+    assert list(results) == list(range(10, 1000))
 
 
 def test_a_disk_that_fills_up_costs_the_cache_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
