@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from envgs_bench.core import Scene
 from envgs_bench.import_path import load_import_path
 
-from .settings import DatasetError
+from .errors import DatasetError
+from .settings import SceneSettings, parse_settings
+from .split import with_validation
 
+# Its scene's `val` are those of its training views that may validate, as scores are to see them, and still train too:
+# `split.with_validation` parts them, or finds some where there are none.
 Source = Callable[[Mapping[str, Any], Path], Scene]
 
 BUILT_IN = {
     "toy": "envgs_bench.datasets.toy:load_toy",
-    "colmap": "envgs_bench.datasets.colmap:load_colmap",
-    "blender": "envgs_bench.datasets.blender:load_blender",
-    "transforms": "envgs_bench.datasets.transforms:load_transforms",
-    "photos": "envgs_bench.datasets.photos:load_photos",
+    "colmap": "envgs_bench.datasets.sources.colmap:load_colmap",
+    "blender": "envgs_bench.datasets.sources.blender:load_blender",
+    "transforms": "envgs_bench.datasets.sources.transforms:load_transforms",
+    "photos": "envgs_bench.datasets.sources.photos:load_photos",
 }
 
 
@@ -27,8 +32,8 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
     Args:
         settings: `kind` picks the source: one of `BUILT_IN`, or an import path "package.module:function" to a function
-            of these same two arguments. `obtain` says where the data are to be had, for whoever has no folder `root`.
-            The other keys are the source's own.
+            of these same two arguments. `obtain` says where the data are to be had, for whoever has no folder `root`;
+            the keys of `settings.SceneSettings` hold for every source. The other keys are the source's own.
         cache_dir: where sources keep what took them time; made if missing.
 
     Raises:
@@ -44,7 +49,18 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
             f"dataset.root={root}: there is no such folder. Get it: {obtain}. If it lies elsewhere, give the folder "
             "above as data_root=… or once for all as $ENVGS_BENCH_DATA_ROOT, or the folder itself as dataset.root=…"
         )
-    return source({key: value for key, value in settings.items() if key != "obtain"}, Path(cache_dir))
+    stated = parse_settings(
+        SceneSettings, {key: settings[key] for key in SceneSettings.model_fields if key in settings}
+    )
+    scene = source(own_settings(settings), Path(cache_dir))
+    scene = with_validation(scene) if stated.validation else replace(scene, val=())
+    free_space, bounds = stated.free_space or scene.free_space, stated.bounds or scene.bounds
+    return replace(scene, free_space=free_space, bounds=bounds)
+
+
+def own_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Of a data set's settings those that its source is given: without what `load_scene` heeds itself."""
+    return {key: value for key, value in settings.items() if key not in ("obtain", *SceneSettings.model_fields)}
 
 
 def _source(kind: str) -> Source:

@@ -1,29 +1,35 @@
-"""What a data source raises, and settings that explain what is wrong with them."""
+"""Settings of data sources, which explain what is wrong with them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from .errors import DatasetError
+
+Length = Annotated[float, Field(ge=0, allow_inf_nan=False)]  # world units; 0 where unknown
 
 
-class DatasetError(ValueError):
-    """The data cannot be used: the message names the file or key and says what to do."""
-
-
-class SourceSettings(BaseModel):
-    """Base of every source's settings: unknown keys are refused, nothing changes after reading."""
+class SceneSettings(BaseModel):
+    """What holds for a scene from any source: `load_scene` itself heeds these settings, sources are not given them."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    validation: bool = False  # every eighth training view, from the fourth, is taken out: to choose settings by
+    free_space: Length = 0.0  # nothing is nearer than this to any camera
+    bounds: Length = 0.0  # half the edge of a cube around the world's origin that holds the surroundings
+
+
+class SourceSettings(SceneSettings):
+    """Base of every source's settings: unknown keys are refused, nothing changes after reading."""
+
     kind: str
     name: str | None = None  # in tables
-    free_space: float = 0.0  # nothing is nearer than this to any camera, world units
-    bounds: float = 0.0  # half the edge of a cube around the origin that holds the surroundings; 0: unknown
 
 
-Settings = TypeVar("Settings", bound=SourceSettings)
+Settings = TypeVar("Settings", bound=SceneSettings)
 
 
 def parse_settings(model: type[Settings], given: Mapping[str, Any]) -> Settings:

@@ -1,14 +1,20 @@
-"""Which views train and which test."""
+"""Which views train, which test, and which of the training views may validate."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
+from typing import TypeVar
 
-from envgs_bench.core import View
+from envgs_bench.core import Scene, View
 
-from .settings import DatasetError
+from .errors import DatasetError
+
+Item = TypeVar("Item")
 
 TEST_EVERY = 8
+VALIDATION_EVERY, FIRST_VALIDATION = 8, 3  # of the training views, in their order
 
 
 def split_views(views: list[View], source: str) -> tuple[list[View], list[View]]:
@@ -31,3 +37,31 @@ def split_views(views: list[View], source: str) -> tuple[list[View], list[View]]
         )
     train = [view for index, view in enumerate(ordered) if index % TEST_EVERY]
     return train, ordered[::TEST_EVERY]
+
+
+def validation_of(train: Sequence[Item]) -> list[Item]:
+    """Those of the training views, or of what they are made from, that may validate: every eighth, the fourth first."""
+    return list(train[FIRST_VALIDATION::VALIDATION_EVERY])
+
+
+def without_normals(views: Sequence[View]) -> list[View]:
+    """The views as scores are to see them where their normals are not exact."""
+    return [replace(view, normal=None) for view in views]
+
+
+def with_validation(scene: Scene) -> Scene:
+    """The scene with `val`, or else every eighth training view, taken out of the training views.
+
+    The latter without normals: nothing says that these are exact.
+
+    Raises:
+        DatasetError: there are too few training views.
+    """
+    val = scene.val or without_normals(validation_of(scene.train))
+    if not val:
+        raise DatasetError(
+            f"dataset.validation=true: {scene.name} has {len(scene.train)} training views, expected at least "
+            f"{FIRST_VALIDATION + 1}"
+        )
+    taken = {view.name for view in val}
+    return replace(scene, train=[view for view in scene.train if view.name not in taken], val=val)

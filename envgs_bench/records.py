@@ -16,6 +16,7 @@ SCHEMA_VERSION = 1
 RENDERS = "renders"  # the kind of a run that draws nothing itself
 
 Status = Literal["ok", "failed", "diverged", "out_of_memory", "timeout", "interrupted"]
+ScoredOn = Literal["test", "validation"]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Scores = dict[str, Finite | None]  # metric -> value; None where it could not be computed
 
@@ -56,7 +57,7 @@ class ViewScores(BaseModel):
 
 
 class Metrics(_Part):
-    """Scores over the full images of the test views; `mean` is unweighted over views."""
+    """Scores over the full images of the views in `Record.scored_on`; `mean` is unweighted over views."""
 
     mean: Scores
     per_view: list[ViewScores]
@@ -143,6 +144,7 @@ class Record(_Part):
     overrides: list[str]
     config: dict[str, Any]
     protocol: ProtocolName
+    scored_on: ScoredOn = "test"  # which views' scores and times these are
     metrics: Metrics | None = None
     masked: dict[str, MaskedScores] = {}
     timing: Timing | None = None

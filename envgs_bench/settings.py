@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+
+from envgs_bench.records import ScoredOn
 
 from .run_folder import CONFIG_NAME
 
@@ -47,6 +49,7 @@ class RunSettings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     method: MethodChoice
+    score_on: ScoredOn = "test"  # the views that are drawn, scored and timed
     dataset: dict[str, Any]  # name, kind and the data source's own settings: what `load_scene` takes
     protocol: str
     seed: Annotated[int, Field(ge=0, lt=2**32)]
@@ -72,9 +75,11 @@ class RunSettings(BaseModel):
 
     @field_validator("dataset", mode="after")
     @classmethod
-    def _with_kind(cls, node: dict[str, Any]) -> dict[str, Any]:
+    def _with_kind(cls, node: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
         if not isinstance(node.get("kind"), str):
             raise ValueError("needs a key `kind` that names the data source")
+        if info.data.get("score_on") == "validation":
+            node = {**node, "validation": True}
         return _with_absolute_paths(node)
 
     @property

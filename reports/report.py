@@ -42,8 +42,9 @@ class Report:
 def build_report(runs: Path, out: Path) -> Report:
     """Write index.html, table.csv, .md, .tex and .json, pareto.png, charts/ and pictures/ of all runs under `runs`.
 
-    Runs that different protocols scored or different devices timed never share a table: each pair has a section of its
-    own, and a table-<section>.csv of its own beside the first one's table.csv. Broken records are listed, not fatal.
+    Runs that different protocols scored or different devices timed never share a table, nor do test and validation
+    views: each group has a section of its own, and a table-<section>.csv of its own beside the first one's table.csv.
+    Broken records are listed, not fatal.
 
     Args:
         runs: a folder with runs at any depth.

@@ -12,9 +12,9 @@ from plyfile import PlyData, PlyElement
 
 from envgs_bench.core import Camera, Scene, View
 
-from ..blender import POINTS
+from ..errors import DatasetError
 from ..formats.transforms_json import OPENGL_TO_OPENCV
-from ..settings import DatasetError
+from ..sources.blender import POINTS
 from .files import ViewFiles, write_views
 
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from envgs_bench.core import Camera, Scene, View
 
-from ..settings import DatasetError
+from ..errors import DatasetError
 from ..split import TEST_EVERY, split_views
 from .files import ViewFiles, write_views
 from .rotation import exact_rotation

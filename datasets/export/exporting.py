@@ -10,7 +10,7 @@ from typing import Any
 
 from envgs_bench.core import Scene
 
-from ..settings import DatasetError
+from ..errors import DatasetError
 from .blender import write_blender
 from .colmap import write_colmap
 
@@ -38,6 +38,8 @@ def export_scene(scene: Scene, folder: Path, form: str) -> dict[str, Any]:
     """
     if form not in FORMATS:
         raise DatasetError(f"format {form!r} is unknown: expected one of {', '.join(FORMATS)}")
+    if scene.val:
+        raise DatasetError(f"{scene.name}: no format holds a validation split; export it with dataset.validation=false")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise DatasetError(f"{folder}: is there already; give a new or an empty folder")
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -48,4 +50,6 @@ def export_scene(scene: Scene, folder: Path, form: str) -> dict[str, Any]:
     finally:
         shutil.rmtree(part, ignore_errors=True)
     background = [float(channel) for channel in scene.background]
-    return {"root": str(folder.absolute()), "name": scene.name, "background": background, **settings}
+    facts = {"free_space": scene.free_space, "bounds": scene.bounds}
+    stated = {key: value for key, value in facts.items() if value}
+    return {"root": str(folder.absolute()), "name": scene.name, "background": background, **stated, **settings}

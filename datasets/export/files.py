@@ -13,7 +13,7 @@ from torch import Tensor
 
 from envgs_bench.core import View
 
-from ..store.progress import mapped
+from ..progress import mapped
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
+from numpy.typing import NDArray
 
-from ..paths import path_below
-from ..photographs.exposure import Observations
-from ..photographs.photograph import Photograph
-from ..photographs.siblings import Siblings
-from ..settings import DatasetError
+from ..errors import DatasetError
+from .names import path_below
+from .photograph import Photograph
 from .point_clouds import PointCloud, point_cloud
+from .siblings import Siblings
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Where one image shows points of the model."""
+
+    positions: NDArray[np.float64]  # [K, 2] x, y in pixels of the image that the model was made from
+    points: NDArray[np.int64]  # [K] which points
 
 
 @dataclass(frozen=True)

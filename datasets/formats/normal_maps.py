@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from envgs_bench.core import Camera
 
-from ..settings import DatasetError
+from ..errors import DatasetError
 from .pictures import read_header, read_picture
+from .srgb import to_linear
 
 Frame = Literal["world", "camera", "opengl"]  # camera: x right, y down, z forward; opengl: x right, y up, z backward
 Floats = NDArray[np.float32]
@@ -62,7 +63,7 @@ class NormalMap:
         signed = 2 * rgb - 1
         if not self.rendered or _share(_is_unit(signed), opaque) >= MOST:
             return _known(signed, opaque)
-        clamped = _linear(rgb)
+        clamped = to_linear(rgb)
         if _share(np.linalg.norm(clamped, axis=-1) < 1 + NEARLY_UNIT, opaque) < MOST:
             raise DatasetError(
                 f"{self.path}: holds neither rgb = 255·(n/2 + 1/2) nor sRGB of max(n, 0); "
@@ -112,8 +113,3 @@ def _share(which: NDArray[np.bool_], opaque: NDArray[np.bool_] | None) -> float:
     """The share of these pixels [H, W] among those that show something; 1 where none shows anything."""
     chosen = which if opaque is None else which[opaque]
     return float(chosen.mean()) if chosen.size else 1.0
-
-
-def _linear(rgb: Floats) -> Floats:
-    """IEC 61966-2-1, from sRGB to linear light."""
-    return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4).astype(np.float32)

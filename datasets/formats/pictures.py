@@ -1,4 +1,6 @@
-"""Pictures as files: their sizes and turns, and their pixels as bytes."""
+"""Pictures as files of anybody's, read as photographs, masks and normal maps need them: every mode that has a place in
+sRGB, turned where asked for, on a background where transparent. What is wrong with a file is said, nothing is guessed.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, ImageOps
 
-from ..settings import DatasetError
+from ..errors import DatasetError
 
 Bytes = NDArray[np.uint8]
 Color = tuple[float, float, float]

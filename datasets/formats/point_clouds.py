@@ -11,7 +11,7 @@ import torch
 from numpy.typing import ArrayLike
 from plyfile import PlyData, PlyParseError
 
-from ..settings import DatasetError
+from ..errors import DatasetError
 
 SH_BAND_0 = 0.28209479177387814  # √(1/4π)
 GRAY = 0.5

@@ -13,9 +13,9 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from ..paths import clean_name, listed, path_below
-from ..photographs.photograph import Photograph
-from ..settings import DatasetError
+from ..errors import DatasetError, listed
+from .names import clean_name, path_below
+from .photograph import Photograph
 from .pictures import EXTENSIONS, read_header
 
 FLAT_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")

@@ -13,19 +13,20 @@ remains, with a row a view. Only ratios are determined: the exposures' geometric
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 from scipy import sparse
 
+from ..errors import DatasetError, listed
+from ..formats.colmap_model import Observations
+from ..formats.photograph import Photograph
 from ..formats.pictures import Bytes, Color, read_picture
-from ..paths import listed
-from ..settings import DatasetError
-from ..store.cache import Draft
-from ..store.progress import mapped
-from .photograph import Photograph, fit_to_file
+from ..notes import note
+from ..progress import mapped
+from .fitting import fit_to_file
 
 PATCH_RADIUS = 3  # pixels around a point whose mean is its color
 DARKEST, BRIGHTEST = 10, 245  # bytes; beyond, a camera's curve or the sensor's limit distorts factors
@@ -34,18 +35,10 @@ LEAST_REST = 0.01  # below this logarithmic difference all rests weigh the same:
 ROUNDS = 20
 
 
-@dataclass(frozen=True)
-class Observations:
-    """Where one image shows points of the model."""
-
-    positions: NDArray[np.float64]  # [K, 2] x, y in pixels of the image that the model was made from
-    points: NDArray[np.int64]  # [K] which points
-
-
 def with_equal_exposure(
-    photographs: Sequence[Photograph], observations: Mapping[str, Observations], background: Color, draft: Draft
+    photographs: Sequence[Photograph], observations: Mapping[str, Observations], background: Color
 ) -> list[Photograph]:
-    """The photographs with the `gains` that make all exposures equal; the draft notes how far these reach.
+    """The photographs with the `gains` that make all exposures equal; how far these reach is noted.
 
     Args:
         observations: by the photographs' names.
@@ -66,7 +59,7 @@ def with_equal_exposure(
             "export it with its tracks (POINTS2D in images, TRACK in points3D), or set equalize_exposure=false"
         )
     exposures[~known] = 1
-    _note(photographs, exposures, known, draft)
+    _note_reach(photographs, exposures, known)
     return [replace(p, gains=tuple(own)) for p, own in zip(photographs, (1 / exposures).tolist(), strict=True)]
 
 
@@ -119,10 +112,10 @@ def _colors(
     return points[usable], colors[usable].astype(np.float64)
 
 
-def _note(photographs: Sequence[Photograph], exposures: NDArray, known: NDArray[np.bool_], draft: Draft) -> None:
+def _note_reach(photographs: Sequence[Photograph], exposures: NDArray, known: NDArray[np.bool_]) -> None:
     brightness = np.exp(np.log(exposures).mean(axis=1))
     text = f"exposures from {brightness.min():.2f} to {brightness.max():.2f} of their mean were made equal"
     unknown = [photograph.name for photograph, sure in zip(photographs, known, strict=True) if not sure]
     if unknown:
         text += f"; too few points say how these were exposed, which stay as they are: {listed(unknown)}"
-    draft.note(text)
+    note(text)

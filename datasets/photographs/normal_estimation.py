@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from envgs_bench.core import Camera, View
 from envgs_bench.import_path import load_import_path
 
+from ..errors import DatasetError
 from ..formats.normal_maps import world_normals
-from ..settings import DatasetError
-from ..store.cache import Draft
-from ..store.progress import report
+from ..progress import report
 
 Estimator = Callable[[NDArray[np.uint8], Camera], NDArray]  # sRGB [H, W, 3] -> camera frame [H, W, 3]
 
 
-def with_estimated_normals(views: Sequence[View], path: str | None, draft: Draft) -> list[View]:
-    """The views with the normals that the function at import path `path` sees in them; as they are where it is None.
+def with_estimated_normals(views: Sequence[View], path: str | None) -> Iterator[View]:
+    """The views with the normals that the function at import path `path` sees in them; as they are where it is None;
+    one after the other, each estimated when it is asked for.
 
     The function gets the picture [H, W, 3], sRGB bytes, and its camera, and returns [H, W, 3] in the camera's frame
     (x right, y down, z forward), of any length; what is shorter than ½ is unknown. It is called from one thread.
@@ -33,18 +33,18 @@ def with_estimated_normals(views: Sequence[View], path: str | None, draft: Draft
         DatasetError: it cannot be imported, fails, or returns something else; or the views have normals already.
     """
     if path is None:
-        return list(views)
+        yield from views
+        return
     if any(view.normal is not None for view in views):
         raise DatasetError(
             f"dataset.normal_estimator={path}: the training views have normals already; drop the estimator, or "
             "move the normals away"
         )
     estimate = _function(path)
-    result = []
-    for view in views:
-        result.append(replace(view, normal=draft.keep(_estimated(view, estimate, path))))
-        report("estimating normals", len(result), len(views))
-    return result
+    for done, view in enumerate(views, start=1):
+        estimated = replace(view, normal=_estimated(view, estimate, path))
+        report("estimating normals", done, len(views))
+        yield estimated
 
 
 def estimator_version(path: str | None) -> str | None:

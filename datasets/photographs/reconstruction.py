@@ -14,10 +14,10 @@ from typing import Literal
 
 import pycolmap
 
+from ..errors import DatasetError
 from ..formats.colmap_model import Model
 from ..formats.pictures import read_header
-from ..settings import DatasetError
-from ..store.progress import report
+from ..progress import report
 
 Matching = Literal["exhaustive", "sequential"]
 

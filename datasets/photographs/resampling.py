@@ -13,7 +13,7 @@ def resample(pixels: NDArray, width: int, height: int) -> NDArray[np.float32]:
     """The picture [H, W, C] at another size; each pixel is the mean of the area it covers, of the values as they are.
 
     Exact for sizes that do not divide, where Pillow's box filter takes whole pixels and so moves the picture by up to
-    half of one against its intrinsics.
+    half of one against its intrinsics. skimage.transform.resize_local_mean by sparse matrices instead of dense ones.
     """
     channels = pixels.shape[2]
     result = pixels.astype(np.float32)

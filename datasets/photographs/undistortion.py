@@ -1,4 +1,4 @@
-"""Undistortion: from any perspective or fisheye camera to a pinhole that sees the same."""
+"""Undistortion: from any perspective or fisheye camera to a pinhole that sees the same, and for masks back."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import pycolmap
 import torch
 from numpy.typing import NDArray
 
-from ..settings import DatasetError
+from ..errors import DatasetError
+
+Mask = NDArray[np.bool_]
 
 PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
 ROWS = 256  # of a map made at a time: bounds its memory
@@ -59,3 +61,33 @@ def _map(model: str, width: int, height: int, params: tuple[float, ...]) -> torc
         pixels = camera.img_from_cam(rays).reshape(*x.shape, 2)
         places[first : first + ROWS] = 2 * pixels / [width, height] - 1
     return torch.from_numpy(places)[None]
+
+
+def distorted(mask: Mask, camera: pycolmap.Camera) -> Mask:
+    """The mask [H, W] of the pinhole `undistorted_camera(camera)` as `camera` sees it, at the same scale."""
+    if camera.model.name in PINHOLES:
+        return mask
+    x, y = _places_seen(
+        camera.model.name, camera.width, camera.height, tuple(camera.params), mask.shape[1], mask.shape[0]
+    )
+    return (x >= 0) & mask[y, x]
+
+
+@lru_cache(maxsize=4)
+def _places_seen(
+    model: str, width: int, height: int, params: tuple[float, ...], mask_width: int, mask_height: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Column and row in the undistorted mask of each pixel of the distorted one; a column of −1 where it shows none."""
+    camera = pycolmap.Camera(model=model, width=width, height=height, params=list(params))
+    pinhole = undistorted_camera(camera)
+    scale = np.array([mask_width / pinhole.width, mask_height / pinhole.height])
+    rows = round(height * scale[1])
+    columns = round(width * rows / height)
+    y, x = np.mgrid[:rows, :columns] + 0.5
+    pixels = np.stack([x * width / columns, y * height / rows], axis=-1).reshape(-1, 2)
+    intrinsics = pinhole.calibration_matrix()
+    seen = np.asarray(camera.cam_from_img(pixels)) * intrinsics[[0, 1], [0, 1]] + intrinsics[:2, 2]
+    places = np.floor(seen * scale).reshape(rows, columns, 2)
+    inside = ((places >= 0) & (places < [mask_width, mask_height])).all(axis=-1)  # not where a number is none
+    found = np.where(inside[..., None], places, [-1, 0]).astype(np.int32)
+    return found[..., 0], found[..., 1]

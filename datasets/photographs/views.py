@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pycolmap
@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from envgs_bench.core import Camera, View
 
+from ..errors import DatasetError
 from ..formats.normal_maps import world_normals
+from ..formats.photograph import Photograph
 from ..formats.pictures import Color, read_mask, read_picture
-from ..settings import DatasetError
-from ..store.cache import Draft
-from ..store.progress import mapped
+from ..progress import streamed
 from .exposure import brightened
-from .photograph import Photograph, fit_to_files
 from .resampling import resample
 from .undistortion import PINHOLES, undistort, undistorted_camera
 
@@ -25,25 +24,23 @@ ALL_OF_IT = 0.999  # of a pixel, in floats
 ROUNDING = 1e-14  # of float64 numbers around 1, after some operations
 
 
-def make_views(
-    photographs: Sequence[Photograph],
-    downsample: float,  # ≥ 1: pictures are this many times smaller
-    background: Color,  # sRGB, behind transparent ones
-    draft: Draft,
-) -> list[View]:
-    """The photographs as views, in the given order.
+def read_views(photographs: Sequence[Photograph], downsample: float, background: Color) -> Iterator[View]:
+    """The photographs as views, in the given order, one after the other while others are read in parallel.
 
-    Pictures, masks and normals are undistorted, then shrunk by area; all in parallel, each kept in the draft as soon
-    as it is there.
+    Pictures, masks and normals are undistorted, then shrunk by area.
+
+    Args:
+        photographs: fitted to their files (`fit_to_files`).
+        downsample: ≥ 1: pictures are this many times smaller.
+        background: sRGB, behind transparent ones.
 
     Raises:
-        DatasetError: any file that cannot be read or does not fit; the message names it.
+        DatasetError: any file that cannot be read; the message names it.
     """
-    fitted = fit_to_files(photographs, draft)
-    return mapped("reading images", lambda photograph: _make_view(photograph, downsample, background, draft), fitted)
+    return streamed("reading images", lambda photograph: _view(photograph, downsample, background), photographs)
 
 
-def _make_view(photograph: Photograph, downsample: float, background: Color, draft: Draft) -> View:
+def _view(photograph: Photograph, downsample: float, background: Color) -> View:
     camera = _camera(photograph, downsample)
 
     def fitted(pixels: NDArray) -> torch.Tensor:
@@ -55,12 +52,12 @@ def _make_view(photograph: Photograph, downsample: float, background: Color, dra
     normal = None
     if photograph.normal is not None:
         vectors = photograph.normal.read(_opaque_at(opaque, *photograph.normal.size()))
-        normal = draft.keep(world_normals(fitted(vectors), camera, photograph.normal.frame))
+        normal = world_normals(fitted(vectors), camera, photograph.normal.frame)
     return View(
         name=photograph.view_name,
         camera=camera,
-        image=draft.keep(fitted(picture)),
-        masks={region: draft.keep(fitted(read_mask(path))) for region, path in photograph.masks.items()},
+        image=fitted(picture),
+        masks={region: fitted(read_mask(path)) for region, path in photograph.masks.items()},
         normal=normal,
     )
 

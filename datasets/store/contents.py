@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from .progress import mapped
+from ..progress import mapped
 
 Stamp = list[int]
 

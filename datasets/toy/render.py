@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from envgs_bench.core import Camera
 
-from .color import to_srgb
+from ..formats.srgb import to_srgb
 from .paths import radiance
 from .world import OFFSET, World, reflect
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from .color import to_linear
+from ..formats.srgb import to_linear
 from .textures import choose, noise
 
 Array = NDArray[np.floating[Any]]

@@ -13,10 +13,11 @@ from pydantic import Field
 
 from envgs_bench.core import Camera, Scene, View
 
+from ..progress import streamed
 from ..settings import SourceSettings, parse_settings
-from ..split import split_views
+from ..split import split_views, validation_of
 from ..store.cache import cached_scene
-from ..store.progress import mapped
+from ..store.scene_file import on_disk
 from .cameras import cameras_around
 from .lighting import bake
 from .normal_noise import noisy_normals
@@ -55,7 +56,8 @@ def load_toy(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     """A toy scene: pictures, exact normals and depth, the regions `reflective` and `near_field`, and a point cloud.
 
     Where there is glass, the region `transmissive` too. With `normal_noise` the training views' normals are an
-    estimator's (`normal_noise.noisy_normals`); the test views', which scores refer to, are exact in any case.
+    estimator's (`normal_noise.noisy_normals`); those of test and validation views, which scores refer
+    to, are exact in any case.
 
     Raises:
         DatasetError: an unknown key, or a value out of range.
@@ -78,13 +80,15 @@ def _make(choice: ToySettings, name: str) -> Scene:
     def make_view(index: int) -> View:
         return _view(world, cameras[index], f"{index:04d}", choice.supersampling, for_views[index])
 
-    views = mapped("tracing views", make_view, range(choice.views))
+    views = on_disk(streamed("tracing views", make_view, range(choice.views)))
     train, test = split_views(views, name)
+    val = validation_of(train)  # with exact normals, as test views
     points, colors = sfm_points(train, choice.noise, description.far_points, for_points)
     if choice.normal_noise:
-        train = [_with_estimated_normals(view, choice.normal_noise, for_normals) for view in train]
+        train = on_disk(_with_estimated_normals(view, choice.normal_noise, for_normals) for view in train)
     as_bytes = np.round(255 * colors) / 255  # a point's color has 8 bits wherever structure from motion stores it
-    return Scene(name, train, test, torch.from_numpy(points).float(), torch.from_numpy(as_bytes).float())
+    cloud = torch.from_numpy(points).float(), torch.from_numpy(as_bytes).float()
+    return Scene(name, train, test, *cloud, val=val)
 
 
 def _view(world: World, camera: Camera, name: str, supersampling: int, rng: np.random.Generator) -> View:

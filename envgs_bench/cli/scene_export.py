@@ -16,7 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 from envgs_bench.core import Camera, Scene
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.export import export_scene
-from envgs_bench.datasets.store.progress import listening
+from envgs_bench.datasets.progress import listening
 from envgs_bench.runs.display import make_display
 from envgs_bench.settings import SettingsError
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import torch
@@ -30,7 +31,10 @@ class View:
 
 @dataclass(frozen=True)
 class Scene:
-    """Training and test views of one scene, with the sparse points that structure from motion left."""
+    """Training and test views of one scene, with the sparse points that structure from motion left.
+
+    Lengths are in world units, and 0 where unknown.
+    """
 
     name: str
     train: list[View]
@@ -38,8 +42,9 @@ class Scene:
     points: Tensor  # [P, 3] world frame
     point_colors: Tensor  # [P, 3] in [0, 1], sRGB
     background: Tensor = field(default_factory=lambda: torch.zeros(3))  # [3] in [0, 1], behind everything
-    free_space: float = 0.0  # nothing is nearer than this to any camera, world units
-    bounds: float = 0.0  # half the edge of a cube around the origin that holds the surroundings; 0: unknown
+    val: Sequence[View] = ()  # taken out of the training views, to choose settings by
+    free_space: float = 0.0  # nothing is nearer than this to any camera
+    bounds: float = 0.0  # half the edge of a cube around the world's origin that holds the surroundings
 
     @property
     def radius(self) -> float:

@@ -46,6 +46,7 @@ class Draft:
             overrides=settings.overrides,
             config=settings.model_dump(mode="json"),
             protocol=ProtocolName(name=protocol.name, hash=protocol.hash, description=protocol.description),
+            scored_on=settings.score_on,
             metrics=results.metrics,
             masked=results.masked,
             timing=results.timing,

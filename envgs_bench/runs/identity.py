@@ -22,7 +22,7 @@ COMPRESSED = (".png", ".jpg", ".jpeg", ".webp")  # files that other pixels make 
 
 
 def run_id(settings: RunSettings, device: str) -> str:
-    """`seed<seed>-<hash8>`: equal where method, data, steps, seed, protocol, timing, device and code are equal.
+    """`seed<seed>-<hash8>`: equal where method, data, steps, seed, protocol, views, timing, device and code are equal.
 
     Where data lie does not count, what lies there does (names and contents of the files, of photographs and masks names
     and sizes, which tell as much where pixels are compressed; of renders the content): a corrected data set is a new
@@ -37,6 +37,7 @@ def run_id(settings: RunSettings, device: str) -> str:
         "steps": settings.steps,
         "seed": settings.seed,
         "protocol": settings.protocol,
+        "score_on": settings.score_on,
         "timing": settings.timing.model_dump(),
         "device": device,
         "vgg16": _has_vgg16(),

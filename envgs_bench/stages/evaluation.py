@@ -1,4 +1,4 @@
-"""Evaluation: draw the test views, keep the pictures, score them, over the full image and inside each region."""
+"""Evaluation: draw the scored views, keep the pictures, score them, over the full image and inside each region."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from envgs_bench.core import View
+from envgs_bench.core import Scene, View
 from envgs_bench.methods.method import Method
 from envgs_bench.metrics import Protocol
-from envgs_bench.records import MaskedScores, Metrics, Scores
+from envgs_bench.records import MaskedScores, Metrics, ScoredOn, Scores
 
 from .events import EventListener
 from .pictures import depth_unit, save_view
@@ -20,6 +20,11 @@ from .scoring import FULL, Pair, score_pairs
 from .training import Diverged
 
 NORMAL_METRIC = "normal_degrees"
+
+
+def scored_views(scene: Scene, score_on: ScoredOn) -> Sequence[View]:
+    """The views that a run draws, scores and times."""
+    return scene.val if score_on == "validation" else scene.test
 
 
 def evaluate(
@@ -44,7 +49,7 @@ def _drawn(method: Method, views: Sequence[View], folder: Path, report: EventLis
         image = rendering.color.cpu()
         if not torch.isfinite(image).all():
             share = float((~torch.isfinite(image)).float().mean())
-            raise Diverged(f"the render of test view {view.name} is not finite in {share:.1%} of its values")
+            raise Diverged(f"the render of view {view.name} is not finite in {share:.1%} of its values")
         save_view(folder, view, rendering, unit)
         yield Pair(view.name, image, view.rgb(), view.masks, _normal_errors(view, rendering.normal.cpu()))
 

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 
 from envgs_bench.core import Scene
+from envgs_bench.datasets.progress import listening
 from envgs_bench.datasets.registry import load_scene
-from envgs_bench.datasets.store.progress import listening
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
 from envgs_bench.metrics import Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
@@ -20,7 +20,7 @@ from envgs_bench.run_folder import CHECKPOINT, CURVE_NAME
 from envgs_bench.settings import RunSettings
 
 from .cost import cost_of
-from .evaluation import evaluate
+from .evaluation import evaluate, scored_views
 from .events import EventListener
 from .renders import score_renders
 from .results import Results
@@ -53,9 +53,10 @@ def execute(settings: RunSettings, folder: Path, results: Results, report: Event
             method.save(folder / CHECKPOINT)
     report({"stage": "preparing"})
     method.prepare()
-    results.metrics, results.masked = evaluate(method, scene.test, protocol, folder, report)
+    views = scored_views(scene, settings.score_on)
+    results.metrics, results.masked = evaluate(method, views, protocol, folder, report)
     report({"stage": "timing"})
-    results.timing = time_frames(method, scene.test, settings.timing)
+    results.timing = time_frames(method, views, settings.timing)
     results.cost = cost_of(method, training)
 
 
@@ -65,7 +66,9 @@ def _score_renders(
     """The run of a method whose pictures come from elsewhere: nothing is trained, drawn or timed."""
     results.steps = 0
     scene = _load(settings, results, report)
-    results.metrics, results.masked = score_renders(settings.method.settings, scene, protocol, folder, report)
+    views, background = scored_views(scene, settings.score_on), scene.background
+    scored = score_renders(settings.method.settings, views, background, protocol, folder, report)
+    results.metrics, results.masked = scored
 
 
 def _load(settings: RunSettings, results: Results, report: EventListener) -> Scene:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from envgs_bench.core import Scene, View
+from envgs_bench.core import View
 from envgs_bench.datasets import DatasetError
 from envgs_bench.datasets.formats.pictures import read_picture
 from envgs_bench.methods.settings import make_settings
@@ -43,21 +43,26 @@ class RendersSettings:
 
 
 def score_renders(
-    settings: Mapping[str, Any], scene: Scene, protocol: Protocol, folder: Path, report: EventListener
+    settings: Mapping[str, Any],
+    views: Sequence[View],
+    background: Tensor,
+    protocol: Protocol,
+    folder: Path,
+    report: EventListener,
 ) -> tuple[Metrics, dict[str, MaskedScores]]:
-    """Scores of the pictures that `settings` name as the scene's test views; a copy of each is left in `folder`.
+    """Scores of the pictures that `settings` name as `views`; a copy of each is left in `folder`.
 
     Raises:
         ValueError: an unknown setting.
         RendersError: files or views are left over, or a file cannot be taken for its view.
     """
     choice = make_settings(RendersSettings, settings, "method renders")
-    files = match_renders(Path(choice.path), choice.match, scene.test)
+    files = match_renders(Path(choice.path), choice.match, views)
 
     def pairs() -> Iterator[Pair]:
-        for number, view in enumerate(scene.test):
-            report({"stage": "scoring", "step": number, "steps": len(scene.test)})
-            image = read_render(files[view.name], scene.background)
+        for number, view in enumerate(views):
+            report({"stage": "scoring", "step": number, "steps": len(views)})
+            image = read_render(files[view.name], background)
             save_pair(folder, view, image, {})
             yield Pair(view.name, image, view.rgb(), view.masks)
 

@@ -55,7 +55,7 @@ def make_masks(run: Path, choice: MaskChoice, out: Path, device: str = "auto") -
     if not isinstance(method, ReflectiveMethod):
         raise ValueError(f"{run}: method {settings.method.name} knows no β; take a run of method=envgs")
     scene = load_scene(settings.dataset, settings.cache_dir)
-    views = sorted([*scene.train, *scene.test], key=lambda view: view.name)
+    views = sorted([*scene.train, *scene.val, *scene.test], key=lambda view: view.name)
     base = method.sets[BASE].parameters.gaussians().map(Tensor.detach)
     ball = choice.ball or foreground_ball([view.camera for view in scene.train])
     kept = reflecting(base, ball, choice.beta_min)

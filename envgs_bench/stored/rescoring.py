@@ -31,7 +31,7 @@ from envgs_bench.records import (
 from envgs_bench.run_folder import CURVE_NAME, PICTURES, mask_path, read_png, render_path, target_path
 from envgs_bench.runs.draft import now
 from envgs_bench.settings import read_settings
-from envgs_bench.stages.evaluation import evaluate
+from envgs_bench.stages.evaluation import evaluate, scored_views
 from envgs_bench.stages.renders import score_renders
 from envgs_bench.stages.scoring import FULL, Pair, score_pairs
 
@@ -67,12 +67,13 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
     if record.metrics is not None:
         settings = read_settings(run)
         scene = load_scene(settings.dataset, settings.cache_dir)
+        views = scored_views(scene, settings.score_on)
         if record.kind == RENDERS:
-            scores = score_renders(settings.method.settings, scene, protocol, out, _silent)
+            scores = score_renders(settings.method.settings, views, scene.background, protocol, out, _silent)
         else:
             _, method = reopen(run, device)
             method.prepare()
-            scores = evaluate(method, scene.test, protocol, out, _silent)
+            scores = evaluate(method, views, protocol, out, _silent)
     return _write(run, record, protocol, scores, out, "checkpoint", (CURVE_NAME,))
 
 

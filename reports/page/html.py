@@ -75,7 +75,7 @@ def _section(section: Section, index: int, data: dict[str, Any], galleries: Sequ
     return {
         "id": f"section-{index}",
         "title": section.title,
-        "short": f"{section.protocol.name}, {section.device}",
+        "short": section.short,
         "protocol": section.protocol,
         "device": section.device,
         "csv": section.csv_name(index),

@@ -73,9 +73,7 @@ def in_region(column: Column, region: str) -> Column:
 NORMALS = Column(
     "normal_degrees", "full", "normal °", 1, "lower", "normal error, degrees", "mean angle to the exact normals"
 )
-FRAME_MS = Column(
-    "frame_ms", "full", "frame ms", 2, "lower", "frame time, ms", "mean over test views of each view's median"
-)
+FRAME_MS = Column("frame_ms", "full", "frame ms", 2, "lower", "frame time, ms", "mean over views of each view's median")
 TRAIN_SECONDS = Column(
     "train_seconds", "full", "train s", 0, "lower", "training time, s", "training time without evaluation, s"
 )

@@ -13,13 +13,14 @@ QUIET_CORES = 0.2  # what others may use of a machine that counts as ours
 def caption(section: Section, table: Table) -> str:
     """Size and number of pictures of a data set, or the number of data sets of a mean."""
     if len(table.datasets) > 1:
-        return f"mean of {len(table.datasets)} data sets, complete rows only"
+        mean = f"mean of {len(table.datasets)} data sets, complete rows only"
+        return mean if section.scored_on == "test" else f"{mean}, {section.scored_on} views"
     records = [item.run.record for item in section.of(table.datasets[0]) if item.run.ok]
     sizes = sorted({f"{record.timing.width}×{record.timing.height}" for record in records if record.timing})
     views = sorted({len(record.metrics.per_view) for record in records if record.metrics})
     steps = sorted({record.steps for record in records if record.steps})  # none for pictures from elsewhere
     words = [f"{' and '.join(sizes)} pixels"] if sizes else []
-    words += [f"{' or '.join(map(str, views))} test views"] if views else []
+    words += [f"{' or '.join(map(str, views))} {section.scored_on} views"] if views else []
     words += [f"{' or '.join(f'{count:,}' for count in steps)} steps"] if steps else []
     return ", ".join(words)
 

@@ -1,4 +1,4 @@
-"""Section: the runs that may share a table, because one protocol scored them and one device timed them."""
+"""Section: the runs that may share a table, because one protocol scored the same views and one device timed them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import cached_property
 
 import pandas as pd
 
-from envgs_bench.records import ProtocolName
+from envgs_bench.records import ProtocolName, ScoredOn
 
 from ..numbers.estimates import Numbers
 from ..numbers.knobs import knobs
@@ -35,19 +35,29 @@ class LabeledRun:
 @dataclass(frozen=True)
 class Section:
     protocol: ProtocolName
+    scored_on: ScoredOn
     device: str
     runs: tuple[LabeledRun, ...]
     superseded: tuple[LabeledRun, ...]  # older runs of the same data set, method and seed
 
     @property
     def title(self) -> str:
-        return f"Protocol {self.protocol.name} ({self.protocol.hash}) on {self.device}"
+        return f"Protocol {self.protocol.name} ({self.protocol.hash}){self._views} on {self.device}"
 
     @property
     def slug(self) -> str:
         """A name for files, of letters, digits and dashes."""
-        words = f"{self.protocol.name} {self.protocol.hash[:8]} {self.device}"
+        words = f"{self.protocol.name} {self.protocol.hash[:8]}{self._views} {self.device}"
         return re.sub(r"[^a-z0-9]+", "-", words.lower()).strip("-")
+
+    @property
+    def short(self) -> str:
+        return f"{self.protocol.name}{self._views}, {self.device}"
+
+    @property
+    def _views(self) -> str:
+        """What names say of the views: test views go without saying."""
+        return "" if self.scored_on == "test" else f", {self.scored_on} views"
 
     def csv_name(self, index: int) -> str:
         """The file of the section's tidy table: the first one's has the plain name."""
@@ -145,14 +155,15 @@ class Section:
 
 
 def split_sections(runs: Sequence[Run]) -> list[Section]:
-    """Sections by protocol (name and hash) and device, the one with most runs first.
+    """Sections by protocol (name and hash), scored views (test or validation) and device, that with most runs first.
 
     Runs that took no times, as their pictures came from elsewhere, stand beside every device's.
     """
-    groups: dict[tuple[str, str], dict[str, list[Run]]] = {}
+    groups: dict[tuple[str, str, ScoredOn], dict[str, list[Run]]] = {}
     for run in runs:
-        protocol = run.record.protocol
-        groups.setdefault((protocol.name, protocol.hash), {}).setdefault(run.device, []).append(run)
+        record = run.record
+        devices = groups.setdefault((record.protocol.name, record.protocol.hash, record.scored_on), {})
+        devices.setdefault(run.device, []).append(run)
     sections = []
     for devices in groups.values():
         untimed = devices.pop(UNTIMED, [])
@@ -173,4 +184,5 @@ def _section(runs: list[Run], device: str) -> Section:
         if key in newest:
             superseded.append(newest[key])
         newest[key] = item
-    return Section(runs[0].record.protocol, device, tuple(newest.values()), tuple(superseded))
+    record = runs[0].record
+    return Section(record.protocol, record.scored_on, device, tuple(newest.values()), tuple(superseded))

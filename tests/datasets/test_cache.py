@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,13 @@ from captures import NAMES_OF_TEN, gradient, write_capture
 from PIL import Image
 
 from envgs_bench.core import Scene
-from envgs_bench.datasets import colmap, load_scene
+from envgs_bench.datasets import load_scene
+from envgs_bench.datasets.progress import streamed
+from envgs_bench.datasets.sources import colmap
 from envgs_bench.datasets.store import contents
-from envgs_bench.datasets.store.cache import Draft, cached_scene, drafted_scene
+from envgs_bench.datasets.store.cache import cached_scene
 from envgs_bench.datasets.store.contents import digest_of
+from envgs_bench.datasets.store.scene_file import GrowingFile, on_disk
 from envgs_bench.testing import tiny_scene
 
 
@@ -104,20 +108,19 @@ def test_scenes_are_mapped_and_stay_as_they_were_when_written_into(root: Path) -
     assert load(root).train[0].image.any()
 
 
-def test_what_a_draft_keeps_is_on_disk_at_once(tmp_path: Path) -> None:
+def test_views_are_on_disk_as_soon_as_they_are_made(tmp_path: Path) -> None:
     scene = tiny_scene()
     kept: list[torch.Tensor] = []
 
-    def make(draft: Draft) -> Scene:
-        images = [draft.keep(view.image) for view in scene.train]
+    def make() -> Scene:
+        train = on_disk(scene.train)
+        images = [view.image for view in train]
         kept.extend(images)
         (part,) = (tmp_path / "scenes").glob("*.part")
         assert part.stat().st_size >= sum(image.numel() for image in images)
-        return replace(
-            scene, train=[replace(view, image=image) for view, image in zip(scene.train, images, strict=True)]
-        )
+        return replace(scene, train=train)
 
-    again = [drafted_scene(tmp_path, "a", {}, make) for _ in range(2)]
+    again = [cached_scene(tmp_path, "a", {}, make) for _ in range(2)]
     for ours, theirs in zip(scene.train, again[1].train, strict=True):
         assert torch.equal(ours.image, theirs.image)
     cached_scene(tmp_path, "b", {}, lambda: scene)
@@ -126,15 +129,30 @@ def test_what_a_draft_keeps_is_on_disk_at_once(tmp_path: Path) -> None:
     assert all(torch.equal(a, view.image) for a, view in zip(kept, scene.train, strict=True))
 
 
+def test_no_more_is_read_ahead_than_two_views_a_core() -> None:
+    begun: list[int] = []
+
+    def read(index: int) -> int:
+        begun.append(index)
+        return index
+
+    results = streamed("reading", read, range(1000))
+    assert not begun
+    assert [next(results) for _ in range(10)] == list(range(10))
+    time.sleep(0.1)  # for the threads to run as far ahead as they may
+    assert len(begun) <= 9 + 2 * (os.cpu_count() or 1)
+    assert list(results) == list(range(10, 1000))
+
+
 def test_a_disk_that_fills_up_costs_the_cache_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = tiny_scene()
 
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Draft, "_append", full)
+    monkeypatch.setattr(GrowingFile, "_append", full)
     with pytest.warns(UserWarning, match="could not be cached .*No space left"):
-        made = drafted_scene(tmp_path, "a", {}, lambda draft: replace(scene, points=draft.keep(scene.points)))
+        made = cached_scene(tmp_path, "a", {}, lambda: replace(scene, train=on_disk(scene.train)))
     assert torch.equal(made.points, scene.points)
     assert not list((tmp_path / "scenes").glob("*"))
 

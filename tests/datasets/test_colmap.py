@@ -14,7 +14,8 @@ from captures import HEIGHT, OPENCV, POINTS, WIDTH, center_of, gradient, rotatio
 from PIL import Image
 
 from envgs_bench.core import Camera, Scene, View
-from envgs_bench.datasets import colmap, load_scene
+from envgs_bench.datasets import load_scene
+from envgs_bench.datasets.sources import colmap
 
 NAMES = [f"{index:03d}.png" for index in range(10)]
 

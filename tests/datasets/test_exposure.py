@@ -15,9 +15,8 @@ from PIL import Image
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import DatasetError, load_scene
-from envgs_bench.datasets.formats.colmap_model import Model
-from envgs_bench.datasets.photographs.exposure import Observations, brightened, view_offsets, with_equal_exposure
-from envgs_bench.datasets.store.cache import Draft
+from envgs_bench.datasets.formats.colmap_model import Model, Observations
+from envgs_bench.datasets.photographs.exposure import brightened, view_offsets, with_equal_exposure
 
 NAMES = [f"{index:03d}.png" for index in range(10)]
 EXPOSURES = np.exp(np.random.default_rng(3).normal(0, 0.15, (10, 3)))
@@ -99,7 +98,7 @@ def test_images_with_too_few_points_stay_as_they_are(root: Path, caplog: pytest.
     observations = model.observations()
     few = observations["004.png"]
     observations["004.png"] = Observations(few.positions[:5], few.points[:5])
-    equal = {p.name: p.gains for p in with_equal_exposure(photographs, observations, (0, 0, 0), Draft(root / "unused"))}
+    equal = {p.name: p.gains for p in with_equal_exposure(photographs, observations, (0, 0, 0))}
     assert equal["004.png"] == (1, 1, 1)
     assert "stay as they are: 004.png" in caplog.text
     ratio = np.array(equal["001.png"]) / np.array(equal["002.png"])
@@ -144,5 +143,5 @@ def test_what_a_real_capture_is_darkened_by_is_found_again(tmp_path: Path) -> No
 def gains_of(root: Path) -> np.ndarray:
     model = Model(root / "sparse/0")
     photographs, _ = model.photographs(root / "images")
-    equal = with_equal_exposure(photographs, model.observations(), (0, 0, 0), Draft(root / "unused"))
+    equal = with_equal_exposure(photographs, model.observations(), (0, 0, 0))
     return np.array([photograph.gains for photograph in equal])

@@ -12,7 +12,8 @@ from captures import HEIGHT, NAMES_OF_TEN, OPENCV, WIDTH, gradient, rotation_of,
 from PIL import Image
 
 from envgs_bench.core import Camera, Scene
-from envgs_bench.datasets import DatasetError, capture, load_scene
+from envgs_bench.datasets import DatasetError, load_scene
+from envgs_bench.datasets.sources import capture
 
 NORMAL = np.array([0.48, -0.36, -0.8])  # world frame, facing cameras that look along +z
 TO_OPENGL = np.diag([1.0, -1.0, -1.0])

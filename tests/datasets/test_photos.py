@@ -16,7 +16,7 @@ from scipy import ndimage
 from envgs_bench.core import Scene
 from envgs_bench.datasets import DatasetError, load_scene
 from envgs_bench.datasets.photographs.reconstruction import Reconstructor
-from envgs_bench.datasets.store.progress import listening
+from envgs_bench.datasets.progress import listening
 
 WIDTH, HEIGHT, FOCAL = 240, 180, 220.0
 VIEWS = 8

@@ -11,6 +11,7 @@ import pytest
 from captures import HEIGHT, NAMES_OF_TEN, WIDTH, gradient, write_capture
 from PIL import ExifTags, Image
 from scipy import ndimage
+from skimage.transform import resize_local_mean
 
 from envgs_bench.core import View
 from envgs_bench.datasets import DatasetError, load_scene
@@ -158,6 +159,13 @@ def test_resampling_is_the_area_mean() -> None:
         parts = picture.repeat(height, axis=0).repeat(width, axis=1)
         expected = parts.reshape(height, 12, width, 10, 2).mean(axis=(1, 3))
         np.testing.assert_allclose(resample(picture, width, height), expected, rtol=1e-5)
+
+
+def test_resampling_is_scikit_image_s_local_mean() -> None:
+    picture = np.random.default_rng(1).integers(0, 256, (91, 67, 3)).astype(np.uint8)
+    for width, height in ((17, 23), (50, 40), (67, 30)):
+        expected = resize_local_mean(picture.astype(np.float64), (height, width), preserve_range=True, channel_axis=-1)
+        np.testing.assert_allclose(resample(picture, width, height), expected, atol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -15,14 +15,14 @@ import yaml
 from envgs_bench import core
 from envgs_bench.core import Scene
 from envgs_bench.datasets import DatasetError, load_scene
-from envgs_bench.datasets.blender import BlenderSettings
-from envgs_bench.datasets.colmap import ColmapSettings
-from envgs_bench.datasets.photos import PhotosSettings
 from envgs_bench.datasets.settings import SourceSettings, parse_settings
+from envgs_bench.datasets.sources.blender import BlenderSettings
+from envgs_bench.datasets.sources.colmap import ColmapSettings
+from envgs_bench.datasets.sources.photos import PhotosSettings
+from envgs_bench.datasets.sources.transforms import TransformsSettings
 from envgs_bench.datasets.split import split_views
 from envgs_bench.datasets.store.cache import cached_scene
 from envgs_bench.datasets.toy import ToySettings
-from envgs_bench.datasets.transforms import TransformsSettings
 from envgs_bench.testing import tiny_scene
 
 MODELS: dict[str, type[SourceSettings]] = {

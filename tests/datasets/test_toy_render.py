@@ -9,8 +9,8 @@ import torch
 from toy_scenes import BLACK, GRAY, camera_at
 
 from envgs_bench.core import Camera
+from envgs_bench.datasets.formats.srgb import to_linear, to_srgb
 from envgs_bench.datasets.toy import lighting
-from envgs_bench.datasets.toy.color import to_linear, to_srgb
 from envgs_bench.datasets.toy.lathe import Lathe
 from envgs_bench.datasets.toy.paths import _lobe_samples, _microfacets, radiance
 from envgs_bench.datasets.toy.render import geometry, picture

@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 from reports_runs import (
     METHODS,
+    VIEWS,
     record,
     row_of,
     run_folder,
@@ -33,7 +34,7 @@ from envgs_bench.reports.tables.columns import MAIN_COLUMNS, over
 from envgs_bench.reports.tables.entries import entries
 from envgs_bench.reports.tables.latex import latex
 from envgs_bench.reports.tables.markdown import markdown
-from envgs_bench.reports.tables.notes import notes
+from envgs_bench.reports.tables.notes import caption, notes
 from envgs_bench.reports.tables.sections import Section
 from envgs_bench.reports.tables.structured import structured
 from envgs_bench.reports.tables.table import Table, build_table
@@ -174,6 +175,20 @@ def test_protocols_and_devices_never_share_a_table(tmp_path: Path) -> None:
     lengths = {path.name: len(path.read_text().splitlines()) for path in (tmp_path / "out").glob("table*.csv")}
     assert sorted(lengths) == sorted(s.csv_name(i) for i, s in enumerate(sections))
     assert lengths["table.csv"] == 1 + len(sections[0].tidy)
+
+
+def test_test_and_validation_views_never_share_a_table(tmp_path: Path) -> None:
+    write_runs(tmp_path / "runs", pictures=False)
+    write_runs(tmp_path / "runs/b", seeds=(0, 1), pictures=False, scored_on="validation")
+    sections = sections_of(tmp_path / "runs")
+    assert [(s.scored_on, len(s.runs)) for s in sections] == [("test", 12), ("validation", 8)]
+    assert all(row.attempts == 3 for table in sections[0].tables for row in table.rows)
+    test, validation = (caption(section, titled(section, ROOM)) for section in sections)
+    assert f"{VIEWS} test views" in test
+    assert f"{VIEWS} validation views" in validation
+    for text in (sections[1].title, sections[1].short, markdown(sections, [])):
+        assert "validation views" in text
+    assert sections[0].csv_name(1) != sections[1].csv_name(1)
 
 
 def test_pictures_from_elsewhere_stand_beside_every_device_without_times(tmp_path: Path) -> None:

@@ -45,6 +45,7 @@ def settings(**changes: Any) -> RunSettings:
         {"method": {"name": "2dgs", "kind": "3dgs", "settings": {"sh_degree": 2}}},
         {"dataset": {"name": None, "kind": "colmap", "root": "captures/fox", "width": 10}},
         {"protocol": "strict"},
+        {"score_on": "validation"},
         {"seed": 1},
         {"steps": 11},
         {"timing": {"frames": 51, "seconds": 1.0}},
@@ -52,6 +53,14 @@ def settings(**changes: Any) -> RunSettings:
 )
 def test_what_determines_the_result_changes_the_identity(changes: dict[str, Any]) -> None:
     assert run_id(settings(**changes), "cpu") != run_id(settings(), "cpu")
+
+
+def test_scoring_on_validation_views_takes_them_out_of_the_training_views() -> None:
+    chosen = settings(score_on="validation")
+    assert chosen.dataset["validation"] is True
+    assert "validation" not in settings().dataset
+    with pytest.raises(SettingsError, match="score_on='train'"):
+        settings(score_on="train")
 
 
 def test_the_device_and_the_code_change_the_identity(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -45,6 +45,7 @@ CONTENT = {
     "overrides": ["steps=10"],
     "config": {"steps": 10},
     "protocol": {"name": "envgs", "hash": "12345678", "description": "in words"},
+    "scored_on": "test",
     "metrics": {
         "mean": SCORES,
         "per_view": [{"view": "a", **SCORES, "normal_degrees": 3.5}],
@@ -88,6 +89,8 @@ def without(key: str) -> dict:
 def test_what_is_written_is_read(tmp_path: Path) -> None:
     path = write_record(tmp_path, Record.model_validate(CONTENT))
     assert json.loads(path.read_text()) == CONTENT
+    older = {key: value for key, value in CONTENT.items() if key != "scored_on"}
+    assert Record.model_validate(older).scored_on == "test"
     record = read_record(tmp_path)
     assert record == read_record(path)
     assert record.metrics.per_view[0].scores["normal_degrees"] == 3.5

@@ -72,7 +72,7 @@ def test_every_job_has_a_record_and_the_exit_status_says_that_some_failed(sweep:
         ("Hangs", "timeout", "TimeUp", "timeout_minutes=0.04 and was killed"),
         ("Nobody", "failed", "ValueError", "cannot be imported from fakes.methods:Nobody"),
         ("LosesItsLoss", "diverged", "Diverged", "not finite in 20 steps in a row, up to step 24"),
-        ("RendersNaN", "diverged", "Diverged", "the render of test view view0 is not finite"),
+        ("RendersNaN", "diverged", "Diverged", "the render of view view0 is not finite"),
     ],
 )
 def test_a_failure_has_its_status(sweep: Sweep, kind: str, status: str, error: str, message: str) -> None:

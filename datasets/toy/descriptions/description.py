@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..color import to_linear
+from ...formats.srgb import to_linear
 from ..shapes import Shape
 from ..world import Part
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...formats.srgb import to_linear
 from .. import textures as tex
-from ..color import to_linear
 from ..rod import Rod
 from ..shapes import Sphere, box
 from ..sky import panorama

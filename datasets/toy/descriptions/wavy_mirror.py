@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...formats.srgb import to_linear
 from .. import textures as tex
-from ..color import to_linear
 from ..shapes import box
 from ..sky import panorama
 from ..waves import Wave, Waves

@@ -1,72 +1,23 @@
-"""Photographs: pictures on disk with their cameras, before any pixel is read."""
+"""Fitting: cameras at the sizes of their photographs' files, and all that belongs together of one shape."""
 
 from __future__ import annotations
 
 import copy
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import chain
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
-import numpy as np
 import pycolmap
-from numpy.typing import NDArray
 
-from ..formats.normal_maps import Frame, NormalMap
+from ..errors import DatasetError, listed
+from ..formats.photograph import Photograph
 from ..formats.pictures import read_header
-from ..paths import listed
-from ..settings import DatasetError
-from ..store.cache import Draft
-from .siblings import Siblings, region_folders
+from ..notes import note
 
 
-@dataclass(frozen=True)
-class Photograph:
-    """One picture with a pose, and the files that belong to it."""
-
-    name: str  # as the data name it: a path, unique among the photographs
-    path: Path
-    camera: pycolmap.Camera  # of its file's size once fitted; may be distorted
-    camera_id: str  # photographs of one camera have one size
-    world_to_camera: NDArray[np.float64]  # [4, 4]
-    masks: dict[str, Path] = field(default_factory=dict)  # by region
-    normal: NormalMap | None = None
-    turned: bool = False  # EXIF's orientation is to be applied
-    gains: tuple[float, float, float] | None = None  # a channel, that its bytes are multiplied by
-
-    @property
-    def view_name(self) -> str:
-        """The name without its extension, in one piece: `left/1.jpg` is the view `left_1`."""
-        return PurePosixPath(self.name).with_suffix("").as_posix().replace("/", "_")
-
-
-def with_siblings(photographs: Sequence[Photograph], root: Path, frame: Frame) -> list[Photograph]:
-    """The photographs with the masks and normals that lie in folders below `root`, where there are such folders.
-
-    Raises as `with_masks`.
-    """
-    result = with_masks(photographs, root)
-    if (root / "normals").is_dir():
-        paths = Siblings(root / "normals").find_all(photograph.name for photograph in photographs)
-        result = [replace(p, normal=NormalMap(path, frame)) for p, path in zip(result, paths, strict=True)]
-    return result
-
-
-def with_masks(photographs: Sequence[Photograph], root: Path) -> list[Photograph]:
-    """The photographs with the masks below `root`; those that a photograph has already stay.
-
-    Raises:
-        DatasetError: a folder lacks a file for some of them, or holds several for one.
-    """
-    result = list(photographs)
-    for region, folder in region_folders(root).items():
-        paths = Siblings(folder).find_all(photograph.name for photograph in photographs)
-        result = [replace(p, masks={region: path, **p.masks}) for p, path in zip(result, paths, strict=True)]
-    return result
-
-
-def fit_to_files(photographs: Sequence[Photograph], draft: Draft) -> list[Photograph]:
+def fit_to_files(photographs: Sequence[Photograph]) -> list[Photograph]:
     """The photographs with their cameras at the sizes of their files, which may be reduced copies.
 
     Pixels are taken as they lie in the file, as COLMAP takes them, whatever its EXIF orientation says; unless the
@@ -79,7 +30,7 @@ def fit_to_files(photographs: Sequence[Photograph], draft: Draft) -> list[Photog
     _refuse_equal_names(photographs)
     fitted = [fit_to_file(photograph) for photograph in photographs]
     _refuse_mixed_sizes(fitted)
-    _check_siblings(fitted, draft)
+    _check_siblings(fitted)
     return fitted
 
 
@@ -129,8 +80,8 @@ def _same_shape(size: tuple[int, int], camera: pycolmap.Camera) -> bool:
     return abs(size[0] / camera.width - size[1] / camera.height) <= 1 / camera.width + 1 / camera.height
 
 
-def _check_siblings(photographs: Sequence[Photograph], draft: Draft) -> None:
-    """Masks and normals have their picture's shape; where they have another size, the draft notes it."""
+def _check_siblings(photographs: Sequence[Photograph]) -> None:
+    """Masks and normals have their picture's shape; where they have another size, that is noted."""
     others: dict[Path, list[str]] = defaultdict(list)
     for photograph in photographs:
         sizes = ((path, _size(path)) for path in photograph.masks.values())
@@ -145,7 +96,7 @@ def _check_siblings(photographs: Sequence[Photograph], draft: Draft) -> None:
             if size != (camera.width, camera.height):
                 others[path.parent].append(path.name)
     for folder, names in others.items():
-        draft.note(f"{folder}: resampled, being of another size than the images: {listed(sorted(names))}")
+        note(f"{folder}: resampled, being of another size than the images: {listed(sorted(names))}")
 
 
 def _size(path: Path) -> tuple[int, int]:

@@ -1,11 +1,11 @@
-"""Progress: what a data source is doing, for whoever shows it, and what it noticed, for the log."""
+"""Progress: how far a data source has come, for whoever shows it, and work on all cores that says so."""
 
 from __future__ import annotations
 
-import logging
 import os
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TypeVar
@@ -13,8 +13,6 @@ from typing import TypeVar
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Listener = Callable[[str, int, int], None]  # what is being done, how many of it are, of how many
-
-log = logging.getLogger("envgs_bench.datasets")
 
 _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
@@ -41,9 +39,25 @@ def mapped(stage: str, function: Callable[[Item], Result], items: Sequence[Item]
 
     The first exception ends it.
     """
-    results: list[Result] = []
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for result in pool.map(function, items):
-            results.append(result)
-            report(stage, len(results), len(items))
-    return results
+    return list(streamed(stage, function, items))
+
+
+def streamed(stage: str, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+    """As `mapped`, one result after the other; work begins with the first that is asked for.
+
+    No more than two results a core are ever waiting to be taken, so that they need not fit into memory together.
+    """
+    cores = os.cpu_count() or 1
+    pool = ThreadPoolExecutor(cores)
+    waiting: deque[Future[Result]] = deque()
+    begun = 0
+    try:
+        for taken in range(len(items)):
+            while begun < min(taken + 2 * cores, len(items)):
+                waiting.append(pool.submit(function, items[begun]))
+                begun += 1
+            result = waiting.popleft().result()
+            report(stage, taken + 1, len(items))
+            yield result
+    finally:
+        pool.shutdown(cancel_futures=True)

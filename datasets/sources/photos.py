@@ -10,19 +10,20 @@ from pydantic import Field
 
 from envgs_bench.core import Scene
 
+from ..errors import DatasetError, listed
+from ..formats.colmap_model import Model
+from ..formats.normal_maps import Frame
+from ..formats.photograph import Photograph
+from ..formats.pictures import EXTENSIONS, read_picture
+from ..formats.siblings import region_folders
+from ..notes import note
+from ..photographs.exposure import with_equal_exposure
+from ..photographs.reconstruction import LEAST_IMAGES, Matching, Reconstructor
+from ..photographs.siblings import with_siblings
+from ..progress import mapped
+from ..settings import parse_settings
+from ..store.contents import digest_of, files_in
 from .capture import PhotographSettings, cached_capture, make_scene, require_folder
-from .formats.colmap_model import Model
-from .formats.normal_maps import Frame
-from .formats.pictures import EXTENSIONS, read_picture
-from .paths import listed
-from .photographs.exposure import with_equal_exposure
-from .photographs.photograph import with_siblings
-from .photographs.reconstruction import LEAST_IMAGES, Matching, Reconstructor
-from .photographs.siblings import region_folders
-from .settings import DatasetError, parse_settings
-from .store.cache import Draft
-from .store.contents import digest_of, files_in
-from .store.progress import mapped
 
 VERSION = 3  # raise it with every change that alters a scene
 MODEL_VERSION = 1  # and this with every change that alters a reconstruction
@@ -53,24 +54,34 @@ def load_photos(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     """
     choice = parse_settings(PhotosSettings, settings)
     require_folder(choice.root)
-    images, files = images_of(choice)
-    names = [path.relative_to(images).as_posix() for path in files]
+    images, names = _images(choice)
 
-    def make(draft: Draft) -> Scene:
-        model = model_of(choice, images, names, cache_dir)
-        _judge(choice, images, names, model.image_names, draft)
+    def make() -> Scene:
+        model = _model(choice, images, names, cache_dir)
+        _judge(choice, images, names, model.image_names)
         found, _ = model.photographs(images)
         if choice.equalize_exposure:
-            found = with_equal_exposure(found, model.observations(), choice.background, draft)
+            found = with_equal_exposure(found, model.observations(), choice.background)
         photographs = with_siblings(found, choice.root, choice.normals_frame)
-        return make_scene(choice, photographs, model.points(), images, draft)
+        return make_scene(choice, photographs, model.points(), images)
 
     siblings = files_in([*region_folders(choice.root).values(), choice.root / "normals"])
-    return cached_capture(choice, VERSION, [*files, *siblings], cache_dir, make)
+    return cached_capture(choice, VERSION, [*(images / name for name in names), *siblings], cache_dir, make)
 
 
-def images_of(choice: PhotosSettings) -> tuple[Path, list[Path]]:
-    """The images' folder, and its images in the order of their names; below `root` itself, subfolders do not count."""
+def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photograph]:
+    """What `load_photos` makes its views from, as they were taken."""
+    choice = parse_settings(PhotosSettings, settings)
+    images, names = _images(choice)
+    return _model(choice, images, names, cache_dir).photographs(images)[0]
+
+
+def _images(choice: PhotosSettings) -> tuple[Path, list[str]]:
+    """The images' folder, and its images' paths below it, in their order; below `root` itself, subfolders do not count.
+
+    Raises:
+        DatasetError: there is no such folder, or too few images in it.
+    """
     root = choice.root
     folder = root / (choice.images or ("images" if (root / "images").is_dir() else "."))
     if not folder.is_dir():
@@ -82,10 +93,10 @@ def images_of(choice: PhotosSettings) -> tuple[Path, list[Path]]:
             f"{folder}: holds {len(files)} images, expected {LEAST_IMAGES} at least, and better 20 or more; known are "
             f"{', '.join(name for name in EXTENSIONS if name.islower())}"
         )
-    return folder, files
+    return folder, [path.relative_to(folder).as_posix() for path in files]
 
 
-def model_of(choice: PhotosSettings, images: Path, names: Sequence[str], cache_dir: Path) -> Model:
+def _model(choice: PhotosSettings, images: Path, names: Sequence[str], cache_dir: Path) -> Model:
     """The images' model, from the cache or made now."""
     _check_decodable([images / name for name in names], choice)
     contents = digest_of([images / name for name in names], choice.root, cache_dir)
@@ -103,7 +114,7 @@ def _check_decodable(files: Sequence[Path], choice: PhotosSettings) -> None:
     mapped("checking images", check, files)
 
 
-def _judge(choice: PhotosSettings, images: Path, names: Sequence[str], placed: Sequence[str], draft: Draft) -> None:
+def _judge(choice: PhotosSettings, images: Path, names: Sequence[str], placed: Sequence[str]) -> None:
     share = len(placed) / len(names)
     text = f"{images}: structure from motion placed {len(placed)} of {len(names)} images"
     left_out = sorted(set(names) - set(placed))
@@ -113,4 +124,4 @@ def _judge(choice: PhotosSettings, images: Path, names: Sequence[str], placed: S
             f"{listed(left_out)}. Take more that overlap and show texture, try dataset.matching=exhaustive or a larger "
             "dataset.feature_size, or lower dataset.min_registered"
         )
-    draft.note(f"{text}; left out: {listed(left_out)}" if left_out else text)
+    note(f"{text}; left out: {listed(left_out)}" if left_out else text)

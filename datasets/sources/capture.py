@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,15 +11,18 @@ from pydantic import Field
 
 from envgs_bench.core import Scene
 
-from .formats.point_clouds import PointCloud, far_points
-from .paths import listed
-from .photographs.normal_estimation import estimator_version, with_estimated_normals
-from .photographs.photograph import Photograph
-from .photographs.views import make_views
-from .settings import DatasetError, SourceSettings
-from .split import split_views
-from .store.cache import Draft, drafted_scene
-from .store.contents import digest_of
+from ..errors import DatasetError, listed
+from ..formats.photograph import Photograph
+from ..formats.point_clouds import PointCloud, far_points
+from ..notes import note
+from ..photographs.fitting import fit_to_files
+from ..photographs.normal_estimation import estimator_version, with_estimated_normals
+from ..photographs.views import read_views
+from ..settings import SourceSettings
+from ..split import split_views, validation_of, without_normals
+from ..store.cache import cached_scene
+from ..store.contents import digest_of
+from ..store.scene_file import on_disk
 
 Missing = Literal["refuse", "skip"]
 Channel = Annotated[float, Field(ge=0, le=1)]
@@ -47,7 +49,7 @@ class PhotographSettings(CaptureSettings):
 
 
 def cached_capture(
-    settings: CaptureSettings, version: int, files: Iterable[Path], cache_dir: Path, make: Callable[[Draft], Scene]
+    settings: CaptureSettings, version: int, files: Iterable[Path], cache_dir: Path, make: Callable[[], Scene]
 ) -> Scene:
     """The scene that `make` makes of these settings and files, from the cache where both are the same as before.
 
@@ -62,7 +64,7 @@ def cached_capture(
         "contents": digest_of((path for path in files if path.is_file()), settings.root, cache_dir),
         "estimator": estimator_version(settings.normal_estimator),
     }
-    return drafted_scene(cache_dir, settings.scene_name, key, make)
+    return cached_scene(cache_dir, settings.scene_name, key, make)
 
 
 def files_of(photographs: Iterable[Photograph]) -> list[Path]:
@@ -85,7 +87,7 @@ def require_folder(root: Path) -> None:
         raise DatasetError(f"dataset.root={root}: there is no such folder")
 
 
-def refuse_missing(how: Missing, named: int, missing: Sequence[str], source: Path, draft: Draft) -> None:
+def refuse_missing(how: Missing, named: int, missing: Sequence[str], source: Path) -> None:
     """Refuse, or else note, that images which `source` names are not there.
 
     Raises:
@@ -95,23 +97,25 @@ def refuse_missing(how: Missing, named: int, missing: Sequence[str], source: Pat
         return
     text = f"{source}: {len(missing)} of {named} images that it names are not there: {listed(list(missing))}"
     if how == "skip" and len(missing) < named:
-        draft.note(f"{text}; left out")
+        note(f"{text}; left out")
         return
     raise DatasetError(f"{text}; put them back, or name their folder with dataset.images, or set dataset.missing=skip")
 
 
 def make_scene(
-    settings: PhotographSettings, photographs: Sequence[Photograph], cloud: PointCloud, source: Path, draft: Draft
+    settings: PhotographSettings, photographs: Sequence[Photograph], cloud: PointCloud, source: Path
 ) -> Scene:
     """The scene of these photographs, every eighth of which tests; `source` names them in errors.
 
-    Test views keep their normals only where these are exact: scores refer to them.
+    Views that are scored keep their normals only where these are exact.
     """
-    views = make_views(photographs, settings.downsample, settings.background, draft)
+    fitted = fit_to_files(photographs)
+    views = on_disk(read_views(fitted, settings.downsample, settings.background))
     train, test = split_views(views, str(source))
-    train = with_estimated_normals(train, settings.normal_estimator, draft)
+    val = validation_of(train)
     if not settings.exact_normals:
-        test = [replace(view, normal=None) for view in test]
+        val, test = without_normals(val), without_normals(test)
+    train = on_disk(with_estimated_normals(train, settings.normal_estimator))
     far = far_points(torch.stack([view.camera.center for view in train]), settings.far_points)
     points, colors = (torch.cat(parts) for parts in zip(cloud, far, strict=True))
-    return Scene(settings.scene_name, train, test, points, colors, torch.tensor(settings.background))
+    return Scene(settings.scene_name, train, test, points, colors, torch.tensor(settings.background), val)

@@ -1,13 +1,11 @@
-"""Paths as data files name them: they must stay below the data's folder."""
+"""Names of files as data files give them: they must stay below the data's folder."""
 
 from __future__ import annotations
 
 import posixpath
 from pathlib import Path
 
-from .settings import DatasetError
-
-NAMED_AT_MOST = 5  # files in an error
+from ..errors import DatasetError
 
 
 def path_below(folder: Path, name: str, source: Path) -> Path:
@@ -27,8 +25,3 @@ def clean_name(name: str, source: Path) -> str:
     if clean.startswith(("/", "../")) or clean == ".." or clean[1:2] == ":":
         raise DatasetError(f"{source}: names a file outside its folder, {name!r}; write paths relative to the folder")
     return clean
-
-
-def listed(names: list[str]) -> str:
-    """The first few names, for an error."""
-    return ", ".join(names[:NAMED_AT_MOST]) + (" …" if len(names) > NAMED_AT_MOST else "")

@@ -8,17 +8,18 @@ from typing import Any, Literal
 
 from envgs_bench.core import Scene
 
+from ..errors import DatasetError, listed
+from ..formats.colmap_model import Model
+from ..formats.normal_maps import Frame
+from ..formats.photograph import Photograph
+from ..formats.pictures import EXTENSIONS
+from ..formats.siblings import Siblings, region_folders
+from ..notes import note
+from ..photographs.exposure import with_equal_exposure
+from ..photographs.siblings import with_siblings
+from ..settings import parse_settings
+from ..store.contents import files_in
 from .capture import Missing, PhotographSettings, cached_capture, make_scene, refuse_missing, require_folder
-from .formats.colmap_model import Model
-from .formats.normal_maps import Frame
-from .formats.pictures import EXTENSIONS
-from .paths import listed
-from .photographs.exposure import with_equal_exposure
-from .photographs.photograph import Photograph, with_siblings
-from .photographs.siblings import Siblings, region_folders
-from .settings import DatasetError, parse_settings
-from .store.cache import Draft
-from .store.contents import files_in
 
 VERSION = 4  # raise it with every change that alters a scene
 
@@ -54,21 +55,27 @@ def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     images = root / choice.images
     if not images.is_dir():
         raise DatasetError(f"{root}: has no folder {choice.images}/; name the images' folder with dataset.images=…")
-    model = model_of(choice)
+    model = _model(choice)
     files = files_in([model.folder, images, *region_folders(root).values(), root / "normals"])
 
-    def make(draft: Draft) -> Scene:
+    def make() -> Scene:
         found, missing = model.photographs(images)
-        refuse_missing(choice.missing, len(found) + len(missing), missing, model.folder, draft)
-        _note_without_pose(images, found, draft)
+        refuse_missing(choice.missing, len(found) + len(missing), missing, model.folder)
+        _note_without_pose(images, found)
         if choice.equalize_exposure:
-            found = with_equal_exposure(found, model.observations(), choice.background, draft)
-        return make_scene(choice, with_siblings(found, root, choice.normals_frame), model.points(), images, draft)
+            found = with_equal_exposure(found, model.observations(), choice.background)
+        return make_scene(choice, with_siblings(found, root, choice.normals_frame), model.points(), images)
 
     return cached_capture(choice, VERSION, files, cache_dir, make)
 
 
-def model_of(choice: ColmapSettings) -> Model:
+def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photograph]:
+    """What `load_colmap` makes its views from, as they were taken."""
+    choice = parse_settings(ColmapSettings, settings)
+    return _model(choice).photographs(choice.root / choice.images)[0]
+
+
+def _model(choice: ColmapSettings) -> Model:
     wanted = [choice.model] if choice.model else ["sparse/0", "sparse"]
     for model in (Model(choice.root / below) for below in wanted):
         if model.exists:
@@ -79,9 +86,9 @@ def model_of(choice: ColmapSettings) -> Model:
     )
 
 
-def _note_without_pose(images: Path, photographs: list[Photograph], draft: Draft) -> None:
+def _note_without_pose(images: Path, photographs: list[Photograph]) -> None:
     """Structure from motion leaves out images that it cannot place; that there are some is worth knowing."""
     used = {photograph.path for photograph in photographs}
     others = [path.name for path in Siblings(images).files if path not in used and path.suffix.lower() in EXTENSIONS]
     if others:
-        draft.note(f"{images}: {len(others)} images have no pose in the model and are left out: {listed(others)}")
+        note(f"{images}: {len(others)} images have no pose in the model and are left out: {listed(others)}")

@@ -11,14 +11,15 @@ from pydantic import Field
 
 from envgs_bench.core import Scene
 
+from ..errors import DatasetError
+from ..formats.names import path_below
+from ..formats.normal_maps import Frame
+from ..formats.photograph import Photograph
+from ..formats.point_clouds import PointCloud, random_points, read_ply
+from ..formats.transforms_json import FrameFile, read_frames, without_common_folder
+from ..photographs.siblings import with_siblings
+from ..settings import parse_settings
 from .capture import Missing, PhotographSettings, cached_capture, files_of, make_scene, refuse_missing, require_folder
-from .formats.normal_maps import Frame
-from .formats.point_clouds import PointCloud, random_points, read_ply
-from .formats.transforms_json import FrameFile, read_frames, without_common_folder
-from .paths import path_below
-from .photographs.photograph import Photograph, with_siblings
-from .settings import DatasetError, parse_settings
-from .store.cache import Draft
 
 VERSION = 3  # raise it with every change that alters a scene
 NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # of instant-ngp, whose box [0, 1]³ is grown by aabb_scale around its middle
@@ -54,20 +55,26 @@ def load_transforms(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     root = choice.root
     require_folder(root)
     file = read_frames(path_below(root, choice.file, root))
-    found, missing = photographs_of(file, choice)
+    found, missing = _photographs(file, choice)
     photographs = with_siblings(found, root, choice.normals_frame)
     ply = path_below(root, str(file.shared["ply_file_path"]), file.path) if file.shared.get("ply_file_path") else None
 
-    def make(draft: Draft) -> Scene:
-        refuse_missing(choice.missing, len(file.frames), missing, file.path, draft)
+    def make() -> Scene:
+        refuse_missing(choice.missing, len(file.frames), missing, file.path)
         cloud = read_ply(ply) if ply else _random_points(choice, file)
-        return make_scene(choice, photographs, cloud, file.path, draft)
+        return make_scene(choice, photographs, cloud, file.path)
 
     files = [file.path, *([ply] if ply else []), *files_of(photographs)]
     return cached_capture(choice, VERSION, files, cache_dir, make)
 
 
-def photographs_of(file: FrameFile, choice: TransformsSettings) -> tuple[list[Photograph], list[str]]:
+def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photograph]:
+    """What `load_transforms` makes its views from."""
+    choice = parse_settings(TransformsSettings, settings)
+    return _photographs(read_frames(path_below(choice.root, choice.file, choice.root)), choice)[0]
+
+
+def _photographs(file: FrameFile, choice: TransformsSettings) -> tuple[list[Photograph], list[str]]:
     """The photographs, named by their paths below the folder that all share, and the names of those not there."""
     found, missing = file.photographs(choice.images)
     names = without_common_folder([photograph.name for photograph in found])

@@ -1,0 +1,32 @@
+"""Photographs: pictures on disk with their cameras, before any pixel is read; what files of poses are read into."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from .normal_maps import NormalMap
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """One picture with a pose, and the files that belong to it."""
+
+    name: str  # as the data name it: a path, unique among the photographs
+    path: Path
+    camera: pycolmap.Camera  # of its file's size once fitted; may be distorted
+    camera_id: str  # photographs of one camera have one size
+    world_to_camera: NDArray[np.float64]  # [4, 4]
+    masks: dict[str, Path] = field(default_factory=dict)  # by region
+    normal: NormalMap | None = None
+    turned: bool = False  # EXIF's orientation is to be applied
+    gains: tuple[float, float, float] | None = None  # a channel, that its bytes are multiplied by
+
+    @property
+    def view_name(self) -> str:
+        """The name without its extension, in one piece: `left/1.jpg` is the view `left_1`."""
+        return PurePosixPath(self.name).with_suffix("").as_posix().replace("/", "_")

@@ -1,0 +1,1 @@
+"""Data sources of pictures on disk, a file each; `capture` is what they share."""

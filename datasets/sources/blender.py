@@ -1,0 +1,98 @@
+"""Blender scenes: rendered objects with their split, as NeRF's and Ref-NeRF's synthetic data sets have them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import torch
+from pydantic import Field
+
+from envgs_bench.core import Scene
+
+from ..formats.normal_maps import NormalMap
+from ..formats.photograph import Photograph
+from ..formats.point_clouds import PointCloud, random_points, read_ply
+from ..formats.transforms_json import read_frames
+from ..photographs.fitting import fit_to_files
+from ..photographs.normal_estimation import with_estimated_normals
+from ..photographs.siblings import with_masks
+from ..photographs.views import read_views
+from ..settings import parse_settings
+from ..split import validation_of, without_normals
+from ..store.scene_file import on_disk
+from .capture import CaptureSettings, Channel, Missing, cached_capture, files_of, refuse_missing, require_folder
+
+VERSION = 2  # raise it with every change that alters a scene
+TRANSFORMS = ("transforms_train.json", "transforms_test.json")
+POINTS = "points3d.ply"  # what 3DGS writes beside such a scene
+
+
+class BlenderSettings(CaptureSettings):
+    """Settings of `kind: blender`."""
+
+    kind: Literal["blender"]
+    background: tuple[Channel, Channel, Channel] = (1.0, 1.0, 1.0)  # sRGB
+    missing: Missing = "refuse"  # images that the files name and that are not there
+    random_points: Annotated[int, Field(ge=1)] = 100_000  # where there is no points3d.ply
+    random_box: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.3  # they fill [-box, box] cubed
+    train_normals: bool = False  # learn from exact normals too, where there are any; scores always refer to them
+
+
+def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
+    """A rendered scene, split as its files say.
+
+        transforms_train.json, transforms_test.json   camera_angle_x; file_path and transform_matrix of each frame
+        train/…, test/…                               the pictures; transparent ones are laid on `background`
+        train/…, test/<view>_normal.png or .npy       optional: exact normals, world frame
+        masks/…, masks_<region>/…                     optional, as masks/test/r_0.png
+        points3d.ply                                  optional: points to start from
+
+    Raises:
+        DatasetError: anything missing, unreadable or contradictory; the message names the file or key.
+    """
+    choice = parse_settings(BlenderSettings, settings)
+    root = choice.root
+    require_folder(root)
+    paths = [root / name for name in TRANSFORMS]
+    files = [read_frames(path) for path in paths]
+    found = [file.photographs() for file in files]
+    learned, tested = (photographs for photographs, _ in found)
+    scored = {photograph.name for photograph in validation_of(learned)}
+    learned = [_with_normal(p) if choice.train_normals or p.name in scored else p for p in learned]
+    photographs = with_masks([*learned, *map(_with_normal, tested)], root)
+
+    def make() -> Scene:
+        for file, (_, missing) in zip(files, found, strict=True):
+            refuse_missing(choice.missing, len(file.frames), missing, file.path)
+        cloud = read_ply(root / POINTS) if (root / POINTS).is_file() else _random_points(choice)
+        views = on_disk(read_views(fit_to_files(photographs), choice.downsample, choice.background))
+        train, test = views[: len(learned)], views[len(learned) :]
+        val = validation_of(train)
+        if not choice.train_normals:
+            train = without_normals(train)
+        train = on_disk(with_estimated_normals(train, choice.normal_estimator))
+        return Scene(choice.scene_name, train, test, *cloud, torch.tensor(choice.background), val)
+
+    return cached_capture(choice, VERSION, [*paths, root / POINTS, *files_of(photographs)], cache_dir, make)
+
+
+def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photograph]:
+    """What `load_blender` makes its views from."""
+    root = parse_settings(BlenderSettings, settings).root
+    return [photograph for name in TRANSFORMS for photograph in read_frames(root / name).photographs()[0]]
+
+
+def _random_points(choice: BlenderSettings) -> PointCloud:
+    return random_points(choice.random_points, (0.0, 0.0, 0.0), choice.random_box)
+
+
+def _with_normal(photograph: Photograph) -> Photograph:
+    """The photograph with the normals that lie beside its picture, where they do."""
+    stem = photograph.path.with_suffix("").name
+    candidates = [photograph.path.with_name(f"{stem}_normal{extension}") for extension in (".npy", ".png")]
+    candidates += sorted(photograph.path.parent.glob(f"{stem}_normal_*.png"))  # with Blender's number of the frame
+    path = next((candidate for candidate in candidates if candidate.is_file()), None)
+    return replace(photograph, normal=NormalMap(path, rendered=True) if path else None)
