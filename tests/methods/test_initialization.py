@@ -7,7 +7,13 @@ import torch
 
 from envgs_bench.core import Scene
 from envgs_bench.methods.envgs import EnvGSSettings, environment_box
-from envgs_bench.methods.initialization import initial_tensors, neighbor_distance, quantile_box, random_points_in_grid
+from envgs_bench.methods.initialization import (
+    initial_tensors,
+    neighbor_distance,
+    quantile_box,
+    random_points_in_grid,
+    random_points_on_sphere,
+)
 
 
 def test_neighbor_distance_on_a_lattice():
@@ -58,6 +64,17 @@ def test_every_cell_of_the_grid_gets_its_points():
     counts = torch.bincount(cell @ torch.tensor([16, 4, 1]), minlength=64)
     assert points.shape == (192, 3)
     assert torch.equal(counts, torch.full((64,), 3))
+
+
+def test_points_on_a_sphere_lie_on_it_in_every_direction():
+    center = torch.tensor([1.0, -2.0, 3.0])
+    points = random_points_on_sphere(center, 4.0, 4000, torch.Generator().manual_seed(0))
+    torch.testing.assert_close((points - center).norm(dim=1), torch.full((4000,), 4.0))
+    # Uniform directions: each coordinate is uniform in [−4, 4] (Archimedes), its mean within four standard errors of 0.
+    coordinates = (points - center) / 4
+    assert coordinates.mean(0).abs().max() < 4 / (3 * 4000) ** 0.5
+    assert abs(float((coordinates[:, 2].abs() < 0.5).float().mean()) - 0.5) < 4 * 0.5 / 4000**0.5
+    assert random_points_on_sphere(center, 4.0, 0, torch.Generator()).shape == (0, 3)
 
 
 @pytest.mark.parametrize("axes", [2, 3])

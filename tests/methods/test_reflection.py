@@ -108,6 +108,16 @@ def test_the_environment_grows_by_the_bases_rule_but_for_its_threshold_and_its_c
     assert (env.min_coverage, env.min_views) == (2.0, 4.0)
 
 
+def test_the_views_own_normals_count_where_something_reflects():
+    beta = torch.zeros(HEIGHT, WIDTH)
+    beta[0, :4] = torch.tensor([0.001, 0.05, 0.1, 0.7])
+    shown = mirror(make_camera(), torch.tensor([0.0, 0.0, -1.0]), -4.0)
+    rendering = make_rendering(shown.depth, shown.normal, shown.alpha, beta)
+    weights = EnvMap(EnvMapSettings(envmap_size=4, initial_beta=0.1, mono_floor=0.2)).mono_weights(rendering)
+    torch.testing.assert_close(weights[0, :5], torch.tensor([0.2, 0.5, 1.0, 1.0, 0.2]))
+    assert EnvMap(EnvMapSettings(envmap_size=4, mono_floor=1.0)).mono_weights(rendering) is None
+
+
 def initialized(steps: int, **settings) -> tuple[EnvMap, View]:
     """An environment-map method after `initialize` over three points, and the view that it trains on."""
     method = create_method("envmap", settings)

@@ -197,6 +197,36 @@ def test_cameras_at_one_place_still_have_a_scale(scene):
     assert method.radius > 0.1
 
 
+@pytest.mark.parametrize(("pixels", "most", "expected"), [(4.0, 1000, 540), (4.0, 300, 300), (10.0, 1000, 250)])
+def test_the_base_set_has_a_primitive_for_so_many_training_pixels(scene, pixels, most, expected):
+    """Five training views of 24×18 pixels; never fewer than the 250 points that it starts from."""
+    method = make_method("envmap", pixels_per_primitive=pixels, max_primitives=most, min_coverage=0.0, min_views=0.0)
+    method.initialize(scene, STEPS)
+    counts = []
+    for step in range(1, STEPS + 1):
+        method.training_step(scene.train[step % len(scene.train)], step)
+        counts.append(method.primitives()["base"])
+    assert max(counts) <= expected
+    assert pixels == 10 or max(counts) > 250  # the bound is what holds it, not a lack of growth
+
+
+def test_the_environment_starts_in_its_box_and_on_a_sphere_around_it(scene):
+    method = make_method("envgs", env_far=3.0, env_far_count=40, env_initial_opacity=0.07, bootstrap=0, env_box=2.0)
+    method.initialize(scene, STEPS)
+    method.before_step(1)
+    method.set_learning_rates(1)
+    tensors = method.sets["env"].parameters.detached()
+    assert len(tensors["means"]) == 3**3 * 2 + 40
+    assert tensors["means"][:-40].abs().max() <= 2
+    torch.testing.assert_close(tensors["means"][-40:].norm(dim=1), torch.full((40,), 3 * 2 * 3**0.5))
+    torch.testing.assert_close(tensors["opacity_logits"].sigmoid(), torch.full((94,), 0.07))
+    rates = [
+        next(group["lr"] for group in method.sets[name].parameters.optimizer.param_groups if group["name"] == "means")
+        for name in ("env", "base")
+    ]
+    assert rates[0] == pytest.approx(5 * rates[1])
+
+
 def test_unknown_settings_are_refused_with_the_known_ones():
     with pytest.raises(ValueError, match=r"method envgs has no setting env_gird; its settings are .*env_grid"):
         create_method("envgs", {"env_gird": 16})
@@ -210,6 +240,7 @@ def test_unknown_settings_are_refused_with_the_known_ones():
         ("2dgs", {"normal_weighting": "far"}, "expected none or depth"),
         ("envgs", {"mono_loss": "l2"}, "mono_loss is 'l2', expected cos or l1_cos"),
         ("envmap", {"envmap_size": 1}, "envmap_size is 1, expected at least 2"),
+        ("envmap", {"mono_floor": 1.5}, "mono_floor is 1.5, expected a share from 0 to 1"),
     ],
 )
 def test_bad_settings_are_refused(kind, settings, message):
