@@ -7,3 +7,7 @@ SETS = (BASE, ENV)  # the keys of every method's `primitives` and `model_bytes`
 REFLECTION = "reflection"  # the layer of the reflected color
 BETA = "beta"  # the layer of the blending weight β
 LAYERS = (BASE, REFLECTION, BETA)  # in the order of reports; a method without reflections draws none of them
+
+MONO = "mono"  # the loss against the views' own normals
+PERCEPTUAL = "perceptual"  # the loss between VGG-16's features
+LOSSES = {MONO: "L_mono", PERCEPTUAL: "L_perc"}  # what cannot be had everywhere, as the paper writes it (Eq. 11)

@@ -145,6 +145,7 @@ class Record(_Part):
     config: dict[str, Any]
     protocol: ProtocolName
     scored_on: ScoredOn = "test"  # which views' scores and times these are
+    dropped_losses: dict[str, str] = {}  # a loss that the settings ask for -> why it could not be computed
     metrics: Metrics | None = None
     masked: dict[str, MaskedScores] = {}
     timing: Timing | None = None

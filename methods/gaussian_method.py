@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, View, depth_normals, rasterize
-from envgs_bench.parts import BASE, SETS
+from envgs_bench.parts import BASE, MONO, PERCEPTUAL, SETS
 
 from .checkpoint import read_checkpoint, write_checkpoint
 from .densification import DensificationRule, screen_criterion
@@ -67,6 +67,8 @@ class GaussianMethod(Method):
     def initialize(self, scene: Scene, steps: int) -> None:
         if not len(scene.points):
             raise ValueError(f"scene {scene.name} has no points to start from")
+        if self.settings.mono_weight > 0 and (lacking := _without_normals(scene)):
+            self.dropped_losses[MONO] = lacking
         self.schedule = Schedule(steps)
         self.radius = scene.radius or _extent(scene.points)
         self.near = max(self.settings.near, scene.free_space)
@@ -187,9 +189,9 @@ class GaussianMethod(Method):
             error = normal_loss(rendering.normal, view.normal, trusted)
             if settings.mono_loss == "l1_cos":
                 error = error + normal_distance(rendering.normal, view.normal, trusted)
-            terms["mono"] = mono_weight * error
+            terms[MONO] = mono_weight * error
         if self.perceptual and self.uses_perceptual and step > self.schedule.at(settings.perceptual_from):
-            terms["perceptual"] = settings.perceptual_weight * self.perceptual(rendering.color, target)
+            terms[PERCEPTUAL] = settings.perceptual_weight * self.perceptual(rendering.color, target)
         return terms
 
     def mono_weights(self, rendering: Rendering) -> Tensor | None:
@@ -320,6 +322,16 @@ def _bound(settings: GaussianSettings, scene: Scene) -> int:
         return settings.max_primitives
     pixels = sum(view.camera.width * view.camera.height for view in scene.train)
     return min(settings.max_primitives, max(len(scene.points), int(pixels / settings.pixels_per_primitive)))
+
+
+def _without_normals(scene: Scene) -> str:
+    """What L_mono lacks among the training views, in words; "" where all of them have normals."""
+    count, those = len(scene.train), sum(view.normal is not None for view in scene.train)
+    if those == count:
+        return ""
+    if not those:
+        return "the data set has no normals for its training views"
+    return f"only {those} of {count} training views have normals, and it counts at those alone"
 
 
 def _extent(points: Tensor) -> float:

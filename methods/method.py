@@ -26,6 +26,9 @@ class Method(ABC):
         perceptual: the perceptual loss of two [H, W, 3] images in [0, 1], (image, target) -> scalar, differentiable in
             the first. The harness sets it before `initialize` where `uses_perceptual` is true and the network's weights
             can be had; None otherwise, and the method then trains without it.
+        dropped_losses: a loss that the settings ask for and that cannot be computed here -> why, a loss of
+            `envgs_bench.parts.LOSSES` under its key there; complete once `initialize` is done. The harness adds the
+            perceptual loss where it has none to offer, the method what the scene lacks.
     """
 
     Settings: ClassVar[type]
@@ -36,6 +39,7 @@ class Method(ABC):
         self.generator = torch.Generator().manual_seed(seed)  # on the CPU: the same numbers for every device
         self.skipped_steps: int | Tensor = 0
         self.perceptual: Callable[[Tensor, Tensor], Tensor] | None = None
+        self.dropped_losses: dict[str, str] = {}
 
     @property
     def uses_perceptual(self) -> bool:

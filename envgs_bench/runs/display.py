@@ -9,6 +9,7 @@ from typing import Protocol, TextIO
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from envgs_bench.parts import LOSSES
 from envgs_bench.stages.events import Event
 
 LINES_A_STAGE = 10
@@ -30,7 +31,7 @@ def make_display(alone: bool) -> Display:
 
 
 class Bar:
-    """One rich progress bar, gone when the run is."""
+    """One rich progress bar, gone when the run is; what the run does without stays above it."""
 
     def __init__(self, console: Console | None = None) -> None:
         self._console = console or Console(stderr=True)
@@ -53,6 +54,8 @@ class Bar:
     def update(self, event: Event) -> None:
         if self._progress is None:
             return
+        for text in missing(event):
+            self._console.print(f"{self._title}: {text}", markup=False, highlight=False, soft_wrap=True)
         if event["stage"] != self._stage:
             self._stage = event["stage"]
             self._progress.remove_task(self._task)
@@ -66,7 +69,7 @@ class Bar:
 
 
 class Lines:
-    """A line for each stage, and LINES_A_STAGE while it trains."""
+    """A line for each stage, LINES_A_STAGE while it trains, and one for each loss that it trains without."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -81,8 +84,10 @@ class Lines:
             self._stage, self._share, self._began, self._first = stage, -1, time.monotonic(), step
             if stage != "training":
                 self._print(stage)
+        for text in missing(event):
+            self._print(text)
         share = LINES_A_STAGE * step // steps if steps else 0
-        if stage == "training" and share != self._share:
+        if "loss" in event and share != self._share:
             self._share = share
             self._print(f"step {step}/{steps}  {numbers(event)}{self._left(step, steps)}")
 
@@ -97,6 +102,11 @@ class Lines:
 
     def _print(self, text: str) -> None:
         print(f"{self._title}: {text}", file=self._stream, flush=True)
+
+
+def missing(event: Event) -> list[str]:
+    """What the run trains without, and why, a line a loss."""
+    return [f"trains without {LOSSES.get(loss, loss)}: {why}" for loss, why in event.get("dropped_losses", {}).items()]
 
 
 def numbers(event: Event) -> str:

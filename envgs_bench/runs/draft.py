@@ -47,6 +47,7 @@ class Draft:
             config=settings.model_dump(mode="json"),
             protocol=ProtocolName(name=protocol.name, hash=protocol.hash, description=protocol.description),
             scored_on=settings.score_on,
+            dropped_losses=results.dropped_losses,
             metrics=results.metrics,
             masked=results.masked,
             timing=results.timing,

@@ -127,7 +127,7 @@ def _run_process(folder: Path, settings: RunSettings, display: Display) -> None:
             close_fds=False,  # the claim
         )
     display.start(f"{settings.dataset_name} · {settings.method_name} · seed {settings.seed}")
-    reader = threading.Thread(target=_show, args=(process, display), daemon=True)
+    reader = threading.Thread(target=_show, args=(process, display, draft), daemon=True)
     reader.start()
     timed_out = interrupted = False
     try:
@@ -147,13 +147,16 @@ def _run_process(folder: Path, settings: RunSettings, display: Display) -> None:
         draft.write(status, failure.model_copy(update={"log_tail": log_tail(folder)}))
 
 
-def _show(process: subprocess.Popen[bytes], display: Display) -> None:
+def _show(process: subprocess.Popen[bytes], display: Display, draft: Draft) -> None:
+    """Show the process's events; what it trains without goes into `draft` too, lest the process leave no record."""
     assert process.stdout is not None
     for line in process.stdout:
         try:
-            display.update(json.loads(line))
+            event = json.loads(line)
         except ValueError:
             continue  # the process died in the middle of a line
+        draft.results.dropped_losses |= event.get("dropped_losses", {})
+        display.update(event)
 
 
 def _interrupt(process: subprocess.Popen[bytes]) -> None:

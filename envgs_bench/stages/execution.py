@@ -15,6 +15,7 @@ from envgs_bench.datasets.registry import load_scene
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
 from envgs_bench.metrics import Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
+from envgs_bench.parts import PERCEPTUAL
 from envgs_bench.records import RENDERS
 from envgs_bench.run_folder import CHECKPOINT, CURVE_NAME
 from envgs_bench.settings import RunSettings
@@ -48,6 +49,7 @@ def execute(settings: RunSettings, folder: Path, results: Results, report: Event
     try:
         training.run(folder / CURVE_NAME, report)
     finally:
+        results.dropped_losses = dict(method.dropped_losses)
         if training.step:  # however it ends, what was learned is kept
             results.cost = cost_of(method, training)
             method.save(folder / CHECKPOINT)
@@ -92,6 +94,7 @@ def _offer_perceptual_loss(method: Method) -> None:
         try:
             method.perceptual = make_perceptual_loss(method.device)
         except WeightsUnavailable as error:
+            method.dropped_losses[PERCEPTUAL] = str(error)
             print(f"training without the perceptual loss: {error}", file=sys.stderr)
 
 

@@ -57,6 +57,8 @@ class Training:
         started = time.perf_counter()
         try:
             self.method.initialize(self.scene, self.steps)
+            if self.method.dropped_losses:
+                report({"stage": "training", "steps": self.steps, "dropped_losses": dict(self.method.dropped_losses)})
             with curve.open("w", buffering=1, newline="", encoding="utf-8") as stream:
                 self._loop(csv.writer(stream), report, started)
             self._synchronize()

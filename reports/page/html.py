@@ -17,13 +17,13 @@ from plotly.offline import get_plotlyjs
 
 from ..numbers.runs import BrokenRecord
 from ..pictures.gallery import Gallery
-from ..tables.entries import LEGEND, Entry, Heading, entries, headings
+from ..tables.entries import DAGGER, LEGEND, Entry, Heading, entries, headings
 from ..tables.layouts import KINDS
 from ..tables.notes import caption, notes
 from ..tables.sections import Section
 from ..tables.table import Row, Table
 from .data import write_data
-from .origin import commands, failures, origins
+from .origin import commands, dropped_losses, failures, origins
 
 SCRIPTS = ("marks.js", "tables.js", "axes.js", "chart.js", "curves.js", "viewer.js", "datasets.js")
 GLYPHS = {"ok": "✓", "failed": "✕", "diverged": "∿", "out_of_memory": "▣", "timeout": "◷", "interrupted": "‖"}
@@ -52,6 +52,7 @@ def write_page(
             broken=broken,
             tiles=_tiles(sections, broken),
             legend=LEGEND,
+            dagger=DAGGER,
             glyphs=GLYPHS,
             names={status: status.replace("_", " ") for status in GLYPHS},
             ordinals=ORDINALS,
@@ -90,6 +91,7 @@ def _section(section: Section, index: int, data: dict[str, Any], galleries: Sequ
         "contracts": sorted({item.run.record.timing.contract for item in section.runs if item.run.record.timing}),
         "origins": origins(section),
         "commands": commands(section),
+        "dropped": dropped_losses(section),
     }
 
 
@@ -134,7 +136,13 @@ def _row(table: Table, row: Row) -> dict[str, Any]:
 
 def _entry(entry: Entry) -> dict[str, Any]:
     value, sign, spread = entry.text.partition(" ± ") if entry.number else (entry.text, "", "")
-    return {"value": value, "spread": f"± {spread}" if sign else "", "rank": entry.rank, "tied": entry.tied}
+    return {
+        "value": value,
+        "spread": f"± {spread}" if sign else "",
+        "rank": entry.rank,
+        "tied": entry.tied,
+        "dropped": entry.dropped,
+    }
 
 
 def _matrix(section: Section) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Where the numbers came from: machines and versions, command lines, and what failed how."""
+"""Where the numbers came from: machines and versions, command lines, what training lacked, and what failed how."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from envgs_bench.parts import LOSSES
 from envgs_bench.records import Record
 
 from ..tables.sections import LabeledRun, Section
@@ -29,6 +30,22 @@ def commands(section: Section) -> list[dict[str, str]]:
             rows.setdefault((dataset, item.method), []).append(item)
     return [
         {"dataset": dataset, "method": method, "command": _command(items)} for (dataset, method), items in rows.items()
+    ]
+
+
+def dropped_losses(section: Section) -> list[dict[str, Any]]:
+    """Every run that trained without a loss that its settings ask for, however it ended, a row a loss."""
+    return [
+        {
+            "dataset": dataset,
+            "method": item.method,
+            "seed": item.run.record.seed,
+            "loss": LOSSES.get(loss, loss),
+            "why": why,
+        }
+        for dataset in section.datasets
+        for item in section.of(dataset)
+        for loss, why in item.run.record.dropped_losses.items()
     ]
 
 

@@ -10,6 +10,7 @@ from .columns import Column
 from .table import Cell, Row, Table
 
 PUBLISHED_PLACES = 3  # the paper's
+DAGGER = "†"  # on a method that trained without one of its losses
 SUPERSCRIPTS = {1: "¹", 2: "²", 3: "³"}
 LEGEND = (
     "¹ ² ³ best to third after rounding, ties shared; ≈ its interval overlaps the best one's; "
@@ -23,11 +24,12 @@ class Entry:
     rank: int | None = None
     tied: bool = False
     number: bool = True
+    dropped: bool = False  # a method that trained without one of its losses
 
     @property
     def marked(self) -> str:
         """The text with its marks, without emphasis."""
-        return self.text + SUPERSCRIPTS.get(self.rank or 0, "") + (" ≈" if self.tied else "")
+        return self.text + SUPERSCRIPTS.get(self.rank or 0, "") + DAGGER * self.dropped + " ≈" * self.tied
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ def headings(table: Table) -> list[Heading]:
 
 def entries(table: Table, row: Row) -> list[Entry]:
     """One entry a heading."""
-    line = [Entry(row.method, number=False), Entry(row.runs_text, number=False)]
+    line = [Entry(row.method, number=False, dropped=bool(row.dropped)), Entry(row.runs_text, number=False)]
     for column in table.columns:
         printed = Entry("" if column.key not in row.published else published_text(row, column))
         if column.elsewhere:

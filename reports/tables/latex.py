@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import groupby
 
-from .entries import Entry, Heading, entries, headings
+from .entries import DAGGER, Entry, Heading, entries, headings
+from .notes import dropped_losses
 from .sections import Section
 from .table import Table
 
@@ -24,6 +25,7 @@ SPECIAL = {
     "−": r"$-$",
     "Δ": r"$\Delta$",
     "°": r"$^\circ$",
+    "†": r"$^\dagger$",
     "—": "---",
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
@@ -35,7 +37,7 @@ SPECIAL = {
 
 
 def latex(sections: Sequence[Section]) -> str:
-    """One tabular a table, after a comment that names it, its protocol and its device."""
+    """One tabular a table, after a comment that names it, its protocol and its device; below it what † means."""
     parts = [PREAMBLE]
     for section in sections:
         for table in section.tables:
@@ -48,7 +50,8 @@ def _tabular(table: Table) -> str:
     lines = [" & ".join(_marked(entry) for entry in entries(table, row)) + r" \\" for row in table.rows]
     head = " & ".join(_escaped(heading.text) for heading in titles) + r" \\"
     body = [r"\toprule", *_groups(titles), head, r"\midrule", *lines, r"\bottomrule"]
-    return "\n".join([rf"\begin{{tabular}}{{ll{'r' * (len(titles) - 2)}}}", *body, r"\end{tabular}"])
+    below = [rf"\par\noindent{{\footnotesize {_escaped(note)}\par}}" for note in dropped_losses(table)]
+    return "\n".join([rf"\begin{{tabular}}{{ll{'r' * (len(titles) - 2)}}}", *body, r"\end{tabular}", *below])
 
 
 def _groups(titles: Sequence[Heading]) -> list[str]:
@@ -66,7 +69,7 @@ def _groups(titles: Sequence[Heading]) -> list[str]:
 
 
 def _marked(entry: Entry) -> str:
-    text = _escaped(entry.text) + (r" $\approx$" if entry.tied else "")
+    text = _escaped(entry.text + DAGGER * entry.dropped) + (r" $\approx$" if entry.tied else "")
     return f"{MARKS[entry.rank]}{{{text}}}" if entry.rank else text
 
 

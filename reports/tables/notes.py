@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from math import log10
 
+from envgs_bench.parts import LOSSES
+
+from .entries import DAGGER
 from .sections import Section
 from .table import Table
 
@@ -26,8 +29,8 @@ def caption(section: Section, table: Table) -> str:
 
 
 def notes(section: Section, table: Table) -> list[str]:
-    """Why cells are empty, how large the regions are, and what the paper's columns mean."""
-    found = []
+    """What was trained without, why cells are empty, how large the regions are, and what the paper's columns mean."""
+    found = dropped_losses(table)
     if any(cell.text == "n/c" for row in table.rows for cell in row.cells.values()):
         for dataset in table.datasets:
             for metric, reasons in section.not_computed(dataset).items():
@@ -43,6 +46,23 @@ def notes(section: Section, table: Table) -> list[str]:
     if any(column.elsewhere for column in table.columns):
         found.append("The paper's frame rates and training times are of its machine, an RTX 4090, not of this one.")
     return list(dict.fromkeys(found))
+
+
+def dropped_losses(table: Table) -> list[str]:
+    """What the dagger on a method means: a sentence a loss and reason, naming the methods and where it was dropped."""
+    methods: dict[tuple[str, str, str], list[str]] = {}
+    for row in table.rows:
+        places: dict[tuple[str, str], list[str]] = {}
+        for item in row.dropped:
+            where = [f"on {item.dataset}"] if len(table.datasets) > 1 else []
+            where += [f"in {item.runs} of {item.done} runs"] if item.runs < item.done else []
+            places.setdefault((item.loss, item.why), []).append(" ".join(where))
+        for (loss, why), found in places.items():
+            methods.setdefault((loss, why, ", ".join(filter(None, found))), []).append(row.method)
+    return [
+        f"{DAGGER} {', '.join(names)}: trained without {LOSSES.get(loss, loss)}{f' {where}' if where else ''}: {why}."
+        for (loss, why, where), names in methods.items()
+    ]
 
 
 def _shares(section: Section, table: Table) -> list[str]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import pandas as pd
 
-from envgs_bench.records import ProtocolName, ScoredOn
+from envgs_bench.records import ProtocolName, Record, ScoredOn
 
 from ..numbers.estimates import Numbers
 from ..numbers.knobs import knobs
@@ -19,7 +20,7 @@ from ..numbers.runs import UNTIMED, Run
 from ..numbers.settings import flat_settings
 from ..numbers.tidy import attempts_table, tidy_table
 from .layouts import Contents, layouts
-from .table import Table
+from .table import DroppedLoss, Row, Table
 
 ALL = "all data sets"
 
@@ -92,7 +93,26 @@ class Section:
             {method: settings["kind"] for method, settings in self.settings.items()},
             self.protocol.name == PROTOCOL,
         )
-        return layouts(contents, ALL)
+        return [
+            replace(table, rows=tuple(self._with_dropped_losses(row, table.datasets) for row in table.rows))
+            for table in layouts(contents, ALL)
+        ]
+
+    def _with_dropped_losses(self, row: Row, datasets: Sequence[str]) -> Row:
+        return replace(row, dropped=tuple(d for name in datasets for d in self._dropped.get((name, row.method), ())))
+
+    @cached_property
+    def _dropped(self) -> dict[tuple[str, str], list[DroppedLoss]]:
+        """What the finished runs of a data set and method trained without."""
+        finished: dict[tuple[str, str], list[Record]] = {}
+        for item in self.runs:
+            if item.run.ok:
+                finished.setdefault((item.dataset, item.method), []).append(item.run.record)
+        found = {}
+        for (dataset, method), records in finished.items():
+            counts = Counter(pair for record in records for pair in record.dropped_losses.items())
+            found[dataset, method] = [DroppedLoss(*pair, dataset, n, len(records)) for pair, n in counts.items()]
+        return found
 
     @property
     def subjects(self) -> list[Table]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 from ..numbers.runs import BrokenRecord
@@ -49,6 +50,7 @@ def _row(row: Row) -> dict[str, Any]:
         "runs": row.runs_text,
         "done": row.done,
         "attempts": row.attempts,
+        "dropped_losses": [asdict(item) for item in row.dropped],
         "published": {key: float(value) for key, value in row.published.items()},
         "cells": {key: _cell(cell) for key, cell in row.cells.items()},
     }

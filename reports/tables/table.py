@@ -59,12 +59,24 @@ class Cell:
 
 
 @dataclass(frozen=True)
+class DroppedLoss:
+    """A loss that the settings of a row's method ask for and that finished runs on a data set trained without."""
+
+    loss: str
+    why: str
+    dataset: str
+    runs: int  # those that trained without it,
+    done: int  # of so many
+
+
+@dataclass(frozen=True)
 class Row:
     method: str
     cells: dict[str, Cell]  # by the column's key; empty for a method that only the paper ran
     statuses: Counter[str] = field(default_factory=Counter)
     published: dict[str, Decimal] = field(default_factory=dict)  # by the column's key: what the paper printed
     source: Source | None = None  # where the paper prints a row that is its alone
+    dropped: tuple[DroppedLoss, ...] = ()
 
     @property
     def done(self) -> int:

@@ -240,6 +240,25 @@ def test_the_page_says_where_numbers_came_from(report: Report) -> None:
         "weights of VGG-16",
     ):
         assert words in html, words
+    assert "†" not in html  # no run trained without a loss
+    assert "What runs trained without" not in html
+
+
+def test_the_page_marks_dropped_losses_and_lists_them_by_run(tmp_path: Path) -> None:
+    write_runs(tmp_path / "runs", methods=("2dgs", "envgs"), seeds=(0, 1), pictures=False)
+    changes = {"overrides": [], "dropped_losses": {"mono": "no <normals>"}}
+    write_runs(tmp_path / "runs", methods=("envgs",), seeds=(0, 1), pictures=False, **changes)
+    write_failure(tmp_path / "runs", "toy/chrome_room", "envgs", 2, "diverged", "lost", **changes)
+    html = build_report(tmp_path / "runs", tmp_path / "out").page.read_text()
+    page = Page(html)
+    assert [row[0] for row in page.tables["toy/chrome_room"][1:]] == ["2dgs", "envgs†"]
+    assert {given["data-method"] for _, given in page.tags if "data-method" in given} == {"2dgs", "envgs"}
+    assert "† envgs: trained without L_mono: no &lt;normals&gt;." in html
+    listed = html.split("What runs trained without</summary>")[1].split("</table>")[0]
+    cells = "<td>toy/chrome_room</td><td>envgs</td><td>{}</td><td>L_mono</td><td>no &lt;normals&gt;</td>"
+    assert [line for line in listed.splitlines() if "<td>" in line] == [
+        *(f"{'<tbody>' * (seed == 0)}<tr>{cells.format(seed)}</tr>" for seed in (0, 1, 2))
+    ]
 
 
 def test_the_charts_are_drawn_from_the_tables_numbers(report: Report) -> None:

@@ -385,15 +385,86 @@ def test_markdown_marks_failures_and_reasons(mixed: Section) -> None:
     assert r"loss is nan \| &lt;b&gt;_x_&lt;/b&gt;" in text
 
 
+NO_NORMALS = "the data set has no normals for its training views"
+NO_WEIGHTS = "VGG-16's weights are not on this machine"
+
+
+@pytest.fixture
+def dropped(tmp_path: Path) -> Section:
+    """EnvGS without L_mono on one of two data sets, and on it without L_perc too in one of three runs."""
+    write_runs(tmp_path, (ROOM, "toy/sky_ball"), pictures=False)
+    write_runs(tmp_path, (ROOM,), ("envgs", "envmap"), pictures=False, dropped_losses={"mono": NO_NORMALS})
+    write_runs(
+        tmp_path,
+        (ROOM,),
+        ("envgs",),
+        seeds=(1,),
+        pictures=False,
+        dropped_losses={"mono": NO_NORMALS, "perceptual": NO_WEIGHTS},
+    )
+    write_failure(tmp_path, "toy/sky_ball", "3dgs", 2, "failed", "lost", dropped_losses={"mono": NO_NORMALS})
+    return sections_of(tmp_path)[0]
+
+
+@pytest.mark.parametrize(
+    ("title", "sentences"),
+    [
+        (
+            ROOM,
+            [
+                f"† envmap, envgs: trained without L_mono: {NO_NORMALS}.",
+                f"† envgs: trained without L_perc in 1 of 3 runs: {NO_WEIGHTS}.",
+            ],
+        ),
+        ("toy/sky_ball", []),
+        (
+            "toy",
+            [
+                f"† envmap, envgs: trained without L_mono on {ROOM}: {NO_NORMALS}.",
+                f"† envgs: trained without L_perc on {ROOM} in 1 of 3 runs: {NO_WEIGHTS}.",
+            ],
+        ),
+    ],
+)
+def test_a_dropped_loss_marks_its_rows_alike_in_every_format(
+    dropped: Section, title: str, sentences: list[str]
+) -> None:
+    table = titled(dropped, title)
+    assert [note for note in notes(dropped, table) if "†" in note] == sentences
+    marked = {"envmap", "envgs"} if sentences else set()
+    expected = [name + "†" * (name in marked) for name in METHODS]
+    text = markdown([dropped], []).split(f"### {title}\n")[1].split("\n#")[0]
+    assert [line.split(" | ")[0].removeprefix("| ") for line in text.splitlines()[5 : 5 + len(METHODS)]] == expected
+    assert [line for line in text.splitlines() if line.startswith("†")] == sentences
+    tex = latex([dropped]).split(f"% {title}. ")[1].split("\n%")[0]
+    names = [line.split(" & ")[0] for line in tex.split("midrule\n")[1].split("\n\\bottomrule")[0].splitlines()]
+    assert names == [name.replace("†", r"$^\dagger$") for name in expected]
+    below = [line for line in tex.splitlines() if line.startswith(r"\par\noindent{\footnotesize $^\dagger$")]
+    assert len(below) == len(sentences)
+    content = structured([dropped], [])["sections"][0]["tables"]
+    rows = next(item for item in content if item["title"] == title)["rows"]
+    assert [row["method"] for row in rows] == list(METHODS)
+    assert {row["method"] for row in rows if row["dropped_losses"]} == marked
+
+
+def test_the_json_says_which_runs_dropped_which_loss(dropped: Section) -> None:
+    table = next(t for t in structured([dropped], [])["sections"][0]["tables"] if t["title"] == "toy")
+    row = next(row for row in table["rows"] if row["method"] == "envgs")
+    assert row["dropped_losses"] == [
+        {"loss": "mono", "why": NO_NORMALS, "dataset": ROOM, "runs": 3, "done": 3},
+        {"loss": "perceptual", "why": NO_WEIGHTS, "dataset": ROOM, "runs": 1, "done": 3},
+    ]
+
+
 def test_every_column_says_what_it_is() -> None:
     assert len({column.key for column in MAIN_COLUMNS}) == len(MAIN_COLUMNS)
     assert all(column.title and column.axis for column in MAIN_COLUMNS)
 
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex")
-def test_the_latex_compiles(mixed: Section, tmp_path: Path) -> None:
+def test_the_latex_compiles(mixed: Section, dropped: Section, tmp_path: Path) -> None:
     document = r"\documentclass{article}\usepackage{booktabs}\usepackage[table]{xcolor}\begin{document}\tiny" "\n"
-    (tmp_path / "paper.tex").write_text(document + latex([mixed]) + "\n" + r"\end{document}")
+    (tmp_path / "paper.tex").write_text(document + latex([mixed, dropped]) + "\n" + r"\end{document}")
     run = subprocess.run(
         ["pdflatex", "-halt-on-error", "-interaction=nonstopmode", "paper.tex"],
         cwd=tmp_path, capture_output=True, text=True, check=False,

@@ -45,3 +45,35 @@ def test_the_bar_shows_step_loss_psnr_and_primitives() -> None:
     shown = stream.getvalue()
     for part in ("room · envgs · seed 0", "training", "30/1000", "loss 0.5000", "PSNR 21.50", "base 1,234", "env 56"):
         assert part in shown
+
+
+DROPPED = {"mono": "no normals [at all]", "gloss": "no varnish"}
+
+
+def test_lines_say_once_and_first_what_is_trained_without() -> None:
+    stream = io.StringIO()
+    display = Lines(stream)
+    display.start("room · envgs · seed 0")
+    display.update({"stage": "loading"})
+    display.update({"stage": "training", "steps": 1000, "dropped_losses": DROPPED})
+    for step in range(1, 1001):
+        display.update(training(step, 1000))
+    lines = stream.getvalue().splitlines()
+    assert lines[2:4] == [
+        "room · envgs · seed 0: trains without L_mono: no normals [at all]",
+        "room · envgs · seed 0: trains without gloss: no varnish",
+    ]
+    assert "step 1/1000  loss 0.5000" in lines[4]
+    assert len(lines) == 15
+
+
+def test_the_bar_leaves_a_line_that_says_what_is_trained_without() -> None:
+    stream = io.StringIO()
+    display = Bar(Console(file=stream, force_terminal=True, width=200))
+    display.start("room · envgs · seed 0")
+    display.update({"stage": "training", "steps": 1000, "dropped_losses": DROPPED})
+    display.update(training(30, 1000))
+    display.stop()
+    shown = stream.getvalue()
+    assert shown.count("room · envgs · seed 0: trains without L_mono: no normals [at all]\n") == 1
+    assert "30/1000" in shown  # the bar knows the steps all the same

@@ -46,6 +46,7 @@ CONTENT = {
     "config": {"steps": 10},
     "protocol": {"name": "envgs", "hash": "12345678", "description": "in words"},
     "scored_on": "test",
+    "dropped_losses": {"mono": "no normals"},
     "metrics": {
         "mean": SCORES,
         "per_view": [{"view": "a", **SCORES, "normal_degrees": 3.5}],
@@ -89,8 +90,9 @@ def without(key: str) -> dict:
 def test_what_is_written_is_read(tmp_path: Path) -> None:
     path = write_record(tmp_path, Record.model_validate(CONTENT))
     assert json.loads(path.read_text()) == CONTENT
-    older = {key: value for key, value in CONTENT.items() if key != "scored_on"}
+    older = {key: value for key, value in CONTENT.items() if key not in ("scored_on", "dropped_losses")}
     assert Record.model_validate(older).scored_on == "test"
+    assert Record.model_validate(older).dropped_losses == {}
     record = read_record(tmp_path)
     assert record == read_record(path)
     assert record.metrics.per_view[0].scores["normal_degrees"] == 3.5
@@ -101,6 +103,7 @@ def test_a_failed_run_keeps_the_parts_that_it_reached(tmp_path: Path) -> None:
     write_record(tmp_path, Record.model_validate(changed(status="timeout", error=FAILURE, metrics=None, timing=None)))
     record = read_record(tmp_path)
     assert record.cost.model_bytes == 400
+    assert record.dropped_losses == {"mono": "no normals"}
     assert record.metrics is None
 
 

@@ -107,6 +107,13 @@ def test_what_was_learned_is_kept(sweep: Sweep, kind: str) -> None:
     assert cost.primitives == {"base": 1, "env": 0}
 
 
+def test_what_was_trained_without_is_recorded_even_of_a_process_that_died(sweep: Sweep) -> None:
+    dropped = {kind: record.dropped_losses for kind, record in sweep.records.items()}
+    failing = sorted(kind for kind, losses in dropped.items() if losses)
+    assert failing == sorted({*KINDS, *SLOW_KINDS} - {"RendersNaN", "Nobody", "MeanColor"})
+    assert all(dropped[kind] == {"gloss": "tiny has no varnish"} for kind in failing)
+
+
 def test_skipped_steps_are_counted(sweep: Sweep) -> None:
     cost = sweep.records["LosesItsLoss"].cost
     assert cost is not None

@@ -1,17 +1,25 @@
-"""What a run does about missing weights, and about a scene without views."""
+"""What a run does about missing weights, missing normals, and a scene without views."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from fakes.methods import MeanColor, Settings
 
+from envgs_bench.core import Scene
 from envgs_bench.methods.registry import create_method
 from envgs_bench.metrics import WeightsUnavailable
+from envgs_bench.settings import parse_settings
 from envgs_bench.stages import execution
+from envgs_bench.stages.results import Results
+from envgs_bench.stages.training import Training
 from envgs_bench.testing import tiny_scene
+
+WITH_PERCEPTUAL = {"perceptual_weight": 0.01}
 
 
 def test_methods_that_want_it_are_given_the_perceptual_loss(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -19,7 +27,7 @@ def test_methods_that_want_it_are_given_the_perceptual_loss(monkeypatch: pytest.
         return (image - target).abs().mean()
 
     monkeypatch.setattr(execution, "make_perceptual_loss", lambda device: loss)
-    wants, does_not = create_method("envgs"), MeanColor(Settings())
+    wants, does_not = create_method("envgs", WITH_PERCEPTUAL), MeanColor(Settings())
     without = create_method("envgs", {"perceptual_weight": 0.0})
     for method in (wants, does_not, without):
         execution._offer_perceptual_loss(method)
@@ -35,12 +43,62 @@ def test_without_weights_methods_train_without_it(
         raise WeightsUnavailable("no weights here")
 
     monkeypatch.setattr(execution, "make_perceptual_loss", unavailable)
-    method = create_method("envgs")
+    method = create_method("envgs", WITH_PERCEPTUAL)
     execution._offer_perceptual_loss(method)
     assert method.perceptual is None
     assert "training without the perceptual loss: no weights here" in capsys.readouterr().err
-    execution._offer_perceptual_loss(create_method("2dgs"))  # its weight is 0: nothing is missing
+    assert method.dropped_losses == {"perceptual": "no weights here"}
+    plain = create_method("2dgs")  # its weight is 0: nothing is missing
+    execution._offer_perceptual_loss(plain)
     assert capsys.readouterr().err == ""
+    assert plain.dropped_losses == {}
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings", "bare", "dropped"),
+    [
+        ("envgs", {}, 5, {"mono": "the data set has no normals for its training views"}),
+        ("envgs", {}, 3, {"mono": "only 2 of 5 training views have normals, and it counts at those alone"}),
+        ("envgs", {}, 0, {}),
+        ("envgs", {"mono_weight": 0.0}, 5, {}),
+        ("2dgs", {}, 5, {}),
+        ("2dgs", {"mono_weight": 0.01}, 5, {"mono": "the data set has no normals for its training views"}),
+    ],
+)
+def test_without_normals_methods_say_what_they_train_without(
+    kind: str, settings: dict[str, float], bare: int, dropped: dict[str, str], tmp_path: Path
+) -> None:
+    method = create_method(kind, settings)
+    events: list[dict[str, Any]] = []
+    Training(method, scene_without_normals(bare), 1, seed=0).run(tmp_path / "curve.csv", events.append)
+    assert method.dropped_losses == dropped
+    assert [event["dropped_losses"] for event in events[:-1]] == ([dropped] if dropped else [])
+    assert "loss" in events[-1]
+
+
+def test_what_was_trained_without_is_a_result(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("ENVGS_BENCH_VGG16", "off")
+    monkeypatch.setattr(execution, "load_scene", lambda *_: scene_without_normals(5))
+    settings = {
+        "method": {"name": "envgs", "kind": "envgs", "settings": WITH_PERCEPTUAL},
+        "dataset": {"name": "tiny", "kind": "tiny"},
+        "timing": {"frames": 1, "seconds": 0.01},
+        **{"protocol": "envgs", "seed": 0, "steps": 1, "device": "cpu", "timeout_minutes": None},
+        **{"runs_dir": tmp_path, "cache_dir": tmp_path, "force": False, "retry_failed": False},
+    }
+    results = Results("tiny", 1)
+    execution.execute(parse_settings(settings), tmp_path, results, lambda event: None)
+    assert results.metrics is not None
+    assert results.dropped_losses == {
+        "mono": "the data set has no normals for its training views",
+        "perceptual": "VGG-16 is switched off by ENVGS_BENCH_VGG16=off",
+    }
+
+
+def scene_without_normals(bare: int) -> Scene:
+    """A scene of five training views, the first `bare` of them without normals."""
+    scene = tiny_scene()
+    return replace(scene, train=[replace(v, normal=None) for v in scene.train[:bare]] + scene.train[bare:])
 
 
 @pytest.mark.parametrize("kind", ["train", "test"])

@@ -68,6 +68,12 @@ class MeanColor(Method):
 
 
 class _Failing(MeanColor):
+    """Trains without a loss, and fails."""
+
+    def initialize(self, scene: Scene, steps: int) -> None:
+        super().initialize(scene, steps)
+        self.dropped_losses["gloss"] = f"{scene.name} has no varnish"
+
     def training_step(self, view: View, step: int) -> dict[str, float]:
         losses = super().training_step(view, step)
         return self.fail(losses) if step >= self.settings.crash_at else losses
