@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from fakes.runs import set_environment
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
@@ -24,6 +25,7 @@ from envgs_bench.settings import parse_settings
 FAMILIES = ("ref_real", "nerf_casting", "envgs", "shiny_blender", "mipnerf360")
 PRESETS = [name for name in config_names("dataset") if name.startswith(FAMILIES)]
 CAPTURES = [name for name in config_names("dataset") if name.startswith("captures/")]
+RENDERED = [name for name in config_names("dataset") if name.startswith("rendered/")]
 
 
 def composed(*overrides: str) -> dict[str, Any]:
@@ -42,20 +44,21 @@ def test_every_scene_of_the_papers_tables_has_a_preset_of_its_name() -> None:
     assert {paper_scene(composed(f"dataset={name}")["dataset"]["name"]) for name in PRESETS} == expected
 
 
-@pytest.mark.parametrize("name", PRESETS + CAPTURES)
+@pytest.mark.parametrize("name", PRESETS + CAPTURES + RENDERED)
 def test_a_preset_lies_below_data_root_and_is_refused_only_because_nothing_is_there(name: str, tmp_path: Path) -> None:
     content = composed(f"dataset={name}", f"data_root={tmp_path}")
     assert content["dataset"]["name"] == name
     assert Path(content["dataset"]["root"]).parent == tmp_path / name.split("/")[0]
     with pytest.raises(DatasetError) as caught:
         load_scene(content["dataset"], tmp_path)
-    for part in (content["dataset"]["root"], "http", "this folder holds", "data_root=", "$ENVGS_BENCH_DATA_ROOT"):
+    source = "not published" if name in RENDERED else "http"
+    for part in (content["dataset"]["root"], source, "this folder holds", "data_root=", "$ENVGS_BENCH_DATA_ROOT"):
         assert part in str(caught.value)
     Path(content["dataset"]["root"]).mkdir(parents=True)  # empty: the source itself reads its settings, and complains
     with pytest.raises(DatasetError) as caught:
         load_scene(content["dataset"], tmp_path)
     assert "there is no such key" not in str(caught.value)
-    assert "http" not in str(caught.value)
+    assert source not in str(caught.value)
 
 
 @pytest.mark.skipif("ENVGS_BENCH_DATA" not in os.environ, reason="ENVGS_BENCH_DATA names no folder of real captures")
@@ -76,6 +79,26 @@ def test_a_known_capture_is_read_as_its_results_say(
     assert all(("foreground" in view.masks) == (name == "gold_cape") for view in scene.test)
 
 
+@pytest.mark.skipif("ENVGS_BENCH_DATA" not in os.environ, reason="ENVGS_BENCH_DATA names no folder of real captures")
+@pytest.mark.parametrize("name", RENDERED)
+def test_a_rendered_scene_scores_test_views_against_normals_that_training_views_only_guess(
+    name: str, tmp_path: Path
+) -> None:
+    (tmp_path / "rendered").symlink_to(os.environ["ENVGS_BENCH_DATA"])
+    if not (tmp_path / name).is_dir():
+        pytest.skip(f"$ENVGS_BENCH_DATA/{Path(name).name} is not there")
+    scene = load_scene(composed(f"dataset={name}", f"data_root={tmp_path}")["dataset"], tmp_path)
+    assert (len(scene.train), len(scene.test), len(scene.points)) == (49, 8, 6_600)
+    assert {(view.camera.width, view.camera.height) for view in [*scene.train, *scene.test]} == {(200, 150)}
+    for view in [*scene.train, *scene.test]:
+        assert set(view.masks) == {"coated", "matt", "mirror", "near_field", "reflective"}
+    exact = [view.normal for view in scene.test]
+    lengths = [normal.norm(dim=-1)[normal.any(-1)] for normal in exact if normal is not None]
+    assert len(lengths) == 8
+    assert all(torch.allclose(length, torch.ones_like(length), atol=1e-5) for length in lengths)
+    assert all(view.normal is not None for view in scene.train)
+
+
 def test_the_papers_settings_reach_the_run() -> None:
     sedan, spheres = (composed(f"dataset=ref_real/{name}") for name in ("sedan", "spheres"))
     assert (sedan["steps"], spheres["steps"]) == (60_000, 40_000)
@@ -93,11 +116,12 @@ def test_the_papers_settings_reach_the_run() -> None:
         "captures/fox": 3_000,
         "captures/gold_cape": 7_000,
     }
+    assert [composed(f"dataset={name}")["steps"] for name in RENDERED] == [3_000, 3_000]
 
 
 def test_a_data_set_states_facts_and_leaves_a_methods_settings_alone() -> None:
     facts = {}
-    for name in [*PRESETS, *CAPTURES, "toy/chrome_room", "toy/diffuse_room"]:
+    for name in [*PRESETS, *CAPTURES, *RENDERED, "toy/chrome_room", "toy/diffuse_room"]:
         content = composed(f"dataset={name}")
         dataset = content["dataset"]
         facts[name] = dataset.get("free_space", 0.0), dataset.get("bounds", 0.0)
