@@ -34,6 +34,7 @@ def envgs_work(
     state = {
         "sets": {name: {field: x.to(device) for field, x in tensors.items()} for name, tensors in sets.items()},
         "radius": float((EYE - TARGET).norm()),
+        "near": method.near,
         "background": torch.zeros(3, device=device),
         "reflects": True,
     }
