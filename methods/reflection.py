@@ -89,7 +89,7 @@ class ReflectiveMethod(GaussianMethod):
     def reflected_color(
         self, origins: Tensor, directions: Tensor, step: int | None
     ) -> tuple[Tensor, dict[str, Statistics]]:
-        """The color that reflected rays see, and each traced set's statistics; called by `draw` after the bootstrapping.
+        """The color that reflected rays see, and each traced set's statistics; `draw` calls it after bootstrapping.
 
         Args:
             origins, directions: [H, W, 3] of `reflect`, world frame; the direction is 0 where nothing reflects.
