@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-NAMED_AT_MOST = 5  # files in a message
+MAX_LISTED = 5  # files named in a message
 
 
 class DatasetError(ValueError):
@@ -11,4 +11,4 @@ class DatasetError(ValueError):
 
 def listed(names: list[str]) -> str:
     """The first few names, for a message."""
-    return ", ".join(names[:NAMED_AT_MOST]) + (" …" if len(names) > NAMED_AT_MOST else "")
+    return ", ".join(names[:MAX_LISTED]) + (" …" if len(names) > MAX_LISTED else "")

@@ -11,7 +11,7 @@ from envgs_bench.core import Scene
 from envgs_bench.import_path import load_import_path
 
 from .errors import DatasetError
-from .settings import SceneSettings, parse_settings
+from .settings import SceneSettings, parse_dataset_settings
 from .split import with_validation
 
 # Its scene's `val` are those of its training views that may validate, as scores are to see them, and still train too:
@@ -49,7 +49,7 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
             f"dataset.root={root}: there is no such folder. Get it: {obtain}. If it lies elsewhere, give the folder "
             "above as data_root=… or once for all as $ENVGS_BENCH_DATA_ROOT, or the folder itself as dataset.root=…"
         )
-    stated = parse_settings(
+    stated = parse_dataset_settings(
         SceneSettings, {key: settings[key] for key in SceneSettings.model_fields if key in settings}
     )
     scene = source(own_settings(settings), Path(cache_dir))
@@ -59,7 +59,7 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
 
 def own_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Of a data set's settings those that its source is given: without what `load_scene` heeds itself."""
+    """Those of a data set's settings that its source is given: without what `load_scene` itself uses."""
     return {key: value for key, value in settings.items() if key not in ("obtain", *SceneSettings.model_fields)}
 
 

@@ -13,7 +13,7 @@ Length = Annotated[float, Field(ge=0, allow_inf_nan=False)]  # world units; 0 wh
 
 
 class SceneSettings(BaseModel):
-    """What holds for a scene from any source: `load_scene` itself heeds these settings, sources are not given them."""
+    """What holds for a scene from any source: `load_scene` itself uses these settings, sources are not given them."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -32,7 +32,7 @@ class SourceSettings(SceneSettings):
 Settings = TypeVar("Settings", bound=SceneSettings)
 
 
-def parse_settings(model: type[Settings], given: Mapping[str, Any]) -> Settings:
+def parse_dataset_settings(model: type[Settings], given: Mapping[str, Any]) -> Settings:
     """`given` as the source's settings.
 
     Raises:

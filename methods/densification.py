@@ -14,12 +14,12 @@ from envgs_bench.core.vectors import unit
 
 from .parameters import GaussianParameters
 
-SPLIT_IN = 2
-OVERSIZED_SPLIT_IN = 5
-SHRINK_OF_TWO = 1.6  # 3DGS's divisor of the scales in a split in two; in five it grows with the area to cover
-LARGEST_GROWTH = 0.1  # share of the set added at once: a short run, whose gradients are large, grows no faster
-EXCHANGED_AT_CAP = 0.05
-LEAST_WEIGHTED = 0.1  # an oversized primitive in this least-weighted share is removed and not split
+SPLIT_PARTS = 2
+OVERSIZED_SPLIT_PARTS = 5
+SPLIT_DIVISOR = 1.6  # 3DGS's divisor of the scales in a split in two; in five it grows with the area to cover
+MAX_GROWTH = 0.1  # share of the set added at once: a short run, whose gradients are large, grows no faster
+EXCHANGE_AT_CAP = 0.05  # share of a full set that may be replaced at once
+UNIMPORTANT_SHARE = 0.1  # an oversized primitive in this least-weighted share is removed, not split
 
 
 @dataclass(frozen=True)
@@ -30,13 +30,13 @@ class DensificationRule:
     min_opacity: float  # pruned below
     max_primitives: int  # the least-weighted above this count are pruned
     min_coverage: float = 0.0  # pixels that a primitive must fill, on average over its views, to be cloned or split
-    min_views: float = 0.0  # steps that must have shown it for that, see `DensificationRecord.effective_views`
+    min_views: float = 0.0  # steps that must have shown it for that: `DensificationRecord.effective_views`
     clone_below: float = 0.01  # largest scale up to which a primitive is cloned; above it is split
     oversized_above: float = 0.1  # largest scale above which a primitive is split in five or pruned
 
 
 class DensificationRecord:
-    """What training steps since the last densification learned of each primitive."""
+    """Statistics of each primitive over the training steps since the last densification."""
 
     def __init__(self, primitives: int, device: torch.device) -> None:
         self.gradients = torch.zeros(primitives, device=device)  # Σ of the criterion
@@ -105,18 +105,18 @@ def densify(
     weights[clones] /= 2
     weights = torch.cat([weights, weights[clones]])
     splits = functional.pad(grows & ~small, (0, len(clones)))
-    weights = _split(parameters, weights, splits, SPLIT_IN, generator)
+    weights = _split(parameters, weights, splits, SPLIT_PARTS, generator)
 
     opaque = parameters.tensors["opacity_logits"].detach().sigmoid() >= rule.min_opacity
     weights = _keep(parameters, weights, opaque)
 
     oversized = _largest_scale(parameters) > rule.oversized_above * radius
     if bool(oversized.any()):
-        unimportant = oversized & (weights <= _quantile(weights, LEAST_WEIGHTED))
+        unimportant = oversized & (weights <= _quantile(weights, UNIMPORTANT_SHARE))
         weights = _keep(parameters, weights, ~unimportant)
         oversized = oversized[~unimportant]
-        most = math.ceil(LARGEST_GROWTH / (OVERSIZED_SPLIT_IN - 1) * len(oversized))
-        weights = _split(parameters, weights, _largest(oversized, weights, most), OVERSIZED_SPLIT_IN, generator)
+        limit = math.ceil(MAX_GROWTH / (OVERSIZED_SPLIT_PARTS - 1) * len(oversized))
+        weights = _split(parameters, weights, _largest(oversized, weights, limit), OVERSIZED_SPLIT_PARTS, generator)
 
     if len(parameters) > rule.max_primitives:
         top = torch.topk(weights, rule.max_primitives).indices.sort().values
@@ -128,22 +128,22 @@ def _growing(record: DensificationRecord, rule: DensificationRule) -> Tensor:
     """Which primitives [N] are cloned or split: the largest above the threshold, as many as there is room for.
 
     A blending weight summed over a view's pixels is the number of pixels that the primitive fills. One that fills less
-    than `min_coverage` shows nothing that two could show better. And one that fewer than `min_views` show may hang
-    anywhere along their rays: two of it would learn these pictures by heart, and stand in the way of others.
+    than `min_coverage` gains nothing by being divided. The depth of one that fewer than `min_views` steps showed is
+    hardly constrained: more primitives there would overfit those views and occlude others.
     """
     gradients = record.mean_gradient()
     needed = (gradients >= rule.gradient_threshold) & (record.mean_weight() >= rule.min_coverage)
     known = record.effective_views() >= rule.min_views
-    room = max(rule.max_primitives - len(gradients), math.ceil(EXCHANGED_AT_CAP * len(gradients)))
-    room = min(room, math.ceil(LARGEST_GROWTH * len(gradients)))
+    room = max(rule.max_primitives - len(gradients), math.ceil(EXCHANGE_AT_CAP * len(gradients)))
+    room = min(room, math.ceil(MAX_GROWTH * len(gradients)))
     return _largest(needed & known, gradients, room)
 
 
-def _largest(rows: Tensor, values: Tensor, most: int) -> Tensor:
-    """The mask `rows`, where it is longer than `most` only those with the largest values."""
-    if int(rows.sum()) <= most:
+def _largest(rows: Tensor, values: Tensor, limit: int) -> Tensor:
+    """The mask `rows` [N], reduced to the `limit` rows with the largest values where it has more."""
+    if int(rows.sum()) <= limit:
         return rows
-    chosen = torch.topk(torch.where(rows, values, -math.inf), most).indices
+    chosen = torch.topk(torch.where(rows, values, -math.inf), limit).indices
     return torch.zeros_like(rows).index_fill(0, chosen, True)
 
 
@@ -173,7 +173,7 @@ def _split(
     offsets = torch.randn(scales.shape, generator=generator).to(scales) * scales
     offsets = functional.pad(offsets, (0, 3 - offsets.shape[1]))
     new["means"] += _rotated(new["quaternions"], offsets)
-    new["log_scales"] -= math.log(SHRINK_OF_TWO * math.sqrt(parts / 2))
+    new["log_scales"] -= math.log(SPLIT_DIVISOR * math.sqrt(parts / 2))
     parameters.append(new)
     weights = torch.cat([weights, weights[index] / parts])
     return _keep(parameters, weights, ~functional.pad(rows, (0, len(index))))

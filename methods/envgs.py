@@ -25,12 +25,12 @@ class EnvGSSettings(ReflectionSettings):
     env_box_quantile: float = 0.995  # share of the points' range, on each axis, that the box covers
     env_box: float = 0.0  # half the edge of a cube around the origin as the box; 0: the scene's bounds, or by quantile
     env_far: float = 4.0  # radius of a sphere around the box that primitives start on too, × half its diagonal
-    env_far_count: int = 2_000  # primitives on it; 0: none
-    env_initial_opacity: float = 0.05  # of the environment's primitives
+    env_far_count: int = 2_000  # primitives on that sphere; 0: none
+    env_initial_opacity: float = 0.05  # opacity that the environment's primitives start with
     env_position_scale: float = 5.0  # × the base set's position rate
     env_densify_every: int = 500  # steps between the environment's densifications
-    env_densify_threshold: float = 1e-4  # of ½·t·∂L/∂mean
-    env_max_primitives: int = 630_000  # those of the least blending weight go
+    env_densify_threshold: float = 1e-4  # gradient ½·t·∂L/∂mean above which its primitives are cloned or split
+    env_max_primitives: int = 630_000  # largest environment; beyond, those of the least blending weight are pruned
     env_opacity_reset_every: int = 6_000  # steps between the environment's opacity resets; 0: never
 
 
@@ -81,7 +81,8 @@ class EnvGS(TracedReflection):
         happens = super().events(step)
         resets = {"stop": s.densify_until, "interval": s.env_opacity_reset_every, "floor": ENV_RESET_FLOOR}
         every = schedule.interval(s.env_densify_every, DENSIFY_FLOOR)
-        young = step <= schedule.at(s.bootstrap) + RECOVERY  # as after a reset, opacities say nothing about need
+        # As after a reset, opacities do not yet show what is needed.
+        young = step <= schedule.at(s.bootstrap) + RECOVERY
         if (
             not young
             and not schedule.recovers(step, **resets)

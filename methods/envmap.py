@@ -21,7 +21,7 @@ DOUBLES_AT = (7_500, 13_500, 21_000)  # steps of a run of 30,000
 @dataclass(frozen=True)
 class EnvMapSettings(ReflectionSettings):
     envmap_size: int = 128  # texels along a face's edge (EnvGS paper, App. B.1: 128 and 256)
-    envmap_lr: float = 1e-2  # of the texels' logits
+    envmap_lr: float = 1e-2  # learning rate of the texels' logits
 
 
 class EnvMap(ReflectiveMethod):

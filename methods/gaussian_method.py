@@ -16,7 +16,7 @@ from envgs_bench.parts import BASE, MONO, PERCEPTUAL, SETS
 from .checkpoint import read_checkpoint, write_checkpoint
 from .densification import DensificationRule, screen_criterion
 from .initialization import initial_tensors
-from .losses import nearness, normal_distance, normal_loss, photometric_loss, psnr
+from .losses import nearness, normal_distance, normal_loss, photometric_loss, training_psnr
 from .method import Method
 from .parameters import GaussianParameters, LearningRates
 from .resident_views import ResidentViews
@@ -60,7 +60,7 @@ class GaussianMethod(Method):
         self.radius = 1.0
         self.near = settings.near
         self.background = torch.zeros(3, device=self.device)
-        self._most_primitives = settings.max_primitives
+        self._max_primitives = settings.max_primitives
         self.prepared: dict[str, GaussianSet] = {}
         self._views = ResidentViews(self.device, room=0)
 
@@ -73,7 +73,7 @@ class GaussianMethod(Method):
         self.radius = scene.radius or _extent(scene.points)
         self.near = max(self.settings.near, scene.free_space)
         self.background = scene.background.to(self.device)
-        self._most_primitives = _bound(self.settings, scene)
+        self._max_primitives = _max_base_primitives(self.settings, scene)
         self.sets[BASE] = self.new_set(
             scene.points,
             scene.point_colors,
@@ -109,7 +109,7 @@ class GaussianMethod(Method):
             optimizer.zero_grad(set_to_none=True)
         with torch.no_grad():
             self.after_step(step, self.events(step))
-        shown = {"loss": loss, "psnr": psnr(rendering.color, target), **terms}
+        shown = {"loss": loss, "psnr": training_psnr(rendering.color, target), **terms}
         return {name: value.detach() for name, value in shown.items()}
 
     @torch.no_grad()
@@ -146,7 +146,7 @@ class GaussianMethod(Method):
         """Start what begins with this step, before anything is drawn: another phase, another resolution."""
 
     def set_learning_rates(self, step: int) -> None:
-        """Give the optimizers the rates of this step: positions and rotations decay log-linearly, others rest."""
+        """Give the optimizers this step's rates: positions' and rotations' decay log-linearly, others are constant."""
         s, schedule = self.settings, self.schedule
         rotation = schedule.rate(step, s.rotation_lr, s.rotation_lr_final) * schedule.rate_scale
         for name, trained in self.sets.items():
@@ -159,7 +159,7 @@ class GaussianMethod(Method):
         return schedule.rate(step, s.position_lr, s.position_lr_final) * schedule.rate_scale * self.radius
 
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
-        """The picture [H, W, …], and by set what its passes learned.
+        """The picture [H, W, …], and the statistics of each set's passes.
 
         Args:
             camera: on the method's device.
@@ -199,11 +199,11 @@ class GaussianMethod(Method):
         return None
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
-        """All that step together; none does where a loss or gradient is not finite."""
+        """All optimizers: they step together, or none does where the loss or a gradient is not finite."""
         return [trained.parameters.optimizer for trained in self.sets.values()]
 
     def densification_criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
-        """How much each primitive [N] of the set `name` asks to be cloned or split, from one step's pass."""
+        """The criterion [N] by which primitives of the set `name` are cloned or split, from one step's pass."""
         return screen_criterion(statistics, camera)
 
     def densification_interval(self, step: int) -> Fraction:
@@ -234,7 +234,7 @@ class GaussianMethod(Method):
     def densification_rule(self, name: str) -> DensificationRule:
         """When a primitive of the set `name` is cloned, split or removed."""
         s = self.settings
-        return DensificationRule(s.densify_threshold, s.min_opacity, self._most_primitives, s.min_coverage, s.min_views)
+        return DensificationRule(s.densify_threshold, s.min_opacity, self._max_primitives, s.min_coverage, s.min_views)
 
     def initial_learning_rates(self) -> LearningRates:
         """Adam's step sizes of a new set."""
@@ -310,13 +310,13 @@ class GaussianMethod(Method):
         return nearness(rendering.depth) if self.settings.normal_weighting == "depth" else None
 
     def _finite(self, loss: Tensor) -> Tensor:
-        """Whether the loss and all gradients are finite, a tensor of no dimension: their largest magnitude tells."""
+        """Whether the loss and all gradients are finite, a scalar tensor; judged by their largest magnitude."""
         gradients = [p.grad for o in self.optimizers() for g in o.param_groups for p in g["params"]]
         present = [gradient for gradient in gradients if gradient is not None and gradient.numel()]
         return torch.nn.utils.get_total_norm([loss, *present], math.inf).isfinite()
 
 
-def _bound(settings: GaussianSettings, scene: Scene) -> int:
+def _max_base_primitives(settings: GaussianSettings, scene: Scene) -> int:
     """The most primitives that the base set may have: as many as it starts with, at least."""
     if settings.pixels_per_primitive <= 0:
         return settings.max_primitives
@@ -335,5 +335,5 @@ def _without_normals(scene: Scene) -> str:
 
 
 def _extent(points: Tensor) -> float:
-    """Half the diagonal of the points' box, at least a hair: the scene scale where all cameras share one center."""
+    """Half the diagonal of the points' box, at least 1e-3: the scene scale where all cameras share one center."""
     return max(0.5 * float((points.amax(0) - points.amin(0)).norm()), 1e-3)

@@ -13,7 +13,7 @@ from .parameters import inverse_sigmoid, sh_from_rgb
 
 NEIGHBORS = 3
 PLANE_NEIGHBORS = 8
-SMALLEST_SCALE = 1e-5  # × scene radius: coincident points still need an extent
+MIN_SCALE = 1e-5  # × scene radius: coincident points still need an extent
 
 
 def neighbor_distance(points: Tensor, radius: float) -> Tensor:
@@ -27,7 +27,7 @@ def neighbor_distance(points: Tensor, radius: float) -> Tensor:
     positions = points.detach().cpu().double().numpy()
     distances = cKDTree(positions).query(positions, k=count + 1, workers=-1)[0][:, 1:]
     rms = torch.from_numpy(np.sqrt((distances**2).mean(axis=1)))
-    return rms.clamp_min(SMALLEST_SCALE * radius).to(points)
+    return rms.clamp_min(MIN_SCALE * radius).to(points)
 
 
 def local_orientation(points: Tensor) -> Tensor:

@@ -53,6 +53,6 @@ def nearness(depth: Tensor) -> Tensor:
     return (1 - (depth - low) / (high - low).clamp_min(1e-6 * high)).clamp(0, 1)
 
 
-def psnr(image: Tensor, target: Tensor) -> Tensor:
+def training_psnr(image: Tensor, target: Tensor) -> Tensor:
     """−10·log10 of the mean squared error of the clamped image, for progress displays only."""
     return -10 * torch.log10(functional.mse_loss(image.detach().clamp(0, 1), target).clamp_min(1e-12))

@@ -26,16 +26,16 @@ SABOTAGE_BELOW = 0.05  # β up to which a base color is disturbed
 SABOTAGE_RANGE = 0.4
 PROPAGATE_ABOVE = 0.02  # β from which a primitive is enlarged
 PROPAGATE_SCALE = 1.5
-PROPAGATE_HOLD = 200  # steps of a run of 30,000 after a propagation in which opacities rest
+PROPAGATE_HOLD = 200  # steps of a run of 30,000 after a propagation in which opacities stay as they are
 HOLD_FLOOR = 10  # steps
-SETTLING_GROWTHS = 10  # densifications of the base that there is time for while the reflections settle
+SETTLING_DENSIFICATIONS = 10  # densifications of the base that fit between `bootstrap` and `disturb_until`
 
 
 @dataclass(frozen=True)
 class ReflectionSettings(GaussianSettings):
     """Settings of a base set with reflections. Steps are those of a run of 30,000."""
 
-    rotation_lr_final: float = 1e-4  # of the quaternions, at the end: little, as a mirror shows each degree twice
+    rotation_lr_final: float = 1e-4  # learning rate of the quaternions at the end: low, as a mirror doubles each degree
 
     normal_from: int = 7_000
     mono_weight: float = 0.05
@@ -46,20 +46,20 @@ class ReflectionSettings(GaussianSettings):
     densify_until: int = 21_000
     min_coverage: float = 1.5
     pixels_per_primitive: float = 14.0
-    settling_interval: int = 5  # × densify_every, or less in a short run, while the reflections settle
+    settling_interval: int = 5  # × densify_every between bootstrap and disturb_until; less in a short run
 
     bootstrap: int = 3_000  # steps with the base set alone
     joint: bool = True  # reflected rays pass gradients on to the base set's normals and positions
-    initial_beta: float = 0.1  # of all base primitives: 1e-3 where little reflects, 0.01 to 0.1 where much does
-    beta_lr: float = 1e-2  # of β's logits
+    initial_beta: float = 0.1  # β that base primitives start with: 1e-3 where little reflects, to 0.1 where much does
+    beta_lr: float = 1e-2  # learning rate of β's logits
     beta_threshold: float = 1 / 255  # an image traces no ray whose β is below; in training every surface reflects
     beta_filter: float = 0.0  # share of an image's pixels, those of the smallest β, that are not traced either
     ray_offset: float = 1e-3  # a reflected ray starts this far above the surface, × scene radius
 
     disturb_every: int = 0  # steps between color sabotages and normal propagations; 0: never
-    disturb_until: int = 18_000  # step up to which reflections settle: disturbed, and growing more rarely
-    sabotage: bool = True  # disturb the base color of what does not reflect
-    propagate: bool = True  # grow what reflects over its neighbors
+    disturb_until: int = 18_000  # step up to which disturbances go on, and densifications are settling_interval apart
+    sabotage: bool = True  # disturb the base color of primitives that do not reflect
+    propagate: bool = True  # enlarge primitives that reflect, so that their normals spread
     beta_reset_from: int = 0  # step from which opacity resets also lower β to at most its start; 0: never
 
 
@@ -78,7 +78,7 @@ class ReflectiveMethod(GaussianMethod):
             raise ValueError(f"settling_interval is {settings.settling_interval}, expected at least 1 × densify_every")
         if not 0 <= settings.mono_floor <= 1:
             raise ValueError(f"mono_floor is {settings.mono_floor:g}, expected a share from 0 to 1")
-        self.reflects = False  # once the bootstrapping is over
+        self.reflects = False  # True once the bootstrapping is over
         self._hold_until = 0
 
     @abstractmethod
@@ -89,7 +89,7 @@ class ReflectiveMethod(GaussianMethod):
     def reflected_color(
         self, origins: Tensor, directions: Tensor, step: int | None
     ) -> tuple[Tensor, dict[str, Statistics]]:
-        """What the reflected rays see, and by set what their pass learned. Called by `draw` once reflections started.
+        """The color that reflected rays see, and each traced set's statistics; `draw` calls it after bootstrapping.
 
         Args:
             origins, directions: [H, W, 3] of `reflect`, world frame; the direction is 0 where nothing reflects.
@@ -135,11 +135,11 @@ class ReflectiveMethod(GaussianMethod):
             base,
             camera,
             offset=self.settings.ray_offset * self.radius,
-            beta_min=0.0 if step is not None else self._least_beta(base.extras),
+            beta_min=0.0 if step is not None else self._min_beta(base.extras),
             backend=self.settings.backend,
         )
 
-    def _least_beta(self, beta: Tensor) -> Tensor | float:
+    def _min_beta(self, beta: Tensor) -> Tensor | float:
         """The β [H, W, 1] of an image above which its rays are traced (paper, App. B.2)."""
         threshold, share = self.settings.beta_threshold, self.settings.beta_filter
         if share == 0:
@@ -150,8 +150,8 @@ class ReflectiveMethod(GaussianMethod):
     def mono_weights(self, rendering: Rendering) -> Tensor | None:
         """1 where β is at least its start, in proportion to β below, and `mono_floor` at least.
 
-        A mirror's depth map shows what it mirrors: there only the view's own normals tell the surface. On what is matt
-        the depth map knows better than an estimate that is off by some degrees.
+        On a mirror the depth map follows the reflected scene: only the view's own normals constrain the surface. On
+        matte surfaces the depth map is more accurate than an estimate that is off by some degrees.
         """
         s = self.settings
         if s.mono_floor == 1:
@@ -178,7 +178,7 @@ class ReflectiveMethod(GaussianMethod):
         start, stop = self.schedule.at(s.bootstrap), self.schedule.at(s.disturb_until)
         if usual == 0 or not start < step <= stop:
             return usual
-        longest = (stop - start) // (SETTLING_GROWTHS * usual)
+        longest = (stop - start) // (SETTLING_DENSIFICATIONS * usual)
         return usual * max(1, min(s.settling_interval, longest))
 
     def after_step(self, step: int, events: set[str]) -> None:
@@ -202,7 +202,7 @@ class ReflectiveMethod(GaussianMethod):
     def _propagate(self, step: int) -> None:
         """Grow primitives that reflect over their neighbors, so that good normals spread (3DGS-DR).
 
-        All become nearly opaque, and opacities then rest for a while.
+        All become nearly opaque, and opacities are then not trained for a while.
         """
         parameters = self.sets[BASE].parameters
         log_scales = parameters.tensors["log_scales"].detach()

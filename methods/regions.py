@@ -3,7 +3,7 @@
 `reflective` is made as the EnvGS paper makes it (App. A.1): of the trained base set, only the primitives of the
 reflecting foreground are kept and drawn, and their alpha is cut in two. The paper picks them by hand, here they are
 those with a high β near the middle of the scene. `near_field` is ours; the paper annotates it by hand: the reflective
-pixels whose reflected ray meets the base set.
+pixels whose reflected ray hits the base set.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from envgs_bench.core import Bvh, Camera, GaussianSet, rasterize, reflect, trace
 
-INSIDE = 0.5  # alpha above which a pixel or a ray has met something
+MIN_ALPHA = 0.5  # alpha above which a pixel or a ray counts as a hit
 OWN_SURFACE = 0.01  # hits nearer than this are of the reflecting surface itself, × scene radius
 
 
@@ -62,7 +62,7 @@ def reflective_mask(foreground: GaussianSet, camera: Camera, near: float = 0.2) 
 
     `near` is that of `rasterize`, world units.
     """
-    return rasterize(foreground, camera, near=near).alpha > INSIDE
+    return rasterize(foreground, camera, near=near).alpha > MIN_ALPHA
 
 
 @torch.no_grad()
@@ -74,11 +74,11 @@ def near_field_mask(
     near: float = 0.2,
     bvh: Bvh | None = None,
 ) -> Tensor:
-    """Where the view's reflected rays meet the surroundings: [H, W] bool. To be intersected with `reflective_mask`.
+    """Where the view's reflected rays hit the surroundings: [H, W] bool. To be intersected with `reflective_mask`.
 
     Args:
         base: the whole base set, whose normals reflect.
-        surroundings: what rays may meet: the base set's part within the scene's box.
+        surroundings: what rays may hit: the base set's part within the scene's box.
         radius: the scene's, world units.
         near: as for `rasterize`, world units.
         bvh: that of the surroundings; built here where None.
@@ -87,4 +87,4 @@ def near_field_mask(
     offset = OWN_SURFACE * radius
     origins, directions, _ = reflect(shown, camera)
     alpha = trace(surroundings, origins, directions, t_min=offset, bvh=bvh).alpha
-    return alpha > INSIDE
+    return alpha > MIN_ALPHA

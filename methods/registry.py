@@ -48,7 +48,7 @@ def create_method(
         kind: a name of `method_names()` or an import path "package.module:Class".
         settings: overrides of the method's `Settings`, by field name.
         device: where it trains and renders.
-        seed: of everything random in it.
+        seed: for everything random in it.
 
     Raises:
         ValueError: no such method, not a `Method`, or a setting it does not have.

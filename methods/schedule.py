@@ -8,7 +8,7 @@ below a floor, because some things take a number of steps and not a share of the
 |---|---|---|
 | densification | 30 steps | its criterion is a mean over views |
 | color sabotage, normal propagation | 1,000 steps | what has grown over its neighbors has to shrink back |
-| opacity reset | 600 steps, 300 for the environment | opacities climb by 0.05 a step, then colors settle |
+| opacity reset | 600 steps, 300 for the environment | opacities rise by 0.05 a step, then colors converge |
 
 A run too short for an interval never does the thing: it could not recover. One of 2,000 steps has every phase, one of
 800 is never disturbed and resets no opacity of the base.
@@ -89,7 +89,7 @@ class Schedule:
         return step < self.at(stop) and _falls_on(step, self.interval(interval, floor))
 
     def recovers(self, step: int, *, stop: int, interval: int, floor: int = RESET_FLOOR) -> bool:
-        """Whether `step` is within 100 steps after such a reset, when opacities say nothing about need.
+        """Whether `step` is within 100 steps after such a reset, when opacities do not yet show what is needed.
 
         A reference run resets every 3,000 steps and densifies every 100, so it never prunes in this time either.
         """

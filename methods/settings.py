@@ -17,37 +17,37 @@ from typing import Any
 class GaussianSettings:
     """Settings that all Gaussian methods share. Steps are those of a run of 30,000 (see `Schedule`)."""
 
-    backend: str = "auto"  # of the core: auto, cpu, cuda, torch
+    backend: str = "auto"  # backend of the core: auto, cpu, cuda, torch
     near: float = 0.2  # hits nearer to the camera are not drawn, world units; a scene's free space raises it
     sh_degree: int = 2  # of the view-dependent color, 0 to 3
     sh_every: int = 0  # steps after which another SH degree is added; 0: all from the start
 
-    position_lr: float = 1.6e-4  # × scene radius, at the start; log-linear to position_lr_final
-    position_lr_final: float = 1.6e-6  # × scene radius, at the end
-    sh_lr: float = 2.5e-3  # of the constant term; 1/20 of it for the rest
-    opacity_lr: float = 5e-2  # of the opacities' logits
-    scale_lr: float = 5e-3  # of the scales' logarithms
-    rotation_lr: float = 1e-3  # of the quaternions, at the start; log-linear to rotation_lr_final
-    rotation_lr_final: float = 1e-3  # of the quaternions, at the end
+    position_lr: float = 1.6e-4  # positions' learning rate × scene radius at the start; log-linear to position_lr_final
+    position_lr_final: float = 1.6e-6  # positions' learning rate × scene radius at the end
+    sh_lr: float = 2.5e-3  # learning rate of the spherical harmonics' constant term; 1/20 of it for the others
+    opacity_lr: float = 5e-2  # learning rate of the opacities' logits
+    scale_lr: float = 5e-3  # learning rate of the scales' logarithms
+    rotation_lr: float = 1e-3  # learning rate of the quaternions at the start; log-linear to rotation_lr_final
+    rotation_lr_final: float = 1e-3  # learning rate of the quaternions at the end
 
-    initial_opacity: float = 0.1  # of all primitives
+    initial_opacity: float = 0.1  # opacity that all primitives start with
     densify_from: int = 500  # step after which the base set is densified
     densify_until: int = 15_000  # step before which densification and opacity resets end
     densify_every: int = 100  # steps between the base set's densifications
     densify_threshold: float = 2e-4  # gradient of the projected center, in half images
     min_coverage: float = 1.0  # pixels that a primitive must fill, on average over its views, to be cloned or split
-    min_views: float = 3.0  # steps since the last densification that must have shown it for that, by its weights
+    min_views: float = 3.0  # primitives that fewer steps since the last densification show are not cloned or split
     min_opacity: float = 0.05  # primitives below are pruned
-    max_primitives: int = 1_800_000  # of the base set; those of the least blending weight go
+    max_primitives: int = 1_800_000  # largest base set; beyond, primitives of the least blending weight are pruned
     pixels_per_primitive: float = 0.0  # the base set has at most a primitive for so many training pixels; 0: no bound
     opacity_reset_every: int = 3_000  # steps between the base set's opacity resets; 0: never
 
-    normal_weight: float = 0.04  # of L_norm, rendered normals against those of the depth map
+    normal_weight: float = 0.04  # weight of L_norm, rendered normals against those of the depth map
     normal_from: int = 0  # step after which L_norm counts
-    mono_weight: float = 0.01  # of L_mono, against the view's own normals where it has any
+    mono_weight: float = 0.01  # weight of L_mono, rendered normals against the view's own where it has any
     mono_loss: str = "cos"  # cos: 1 − cos (paper); l1_cos: the L1 distance beside it (released code)
-    normal_weighting: str = "none"  # of both normal losses' pixels: none, or depth: near ones count more
-    perceptual_weight: float = 0.01  # of L_perc, where the harness provides it
+    normal_weighting: str = "none"  # weights of pixels in both normal losses: none, or depth (near ones count more)
+    perceptual_weight: float = 0.01  # weight of L_perc, where the harness provides it
     perceptual_from: int = 0  # step after which L_perc counts
 
 

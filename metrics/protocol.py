@@ -48,7 +48,7 @@ class Protocol:
     """How a prediction is scored. Numbers of protocols with different hashes do not belong in one table."""
 
     name: str
-    quantization: str  # of the prediction: "none", "round" or "truncate" to 8 bits; the last two clamp first
+    quantization: str  # "none": scored as rendered; "round" or "truncate": clamped, then made 8 bits so
     ssim_padding: str  # "zero" or "valid"
     lpips_input: str  # "[0, 1]" or "[-1, 1]"
     masking: str  # "white": composite, then score the whole image; "normalized": average over the mask
@@ -90,7 +90,7 @@ class Protocol:
         return None if self.not_computed else load_vgg16().source
 
     def of_pictures(self) -> Protocol:
-        """What of this protocol 8-bit pictures allow, which are clamped and rounded already.
+        """This protocol for 8-bit pictures, which are clamped and rounded already.
 
         The protocol itself where it rounds too; otherwise one that does and is the same in all else, called
         <name>-8bit: its numbers are close, and its hash keeps them apart (`envgs-8bit` has that of `inria`).

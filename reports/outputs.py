@@ -9,7 +9,7 @@ LIST = "assets/files.json"
 FOLDERS = ("assets", "charts", "pictures")  # what a report has below its own folder
 
 
-def forget(out: Path) -> None:
+def delete_last_report(out: Path) -> None:
     """Delete what the last report wrote into `out`, and nothing else: the folder may hold other things too."""
     try:
         listed = json.loads((out / LIST).read_text(encoding="utf-8"))
@@ -25,7 +25,7 @@ def forget(out: Path) -> None:
                     (out / folder).rmdir()
 
 
-def remember(out: Path, before: set[Path]) -> None:
+def list_new_files(out: Path, before: set[Path]) -> None:
     """List the files of the report in `out` that were not there `before`."""
     new = sorted(str(path.relative_to(out)) for path in files_below(out) - before)
     (out / LIST).write_text(json.dumps([*new, LIST], indent=0), encoding="utf-8")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from .charts.pareto_chart import draw_charts
 from .numbers.runs import BrokenRecord, read_runs
-from .outputs import files_below, forget, remember
+from .outputs import delete_last_report, files_below, list_new_files
 from .page.html import write_page
 from .pictures.error_maps import draw_error_maps
 from .pictures.gallery import Gallery, copy_pictures, galleries, slug
@@ -60,7 +60,7 @@ def build_report(runs: Path, out: Path) -> Report:
         raise ValueError(f"{runs}: no readable record.json under it: run `envgs-bench run` first{unreadable}")
     sections = split_sections(found)
     out.mkdir(parents=True, exist_ok=True)
-    forget(out)
+    delete_last_report(out)
     before = files_below(out)
     for index, section in enumerate(sections):
         section.tidy.to_csv(out / section.csv_name(index), index=False)
@@ -70,7 +70,7 @@ def build_report(runs: Path, out: Path) -> Report:
     draw_charts(sections, out)
     pictures = [_pictures(section, out, index if len(sections) > 1 else None) for index, section in enumerate(sections)]
     write_page(out, sections, broken, pictures)
-    remember(out, before)
+    list_new_files(out, before)
     return Report(out, tuple(sections), tuple(broken))
 
 

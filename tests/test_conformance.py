@@ -50,7 +50,7 @@ def test_the_built_in_methods_pass(kind: str, settings: dict[str, Any]) -> None:
         ("breaches:ForgetsItsCount", "primitives() is {'base': 2, 'env': 0} after load()"),
     ],
 )
-def test_a_method_that_does_not_is_told_in_what(kind: str, problem: str) -> None:
+def test_each_breach_of_the_contract_is_named(kind: str, problem: str) -> None:
     with pytest.raises(AssertionError) as caught:
         check_method(f"fakes.{kind}")
     assert problem in str(caught.value)

@@ -65,7 +65,7 @@ def test_every_room_is_in_the_order() -> None:
     assert inside | set(ELSEWHERE) == {*MAY_IMPORT, "cli"}
 
 
-def test_what_a_result_is_made_of_imports_nothing_that_a_run_is_not_known_by() -> None:
+def test_code_that_makes_results_imports_only_what_a_runs_identity_hashes() -> None:
     """A hash of these rooms' sources stands in every run's name: code of another room could change a result unseen."""
     assert "stages" in RESULT_CODE
     for room in RESULT_CODE:

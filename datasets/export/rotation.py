@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 Floats = NDArray[np.float64]
 
-ROUNDS = 3  # each solves a linearized problem; the second already moves by rounding errors only
+ITERATIONS = 3  # each solves a linearized problem; the second already moves by rounding errors only
 UNIT = 2.0**-24  # half the spacing of float32 just below 1: the solver's unit of length
 
 
@@ -31,7 +31,7 @@ def exact_rotation(matrix: NDArray[np.float32]) -> Floats:
     target = matrix.astype(np.float64)
     left, _, right = np.linalg.svd(target)
     rotation = left @ right
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS):
         rotation = Rotation.from_rotvec(_best_turn(rotation, target, matrix)).as_matrix() @ rotation
     return rotation
 

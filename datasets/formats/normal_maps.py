@@ -19,10 +19,10 @@ from .srgb import to_linear
 Frame = Literal["world", "camera", "opengl"]  # camera: x right, y down, z forward; opengl: x right, y up, z backward
 Floats = NDArray[np.float32]
 
-SHORTEST, LONGEST = 0.5, 1.5  # of a decoded vector that is a normal: gray, black and white pixels hold none
+MIN_LENGTH, MAX_LENGTH = 0.5, 1.5  # a decoded vector outside is no normal: a gray, black or white pixel
 ROUNDING = 1e-5  # lengths this close to 1 are 1: what is normalized already keeps its bits
-NEARLY_UNIT = 0.03
-MOST = 0.9  # of a picture's opaque pixels
+UNIT_TOLERANCE = 0.03  # deviation of a length from 1
+MIN_SHARE = 0.9  # share of a picture's opaque pixels that an encoding must fit
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class NormalMap:
     """A file of normals: `.npy` floats [H, W, 3], or a picture.
 
     Attributes:
-        rendered: it comes from a blender scene, whose encoding the pixels must tell.
+        rendered: it comes from a blender scene, whose encoding is found from the pixels.
     """
 
     path: Path
@@ -61,10 +61,10 @@ class NormalMap:
             return _known(np.nan_to_num(_array(self.path, mapped=False).astype(np.float32), posinf=0, neginf=0), opaque)
         rgb: Floats = read_picture(self.path, (0.5, 0.5, 0.5))[0].astype(np.float32) / np.float32(255)
         signed = 2 * rgb - 1
-        if not self.rendered or _share(_is_unit(signed), opaque) >= MOST:
+        if not self.rendered or _share(_is_unit(signed), opaque) >= MIN_SHARE:
             return _known(signed, opaque)
         clamped = to_linear(rgb)
-        if _share(np.linalg.norm(clamped, axis=-1) < 1 + NEARLY_UNIT, opaque) < MOST:
+        if _share(np.linalg.norm(clamped, axis=-1) < 1 + UNIT_TOLERANCE, opaque) < MIN_SHARE:
             raise DatasetError(
                 f"{self.path}: holds neither rgb = 255·(n/2 + 1/2) nor sRGB of max(n, 0); "
                 "remove the file, or store the normals as float [H, W, 3] in a .npy of the same name"
@@ -82,9 +82,9 @@ def world_normals(normals: torch.Tensor, camera: Camera, frame: Frame) -> torch.
     if frame != "world":
         normals = normals @ camera.world_to_camera[:3, :3]
     length = normals.norm(dim=-1, keepdim=True)
-    unit = torch.where((length - 1).abs() < ROUNDING, normals, normals / length.clamp(min=SHORTEST))
+    unit = torch.where((length - 1).abs() < ROUNDING, normals, normals / length.clamp(min=MIN_LENGTH))
     away = (unit * camera.rays()[1]).sum(-1, keepdim=True) > 0
-    return torch.where(length < SHORTEST, torch.zeros_like(unit), torch.where(away, -unit, unit))
+    return torch.where(length < MIN_LENGTH, torch.zeros_like(unit), torch.where(away, -unit, unit))
 
 
 def _array(path: Path, mapped: bool) -> NDArray:
@@ -99,14 +99,14 @@ def _array(path: Path, mapped: bool) -> NDArray:
 
 def _known(normals: Floats, opaque: NDArray[np.bool_] | None) -> Floats:
     length = np.linalg.norm(normals, axis=-1)
-    known = (length > SHORTEST) & (length < LONGEST)
+    known = (length > MIN_LENGTH) & (length < MAX_LENGTH)
     if opaque is not None:
         known &= opaque
     return np.where(known[..., None], normals, np.float32(0))
 
 
 def _is_unit(normals: Floats) -> NDArray[np.bool_]:
-    return np.abs(np.linalg.norm(normals, axis=-1) - 1) < NEARLY_UNIT
+    return np.abs(np.linalg.norm(normals, axis=-1) - 1) < UNIT_TOLERANCE
 
 
 def _share(which: NDArray[np.bool_], opaque: NDArray[np.bool_] | None) -> float:

@@ -18,7 +18,7 @@ class Photograph:
 
     name: str  # as the data name it: a path, unique among the photographs
     path: Path
-    camera: pycolmap.Camera  # of its file's size once fitted; may be distorted
+    camera: pycolmap.Camera  # may be distorted; has the size of the file once fitted
     camera_id: str  # photographs of one camera have one size
     world_to_camera: NDArray[np.float64]  # [4, 4]
     masks: dict[str, Path] = field(default_factory=dict)  # by region

@@ -16,7 +16,7 @@ from ..errors import DatasetError
 Bytes = NDArray[np.uint8]
 Color = tuple[float, float, float]
 
-EXTENSIONS = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".bmp", ".tif", ".tiff")  # of pictures
+PICTURE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".bmp", ".tif", ".tiff")
 EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "YCbCr")  # modes of 8 bits a channel or fewer
 SIXTEEN_BITS = ("I;16", "I;16L", "I;16B", "I;16N", "I")
 TURNED = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
@@ -26,7 +26,7 @@ TURNED = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 class Header:
     """What a picture's file says before its pixels."""
 
-    width: int  # of the pixels as they lie in the file
+    width: int  # pixels as they lie in the file
     height: int
     turned: bool  # its EXIF orientation asks viewers to exchange width and height
 

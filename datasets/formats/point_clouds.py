@@ -49,7 +49,7 @@ def point_cloud(points: ArrayLike, colors: ArrayLike, source: Path) -> PointClou
     return PointCloud(places, torch.as_tensor(np.asarray(colors, dtype=np.float64)).float())
 
 
-def read_ply(path: Path) -> PointCloud:
+def read_point_cloud(path: Path) -> PointCloud:
     """The vertices of a PLY file: x, y, z and red, green, blue, as bytes or as floats in [0, 1]; gray without colors.
 
     Raises:

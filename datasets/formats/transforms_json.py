@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..errors import DatasetError, listed
 from .names import clean_name, path_below
 from .photograph import Photograph
-from .pictures import EXTENSIONS, read_header
+from .pictures import PICTURE_EXTENSIONS, read_header
 
 FLAT_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 FISHEYE_MODELS = ("OPENCV_FISHEYE", "FISHEYE")
@@ -88,9 +88,9 @@ class FrameFile:
     def _find(self, name: str) -> Path | None:
         """The image's file: as named, or with an extension added, or with another, as after a conversion."""
         path = self.root / name
-        candidates = [path, *(path.with_name(path.name + extension) for extension in EXTENSIONS)]
+        candidates = [path, *(path.with_name(path.name + extension) for extension in PICTURE_EXTENSIONS)]
         if _has_extension(name):
-            candidates += [path.with_suffix(extension) for extension in EXTENSIONS]
+            candidates += [path.with_suffix(extension) for extension in PICTURE_EXTENSIONS]
         return next((candidate for candidate in candidates if candidate.is_file()), None)
 
     def _pose(self, frame: dict[str, Any], name: str) -> NDArray[np.float64]:
@@ -186,4 +186,4 @@ def _in_folder(name: str, images: str) -> str:
 
 
 def _has_extension(name: str) -> bool:
-    return PurePosixPath(name).suffix.lower() in EXTENSIONS
+    return PurePosixPath(name).suffix.lower() in PICTURE_EXTENSIONS

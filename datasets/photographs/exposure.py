@@ -2,10 +2,10 @@
 
 A point that several photographs see has one color, but for what view and light change. So
 
-    log c(view, point) = log e(view) + log b(point) + rest
+    log c(view, point) = log e(view) + log b(point) + residual
 
 in each color channel, with the exposures e as factors on sRGB bytes (a camera's curve is close to a power, which keeps
-factors factors). Highlights and wrong matches make the rest large for a few: the sum of its absolute values is what is
+factors factors). Highlights and wrong matches make a few residuals large: the sum of their absolute values is what is
 minimized, by reweighted least squares. Each point's brightness is solved for in closed form, so that one small system
 remains, with a row a view. Only ratios are determined: the exposures' geometric mean is 1.
 """
@@ -29,10 +29,10 @@ from ..progress import mapped
 from .fitting import fit_to_file
 
 PATCH_RADIUS = 3  # pixels around a point whose mean is its color
-DARKEST, BRIGHTEST = 10, 245  # bytes; beyond, a camera's curve or the sensor's limit distorts factors
-LEAST_POINTS = 20  # that a view must share with others for its exposure to be known
-LEAST_REST = 0.01  # below this logarithmic difference all rests weigh the same: noise
-ROUNDS = 20
+MIN_BYTE, MAX_BYTE = 10, 245  # bytes; beyond, a camera's curve or the sensor's limit distorts factors
+MIN_POINTS = 20  # points that a view must share with others for its exposure to be known
+MIN_RESIDUAL = 0.01  # below this logarithmic difference all residuals weigh the same: noise
+ITERATIONS = 20
 
 
 def with_equal_exposure(
@@ -52,7 +52,7 @@ def with_equal_exposure(
     points = np.unique(np.concatenate([points for points, _ in seen]), return_inverse=True)[1]
     logs = np.log(np.concatenate([colors for _, colors in seen]))
     exposures = np.exp(np.stack([view_offsets(views, points, channel, len(seen)) for channel in logs.T], axis=1))
-    known = np.bincount(views, minlength=len(seen)) >= LEAST_POINTS
+    known = np.bincount(views, minlength=len(seen)) >= MIN_POINTS
     if not known.any():
         raise DatasetError(
             "dataset.equalize_exposure=true needs a model that says which image shows which points; this one does not: "
@@ -78,7 +78,7 @@ def view_offsets(
     shape = (count, int(points.max(initial=0)) + 1)
     weights = np.ones(len(values))
     offsets = np.zeros(count)
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS):
         weight = sparse.csr_array((weights, (views, points)), shape)
         weighted = sparse.csr_array((weights * values, (views, points)), shape)
         of_points = weight.sum(axis=0)
@@ -87,7 +87,7 @@ def view_offsets(
         right = weighted.sum(axis=1) - share @ weighted.sum(axis=0)
         offsets = np.linalg.lstsq(system, right, rcond=1e-9)[0]
         means = (weighted.sum(axis=0) - offsets @ weight) / np.maximum(of_points, 1e-12)
-        weights = 1 / np.maximum(np.abs(values - offsets[views] - means[points]), LEAST_REST)
+        weights = 1 / np.maximum(np.abs(values - offsets[views] - means[points]), MIN_RESIDUAL)
     return offsets - offsets.mean()
 
 
@@ -108,7 +108,7 @@ def _colors(
     columns, rows = np.floor(observed.positions * scale).astype(np.int64).T
     inside = (columns >= 0) & (columns < smooth.shape[1]) & (rows >= 0) & (rows < smooth.shape[0])
     colors, points = smooth[rows[inside], columns[inside]], observed.points[inside]
-    usable = ((colors > DARKEST) & (colors < BRIGHTEST)).all(axis=1)
+    usable = ((colors > MIN_BYTE) & (colors < MAX_BYTE)).all(axis=1)
     return points[usable], colors[usable].astype(np.float64)
 
 

@@ -1,4 +1,4 @@
-"""Estimators: a function of somebody else's that guesses normals from a picture, for a method to learn from."""
+"""Normal estimation: a function of the user's estimates normals from pictures, for methods to train with."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ Matching = Literal["exhaustive", "sequential"]
 
 IMAGES_A_BATCH, PAIRS_A_BATCH = 8, 64  # between two reports of progress
 NEIGHBORS = 10  # each image is matched with this many after it, and with those 2, 4, 8 … away
-LEAST_IMAGES = 3  # of a model
+MIN_IMAGES = 3  # images that a model must place
 SEED = 0
 
 
@@ -108,7 +108,7 @@ class Reconstructor:
 
     def _map(self, names: Sequence[str], images: Path, work: Path) -> pycolmap.Reconstruction:
         options = pycolmap.IncrementalPipelineOptions()
-        options.min_model_size, options.random_seed = LEAST_IMAGES, SEED
+        options.min_model_size, options.random_seed = MIN_IMAGES, SEED
         placed = 0
 
         def started() -> None:

@@ -15,7 +15,7 @@ from ..errors import DatasetError
 Mask = NDArray[np.bool_]
 
 PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
-ROWS = 256  # of a map made at a time: bounds its memory
+ROWS_AT_ONCE = 256  # rows of a map made at a time: bounds its memory
 
 _one_at_a_time = threading.Lock()  # threads that want the same map wait for it, instead of making it too
 
@@ -55,11 +55,11 @@ def _map(model: str, width: int, height: int, params: tuple[float, ...]) -> torc
     pinhole = undistorted_camera(camera)
     inverse = np.linalg.inv(pinhole.calibration_matrix())
     places = np.empty((pinhole.height, pinhole.width, 2), dtype=np.float32)
-    for first in range(0, pinhole.height, ROWS):
-        y, x = np.mgrid[first : min(first + ROWS, pinhole.height), : pinhole.width] + 0.5
+    for first in range(0, pinhole.height, ROWS_AT_ONCE):
+        y, x = np.mgrid[first : min(first + ROWS_AT_ONCE, pinhole.height), : pinhole.width] + 0.5
         rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3) @ inverse.T
         pixels = camera.img_from_cam(rays).reshape(*x.shape, 2)
-        places[first : first + ROWS] = 2 * pixels / [width, height] - 1
+        places[first : first + ROWS_AT_ONCE] = 2 * pixels / [width, height] - 1
     return torch.from_numpy(places)[None]
 
 

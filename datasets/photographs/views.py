@@ -20,8 +20,8 @@ from .exposure import brightened
 from .resampling import resample
 from .undistortion import PINHOLES, undistort, undistorted_camera
 
-ALL_OF_IT = 0.999  # of a pixel, in floats
-ROUNDING = 1e-14  # of float64 numbers around 1, after some operations
+OPAQUE_SHARE = 0.999  # share of a pixel that counts as all of it: floats do not add up to 1
+ROUNDING = 1e-14  # relative error of float64 numbers after some operations
 
 
 def read_views(photographs: Sequence[Photograph], downsample: float, background: Color) -> Iterator[View]:
@@ -97,4 +97,4 @@ def _at_size(planes: NDArray, width: int, height: int) -> NDArray:
 
 def _opaque_at(opaque: NDArray[np.bool_] | None, width: int, height: int) -> NDArray[np.bool_] | None:
     """Where every part of a pixel of that size is opaque."""
-    return None if opaque is None else _at_size(opaque[..., None], width, height)[..., 0] >= ALL_OF_IT
+    return None if opaque is None else _at_size(opaque[..., None], width, height)[..., 0] >= OPAQUE_SHARE

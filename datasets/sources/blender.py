@@ -14,13 +14,13 @@ from envgs_bench.core import Scene
 
 from ..formats.normal_maps import NormalMap
 from ..formats.photograph import Photograph
-from ..formats.point_clouds import PointCloud, random_points, read_ply
+from ..formats.point_clouds import PointCloud, random_points, read_point_cloud
 from ..formats.transforms_json import read_frames
 from ..photographs.fitting import fit_to_files
 from ..photographs.normal_estimation import with_estimated_normals
 from ..photographs.siblings import with_masks
 from ..photographs.views import read_views
-from ..settings import parse_settings
+from ..settings import parse_dataset_settings
 from ..split import validation_of, without_normals
 from ..store.scene_file import on_disk
 from .capture import CaptureSettings, Channel, Missing, cached_capture, files_of, refuse_missing, require_folder
@@ -36,8 +36,8 @@ class BlenderSettings(CaptureSettings):
     kind: Literal["blender"]
     background: tuple[Channel, Channel, Channel] = (1.0, 1.0, 1.0)  # sRGB
     missing: Missing = "refuse"  # images that the files name and that are not there
-    random_points: Annotated[int, Field(ge=1)] = 100_000  # where there is no points3d.ply
-    random_box: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.3  # they fill [-box, box] cubed
+    random_points: Annotated[int, Field(ge=1)] = 100_000  # how many to start from without points3d.ply
+    random_box: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.3  # half edge of their cube
     train_normals: bool = False  # learn from exact normals too, where there are any; scores always refer to them
 
 
@@ -53,7 +53,7 @@ def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     Raises:
         DatasetError: anything missing, unreadable or contradictory; the message names the file or key.
     """
-    choice = parse_settings(BlenderSettings, settings)
+    choice = parse_dataset_settings(BlenderSettings, settings)
     root = choice.root
     require_folder(root)
     paths = [root / name for name in TRANSFORMS]
@@ -67,7 +67,7 @@ def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     def make() -> Scene:
         for file, (_, missing) in zip(files, found, strict=True):
             refuse_missing(choice.missing, len(file.frames), missing, file.path)
-        cloud = read_ply(root / POINTS) if (root / POINTS).is_file() else _random_points(choice)
+        cloud = read_point_cloud(root / POINTS) if (root / POINTS).is_file() else _random_points(choice)
         views = on_disk(read_views(fit_to_files(photographs), choice.downsample, choice.background))
         train, test = views[: len(learned)], views[len(learned) :]
         val = validation_of(train)
@@ -81,7 +81,7 @@ def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
 def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photograph]:
     """What `load_blender` makes its views from."""
-    root = parse_settings(BlenderSettings, settings).root
+    root = parse_dataset_settings(BlenderSettings, settings).root
     return [photograph for name in TRANSFORMS for photograph in read_frames(root / name).photographs()[0]]
 
 

@@ -54,7 +54,7 @@ def cached_capture(
     """The scene that `make` makes of these settings and files, from the cache where both are the same as before.
 
     Args:
-        version: of the source's code.
+        version: the source's, raised with its code.
         files: all that the scene is made from; those that do not exist are left out.
     """
     key = {

@@ -12,12 +12,12 @@ from ..errors import DatasetError, listed
 from ..formats.colmap_model import Model
 from ..formats.normal_maps import Frame
 from ..formats.photograph import Photograph
-from ..formats.pictures import EXTENSIONS
+from ..formats.pictures import PICTURE_EXTENSIONS
 from ..formats.siblings import Siblings, region_folders
 from ..notes import note
 from ..photographs.exposure import with_equal_exposure
 from ..photographs.siblings import with_siblings
-from ..settings import parse_settings
+from ..settings import parse_dataset_settings
 from ..store.contents import files_in
 from .capture import Missing, PhotographSettings, cached_capture, make_scene, refuse_missing, require_folder
 
@@ -28,11 +28,11 @@ class ColmapSettings(PhotographSettings):
     """Settings of `kind: colmap`."""
 
     kind: Literal["colmap"]
-    equalize_exposure: bool = False
+    equalize_exposure: bool = False  # undo automatic exposure and white balance, as estimated from the points
     images: str = "images"  # folder below root
     missing: Missing = "refuse"  # images of the model that are not there
     model: str | None = None  # folder below root; sparse/0, or else sparse, where None
-    normals_frame: Frame = "world"  # of normals/; camera: x right, y down, z forward; opengl: x right, y up, z backward
+    normals_frame: Frame = "world"  # axes of normals/; camera: right, down, forward; opengl: right, up, backward
 
 
 def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
@@ -49,7 +49,7 @@ def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     Raises:
         DatasetError: anything missing, unreadable or contradictory; the message names the file or key.
     """
-    choice = parse_settings(ColmapSettings, settings)
+    choice = parse_dataset_settings(ColmapSettings, settings)
     root = choice.root
     require_folder(root)
     images = root / choice.images
@@ -71,7 +71,7 @@ def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
 def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photograph]:
     """What `load_colmap` makes its views from, as they were taken."""
-    choice = parse_settings(ColmapSettings, settings)
+    choice = parse_dataset_settings(ColmapSettings, settings)
     return _model(choice).photographs(choice.root / choice.images)[0]
 
 
@@ -89,6 +89,8 @@ def _model(choice: ColmapSettings) -> Model:
 def _note_without_pose(images: Path, photographs: list[Photograph]) -> None:
     """Structure from motion leaves out images that it cannot place; that there are some is worth knowing."""
     used = {photograph.path for photograph in photographs}
-    others = [path.name for path in Siblings(images).files if path not in used and path.suffix.lower() in EXTENSIONS]
+    others = [
+        path.name for path in Siblings(images).files if path not in used and path.suffix.lower() in PICTURE_EXTENSIONS
+    ]
     if others:
         note(f"{images}: {len(others)} images have no pose in the model and are left out: {listed(others)}")

@@ -14,14 +14,14 @@ from ..errors import DatasetError, listed
 from ..formats.colmap_model import Model
 from ..formats.normal_maps import Frame
 from ..formats.photograph import Photograph
-from ..formats.pictures import EXTENSIONS, read_picture
+from ..formats.pictures import PICTURE_EXTENSIONS, read_picture
 from ..formats.siblings import region_folders
 from ..notes import note
 from ..photographs.exposure import with_equal_exposure
-from ..photographs.reconstruction import LEAST_IMAGES, Matching, Reconstructor
+from ..photographs.reconstruction import MIN_IMAGES, Matching, Reconstructor
 from ..photographs.siblings import with_siblings
 from ..progress import mapped
-from ..settings import parse_settings
+from ..settings import parse_dataset_settings
 from ..store.contents import digest_of, files_in
 from .capture import PhotographSettings, cached_capture, make_scene, require_folder
 
@@ -33,15 +33,13 @@ class PhotosSettings(PhotographSettings):
     """Settings of `kind: photos`."""
 
     kind: Literal["photos"]
-    equalize_exposure: bool = False
+    equalize_exposure: bool = False  # undo automatic exposure and white balance, as estimated from the points
     images: str | None = None  # folder below root; images/ where there is one, else root itself, where None
-    matching: Matching = "exhaustive"  # sequential: with neighbors in the order of names, as of a video's frames
+    matching: Matching = "exhaustive"  # sequential: with neighbors in the order of names, as for a video's frames
     camera_model: Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"] = "OPENCV"
     feature_size: Annotated[int, Field(ge=100)] = 1600  # pixels along the longer side, for finding features
     min_registered: Annotated[float, Field(gt=0, le=1)] = 0.5  # share of the images that must be placed
-    normals_frame: Frame = (
-        "camera"  # of normals/; camera: x right, y down, z forward; opengl: x right, y up, z backward
-    )
+    normals_frame: Frame = "camera"  # axes of normals/; camera: right, down, forward; opengl: right, up, backward
 
 
 def load_photos(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
@@ -52,7 +50,7 @@ def load_photos(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     Raises:
         DatasetError: too few images, some that cannot be decoded, or too few that could be placed.
     """
-    choice = parse_settings(PhotosSettings, settings)
+    choice = parse_dataset_settings(PhotosSettings, settings)
     require_folder(choice.root)
     images, names = _images(choice)
 
@@ -71,7 +69,7 @@ def load_photos(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
 def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photograph]:
     """What `load_photos` makes its views from, as they were taken."""
-    choice = parse_settings(PhotosSettings, settings)
+    choice = parse_dataset_settings(PhotosSettings, settings)
     images, names = _images(choice)
     return _model(choice, images, names, cache_dir).photographs(images)[0]
 
@@ -87,11 +85,11 @@ def _images(choice: PhotosSettings) -> tuple[Path, list[str]]:
     if not folder.is_dir():
         raise DatasetError(f"{root}: has no folder {choice.images}/; name the images' folder with dataset.images=…")
     below = folder.glob("*") if folder.resolve() == root.resolve() else folder.rglob("*")
-    files = sorted(path for path in below if path.suffix.lower() in EXTENSIONS and path.is_file())
-    if len(files) < LEAST_IMAGES:
+    files = sorted(path for path in below if path.suffix.lower() in PICTURE_EXTENSIONS and path.is_file())
+    if len(files) < MIN_IMAGES:
         raise DatasetError(
-            f"{folder}: holds {len(files)} images, expected {LEAST_IMAGES} at least, and better 20 or more; known are "
-            f"{', '.join(name for name in EXTENSIONS if name.islower())}"
+            f"{folder}: holds {len(files)} images, expected {MIN_IMAGES} at least, and better 20 or more; known are "
+            f"{', '.join(name for name in PICTURE_EXTENSIONS if name.islower())}"
         )
     return folder, [path.relative_to(folder).as_posix() for path in files]
 

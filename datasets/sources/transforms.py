@@ -15,14 +15,14 @@ from ..errors import DatasetError
 from ..formats.names import path_below
 from ..formats.normal_maps import Frame
 from ..formats.photograph import Photograph
-from ..formats.point_clouds import PointCloud, random_points, read_ply
+from ..formats.point_clouds import PointCloud, random_points, read_point_cloud
 from ..formats.transforms_json import FrameFile, read_frames, without_common_folder
 from ..photographs.siblings import with_siblings
-from ..settings import parse_settings
+from ..settings import parse_dataset_settings
 from .capture import Missing, PhotographSettings, cached_capture, files_of, make_scene, refuse_missing, require_folder
 
 VERSION = 3  # raise it with every change that alters a scene
-NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # of instant-ngp, whose box [0, 1]³ is grown by aabb_scale around its middle
+NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # instant-ngp's defaults; aabb_scale enlarges its box [0, 1]³ around the middle
 
 
 class TransformsSettings(PhotographSettings):
@@ -32,10 +32,10 @@ class TransformsSettings(PhotographSettings):
     file: str = "transforms.json"  # below root
     missing: Missing = "refuse"  # images that the file names and that are not there
     images: str | None = None  # folder below root in place of the first one in each file_path, as images_4
-    normals_frame: Frame = "world"  # of normals/; camera: x right, y down, z forward; opengl: x right, y up, z backward
-    random_points: Annotated[int, Field(ge=1)] = 100_000  # where the file names no point cloud
+    normals_frame: Frame = "world"  # axes of normals/; camera: right, down, forward; opengl: right, up, backward
+    random_points: Annotated[int, Field(ge=1)] = 100_000  # how many to start from where the file names no point cloud
     random_box: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = (
-        None  # they fill [-box, box] cubed; from aabb_scale
+        None  # half the edge of the cube that random points fill; None: from aabb_scale
     )
 
 
@@ -44,14 +44,14 @@ def load_transforms(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
     Of all frames or of each: fl_x, fl_y or camera_angle_x, camera_angle_y; cx, cy, w, h; camera_model, k1 … k4, p1, p2;
     of a frame: file_path (with or without extension), transform_matrix, mask_path (region `foreground`). Points come
-    from ply_file_path, else they are random, in the box that aabb_scale (with scale and offset) tells instant-ngp.
+    from ply_file_path, else they are random, in the box that aabb_scale (with scale and offset) gives instant-ngp.
     `masks/`, `masks_<region>/` and `normals/` as for `colmap`. applied_transform is not undone: poses and points both
     have it.
 
     Raises:
         DatasetError: anything missing, unreadable or contradictory; the message names the file or key.
     """
-    choice = parse_settings(TransformsSettings, settings)
+    choice = parse_dataset_settings(TransformsSettings, settings)
     root = choice.root
     require_folder(root)
     file = read_frames(path_below(root, choice.file, root))
@@ -61,7 +61,7 @@ def load_transforms(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
     def make() -> Scene:
         refuse_missing(choice.missing, len(file.frames), missing, file.path)
-        cloud = read_ply(ply) if ply else _random_points(choice, file)
+        cloud = read_point_cloud(ply) if ply else _random_points(choice, file)
         return make_scene(choice, photographs, cloud, file.path)
 
     files = [file.path, *([ply] if ply else []), *files_of(photographs)]
@@ -70,7 +70,7 @@ def load_transforms(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
 def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photograph]:
     """What `load_transforms` makes its views from."""
-    choice = parse_settings(TransformsSettings, settings)
+    choice = parse_dataset_settings(TransformsSettings, settings)
     return _photographs(read_frames(path_below(choice.root, choice.file, choice.root)), choice)[0]
 
 

@@ -1,4 +1,4 @@
-"""Light paths through a World: mirrors, glossy coats and clear solids, until a matt surface or the sky."""
+"""Light paths through a World: mirrors, glossy coats and clear solids, until a matte surface or the sky."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .dielectric import fresnel, refract
-from .world import OFFSET, Hits, World, reflect, tangents
+from .world import OFFSET, Hits, World, reflect_directions, tangents
 
 Array = NDArray[np.floating[Any]]
 Index = NDArray[np.int64]
 
 GOLDEN = (5**0.5 - 1) / 2
-LOBE_RAYS = 8  # reflected rays where a sample first meets a rough surface
-LEAST_WEIGHT = 1e-4  # of a path through glass: what carries less ends there
+LOBE_RAYS = 8  # reflected rays where a sample first hits a rough surface
+MIN_WEIGHT = 1e-4  # share of the light below which a path through glass ends
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def radiance(world: World, origins: Array, directions: Array, rng: np.random.Gen
             break
         spread = LOBE_RAYS if bounce == 0 else 1
         following = [_mirrored(world, rays[mirrors], hits[mirrors], spread, rng)] if mirrors.size else []
-        following += _parted(world, rays[glass], hits[glass]) if glass.size else []
+        following += _at_glass(world, rays[glass], hits[glass]) if glass.size else []
         rays = _joined(following)
     return color
 
@@ -69,11 +69,11 @@ def _mirrored(world: World, rays: Rays, hits: Hits, spread: int, rng: np.random.
     rays, hits, roughness = rays[again], hits[again], world.roughness[part][again]
     normals = world.normals(hits, rays.directions)
     origins = rays.origins + hits.distance[:, None] * rays.directions + OFFSET * normals
-    directions = reflect(rays.directions, _microfacets(normals, rays.directions, roughness, lobe))
+    directions = reflect_directions(rays.directions, _microfacets(normals, rays.directions, roughness, lobe))
     return Rays(rays.first, weight, origins, directions)
 
 
-def _parted(world: World, rays: Rays, hits: Hits) -> list[Rays]:
+def _at_glass(world: World, rays: Rays, hits: Hits) -> list[Rays]:
     """The reflected and the refracted rays at clear solids, those of little weight left out."""
     ior = world.ior[world.part(hits)]
     ratio = np.where(world.from_outside(hits, rays.directions), 1 / ior, ior)
@@ -81,7 +81,9 @@ def _parted(world: World, rays: Rays, hits: Hits) -> list[Rays]:
     reflected = fresnel(-np.einsum("ri,ri->r", rays.directions, normals), ratio)
     points = rays.origins + hits.distance[:, None] * rays.directions
     both = [
-        Rays(rays.first, rays.weight * reflected, points + OFFSET * normals, reflect(rays.directions, normals)),
+        Rays(
+            rays.first, rays.weight * reflected, points + OFFSET * normals, reflect_directions(rays.directions, normals)
+        ),
         Rays(
             rays.first,
             rays.weight * (1 - reflected),
@@ -89,7 +91,7 @@ def _parted(world: World, rays: Rays, hits: Hits) -> list[Rays]:
             refract(rays.directions, normals, ratio),
         ),
     ]
-    return [part[part.weight > LEAST_WEIGHT] for part in both]
+    return [part[part.weight > MIN_WEIGHT] for part in both]
 
 
 def _joined(parts: list[Rays]) -> Rays:
@@ -121,7 +123,7 @@ def _microfacets(normals: Array, directions: Array, roughness: Array, samples: A
     sideways = np.cos(2 * np.pi * turn) * tangent + np.sin(2 * np.pi * turn) * bitangent
     facet = np.sqrt(1 - share) * n + alpha * np.sqrt(share) * sideways  # tan²θ = alpha²·share / (1 − share)
     facet /= np.linalg.norm(facet, axis=1, keepdims=True)
-    below = (reflect(d, facet) * n).sum(1) <= 1e-3
+    below = (reflect_directions(d, facet) * n).sum(1) <= 1e-3
     facet[below] = n[below]
     result = normals.copy()
     result[rough] = facet

@@ -1,4 +1,4 @@
-"""A point cloud as structure from motion would leave it: on textured, matt surfaces, noisy, lost on mirrors."""
+"""A point cloud as structure from motion would leave it: on textured, matte surfaces, noisy, lost on mirrors."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from envgs_bench.core import View
 Array = NDArray[np.floating[Any]]
 
 COUNT = 6000
-SMUDGE_SHARE = 0.06  # of the points: dust and smudges on mirrors, triangulated where they are
-GHOST_SHARE = 0.01  # of the points: things seen in mirrors, triangulated behind them
-LONGEST_GHOST = 1.5  # world units behind the mirror
+SMUDGE_SHARE = 0.06  # share of the points: dust and smudges on mirrors, triangulated where they are
+GHOST_SHARE = 0.01  # share of the points: things seen in mirrors, triangulated behind them
+MAX_GHOST_DISTANCE = 1.5  # world units behind the mirror
 FAR_DISTANCES = (15.0, 60.0)  # world units
 VISIBILITY = 0.02  # relative depth difference up to which a point counts as seen
 
@@ -36,7 +36,7 @@ def sfm_points(views: list[View], noise: float, far_points: int, rng: np.random.
     found: list[tuple[Array, Array]] = [(points[kept] + noise * rng.normal(size=(len(kept), 3)), colors[kept])]
     for total, choose in (
         (round(COUNT * SMUDGE_SHARE), lambda view, count: _on_mirrors(view, count, 0.0, noise, rng)),
-        (round(COUNT * GHOST_SHARE), lambda view, count: _on_mirrors(view, count, LONGEST_GHOST, noise, rng)),
+        (round(COUNT * GHOST_SHARE), lambda view, count: _on_mirrors(view, count, MAX_GHOST_DISTANCE, noise, rng)),
         (far_points, lambda view, count: _far(view, count, rng)),
     ):
         found += [choose(view, count) for view, count in zip(views, _shares(total, len(views)), strict=True)]
@@ -50,10 +50,10 @@ def _shares(total: int, parts: int) -> list[int]:
 
 
 def _on_surfaces(view: View, count: int, rng: np.random.Generator) -> Array:
-    """Points at pixel centers of matt surfaces, the likelier the stronger the picture's gradient."""
+    """Points at pixel centers of matte surfaces, the likelier the stronger the picture's gradient."""
     picture = view.image.double().numpy().mean(-1) / 255
     gradient = np.hypot(*np.gradient(picture))
-    likelihood = np.where(_matt(view), gradient.reshape(-1) + 0.005, 0.0)
+    likelihood = np.where(_matte(view), gradient.reshape(-1) + 0.005, 0.0)
     usable = int((likelihood > 0).sum())
     if not usable:
         return np.empty((0, 3))
@@ -86,8 +86,8 @@ def _mean_colors(points: Array, views: list[View]) -> tuple[Array, Array]:
         inside = (depth > 0) & (pixels >= 0).all(1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
         flat = pixels[inside].astype(np.int64) @ np.array([1, width])
         agrees = abs(_depth(view)[flat] - depth[inside]) < VISIBILITY * depth[inside]
-        visible = np.flatnonzero(inside)[agrees & _matt(view)[flat]]
-        total[visible] += _colors(view)[flat[agrees & _matt(view)[flat]]]
+        visible = np.flatnonzero(inside)[agrees & _matte(view)[flat]]
+        total[visible] += _colors(view)[flat[agrees & _matte(view)[flat]]]
         seen_by[visible] += 1
     return total / np.maximum(seen_by, 1)[:, None], seen_by
 
@@ -97,7 +97,7 @@ def _unprojected(view: View, pixels: NDArray[np.int64], depth: Array) -> Array:
     return origins[pixels] + depth[:, None] * directions[pixels]
 
 
-def _matt(view: View) -> NDArray[np.bool_]:
+def _matte(view: View) -> NDArray[np.bool_]:
     return (_depth(view) > 0) & ~view.masks["reflective"].numpy().reshape(-1)
 
 

@@ -12,19 +12,19 @@ from envgs_bench.core import Camera
 
 from ..formats.srgb import to_srgb
 from .paths import radiance
-from .world import OFFSET, World, reflect
+from .world import OFFSET, World, reflect_directions
 
 Array = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """What the rays through the pixel centers meet first."""
+    """What the rays through the pixel centers hit first."""
 
     depth: Array  # [H, W] camera-frame z; 0 where nothing is hit
     normal: Array  # [H, W, 3] world frame, unit, facing the camera; 0 where nothing is hit
     reflective: NDArray[np.bool_]  # [H, W] mirrors, coats and clear solids
-    near_field: NDArray[np.bool_]  # [H, W] reflective, and the mirrored ray meets a surface and not the sky
+    near_field: NDArray[np.bool_]  # [H, W] reflective, and the reflected ray hits a surface and not the sky
     transmissive: NDArray[np.bool_]  # [H, W] clear solids
 
 
@@ -57,7 +57,7 @@ def geometry(world: World, camera: Camera) -> Geometry:
     normals[hits.met] = world.normals(hits[hits.met], directions[hits.met])
     mirrors = np.flatnonzero(hits.met & (world.specular[world.part(hits)] > 0))
     points = origin + hits.distance[mirrors, None] * directions[mirrors] + OFFSET * normals[mirrors]
-    mirrored = world.cast(points, reflect(directions[mirrors], normals[mirrors]))
+    mirrored = world.cast(points, reflect_directions(directions[mirrors], normals[mirrors]))
     reflective, near_field, transmissive = (np.zeros(len(pixels), dtype=np.bool_) for _ in range(3))
     reflective[mirrors] = True
     near_field[mirrors] = mirrored.met

@@ -20,7 +20,7 @@ CROPS = ((0.42, 0.55, 0.22), (0.66, 0.64, 0.26), (0.84, 0.70, 0.34), (0.26, 0.42
 
 
 def panorama(rng: np.random.Generator) -> Array:
-    """Radiance [1024, 2048, 3], linear; row 0 looks to +z, and columns run counter-clockwise from +x."""
+    """Radiance [1024, 2048, 3], linear; row 0 looks to +z, and columns run counterclockwise from +x."""
     elevation = np.pi * (0.5 - (np.arange(ROWS) + 0.5) / ROWS)[:, None]
     azimuth = (2 * np.pi * (np.arange(COLUMNS) + 0.5) / COLUMNS)[None, :]
     flat = np.cos(elevation)

@@ -14,7 +14,7 @@ from pydantic import Field
 from envgs_bench.core import Camera, Scene, View
 
 from ..progress import streamed
-from ..settings import SourceSettings, parse_settings
+from ..settings import SourceSettings, parse_dataset_settings
 from ..split import split_views, validation_of
 from ..store.cache import cached_scene
 from ..store.scene_file import on_disk
@@ -46,9 +46,9 @@ class ToySettings(SourceSettings):
     width: Annotated[int, Field(ge=8)] = 160  # pixels
     height: Annotated[int, Field(ge=8)] = 120
     views: Annotated[int, Field(ge=2)] = 48  # training and test views together
-    noise: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.01  # of the points, standard deviation in meters
-    normal_noise: Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)] = 0.0  # of training views, mean, degrees
-    seed: Annotated[int, Field(ge=0)] = 0  # of textures, sky, light, pixels, points and normals
+    noise: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.01  # standard deviation of the points' positions, m
+    normal_noise: Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)] = 0.0  # mean angle of training views, °
+    seed: Annotated[int, Field(ge=0)] = 0  # for textures, sky, light, pixels, points and normals
     supersampling: Annotated[int, Field(ge=1)] = 3  # rays along each side of a pixel
 
 
@@ -62,7 +62,7 @@ def load_toy(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     Raises:
         DatasetError: an unknown key, or a value out of range.
     """
-    choice = parse_settings(ToySettings, settings)
+    choice = parse_dataset_settings(ToySettings, settings)
     name = choice.name or f"toy/{choice.scene}"
     key = {"source": "toy", "version": VERSION, **choice.model_dump(), "name": name}
     return cached_scene(cache_dir, name, key, lambda: _make(choice, name))

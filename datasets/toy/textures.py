@@ -1,7 +1,7 @@
 """Procedural pictures for the toy scenes' surfaces: [H, W, 3] float arrays, sRGB-encoded, in [0, 1].
 
 All have edges at several scales, so that structure from motion would find them and a blurred reflection shows.
-`per_metre` texels cover one world unit; the pictures take sizes in world units.
+`TEXELS_PER_METER` texels cover one world unit, a meter; the pictures take sizes in world units.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.floating[Any]]
 Color = tuple[float, float, float]
 
-PER_METRE = 128
+TEXELS_PER_METER = 128
 
 INK: Color = (0.10, 0.10, 0.16)
 CREAM: Color = (0.95, 0.91, 0.81)
@@ -31,8 +31,10 @@ VIVID = (VERMILION, MUSTARD, TEAL, SKY, GREEN, PLUM, CREAM, INK)
 
 def grid(width: float, height: float) -> tuple[Array, Array]:
     """x to the right and y down, in world units, at the texel centers of a width × height picture: [H, W] each."""
-    columns, rows = max(1, round(width * PER_METRE)), max(1, round(height * PER_METRE))
-    y, x = np.meshgrid((np.arange(rows) + 0.5) / PER_METRE, (np.arange(columns) + 0.5) / PER_METRE, indexing="ij")
+    columns, rows = max(1, round(width * TEXELS_PER_METER)), max(1, round(height * TEXELS_PER_METER))
+    y, x = np.meshgrid(
+        (np.arange(rows) + 0.5) / TEXELS_PER_METER, (np.arange(columns) + 0.5) / TEXELS_PER_METER, indexing="ij"
+    )
     return x, y
 
 
@@ -78,7 +80,7 @@ def linear_weights(positions: Array, count: int, wrap: bool = False) -> Array:
 
 def weathered(picture: Array, rng: np.random.Generator, amount: float = 0.12) -> Array:
     """The picture with grain and stains, which give even a plain color something to match."""
-    stain = noise(picture.shape[:2], 0.5 * PER_METRE, rng, octaves=5)
+    stain = noise(picture.shape[:2], 0.5 * TEXELS_PER_METER, rng, octaves=5)
     grain = rng.uniform(-0.2, 0.2, picture.shape[:2])
     return np.clip(picture * (1 + amount * (stain + grain))[..., None], 0, 1)
 
@@ -130,7 +132,7 @@ def planks(x: Array, y: Array, width: float, rng: np.random.Generator) -> Array:
     """Floor boards along x with grain, each of its own shade."""
     row = np.floor(y / width).astype(np.int64)
     shade = rng.uniform(0.7, 1.25, row.max() + 1)[row]
-    grain = noise(x.shape, 0.12 * PER_METRE, rng, octaves=3)
+    grain = noise(x.shape, 0.12 * TEXELS_PER_METER, rng, octaves=3)
     fibers = np.sin(2 * np.pi * (y / width * 6 + 0.8 * grain))
     seam = np.where(np.abs(y / width - row - 0.5) > 0.47, 0.45, 1.0)
     return np.clip(np.array(OAK) * (shade * seam * (1 + 0.14 * fibers))[..., None], 0, 1)
@@ -152,7 +154,7 @@ def glyphs(x: Array, y: Array, size: float, ink: tuple[Color, ...], paper: Color
 def bookshelf(x: Array, y: Array, shelf: float, rng: np.random.Generator) -> Array:
     """Rows of book spines between boards `shelf` apart."""
     picture = plain(x, (0.16, 0.11, 0.08))
-    height = x.shape[0] / PER_METRE
+    height = x.shape[0] / TEXELS_PER_METER
     for index in range(int(np.ceil(height / shelf))):
         left, bottom = 0.0, (index + 1) * shelf - 0.03
         while left < x.max():
@@ -168,12 +170,12 @@ def bookshelf(x: Array, y: Array, shelf: float, rng: np.random.Generator) -> Arr
 
 
 def _texel(length: float) -> int:
-    return max(0, round(length * PER_METRE))
+    return max(0, round(length * TEXELS_PER_METER))
 
 
 def framed(picture: Array, color: Color, width: float = 0.04) -> Array:
     """The picture with a border of `width` world units painted over its edge."""
-    border = max(1, round(width * PER_METRE))
+    border = max(1, round(width * TEXELS_PER_METER))
     result = plain(picture[..., 0], color)
     result[border:-border, border:-border] = picture[border:-border, border:-border]
     return result
@@ -181,5 +183,5 @@ def framed(picture: Array, color: Color, width: float = 0.04) -> Array:
 
 def hang(wall: Array, poster: Array, left: float, top: float) -> None:
     """Copies the poster onto the wall, its upper left corner at (left, top) world units."""
-    column, row = round(left * PER_METRE), round(top * PER_METRE)
+    column, row = round(left * TEXELS_PER_METER), round(top * TEXELS_PER_METER)
     wall[row : row + poster.shape[0], column : column + poster.shape[1]] = poster

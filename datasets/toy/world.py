@@ -29,17 +29,17 @@ class Part:
     shape: Shape
     albedo: Array  # [H, W, 3] linear, upright as the shape's (u, v)
     reflectance: float = 0.0  # share of the light that is reflected, in [0, 1]
-    roughness: float = 0.0  # of the reflecting microfacets (GGX, alpha = roughness²); 0 is a mirror
+    roughness: float = 0.0  # roughness of the reflecting microfacets (GGX, alpha = roughness²); 0 is a mirror
     ior: float = 0.0  # index of refraction of the clear solid behind; 0: opaque
     emission: float = 0.0  # radiance added to the diffuse color, in units of the albedo
 
 
 @dataclass(frozen=True)
 class Hits:
-    """What each of R rays meets first."""
+    """What each of R rays hits first."""
 
-    distance: Array  # [R] in units of the direction's length; 0 where nothing is met
-    face: Index  # [R], −1 where nothing is met
+    distance: Array  # [R] in units of the direction's length; 0 where nothing is hit
+    face: Index  # [R], −1 where nothing is hit
     weights: Array  # [R, 3] barycentric, of the face's corners
 
     @property
@@ -91,7 +91,7 @@ class World:
         return Hits(np.where(face < 0, np.float32(0), found["tfar"]), face, np.stack([1 - b - c, b, c], axis=1))
 
     def part(self, hits: Hits) -> Index:
-        """The part each ray met, [R]; any where it met none. Below, all must have met one."""
+        """The part each ray hit, [R]; any where it hit none. Below, all must have hit one."""
         return self.part_of_face[hits.face]
 
     def normals(self, hits: Hits, directions: Array) -> Array:
@@ -145,7 +145,7 @@ class World:
         return a + b + c
 
 
-def reflect(directions: Array, normals: Array) -> Array:
+def reflect_directions(directions: Array, normals: Array) -> Array:
     """d − 2(d·n)n for each row."""
     return directions - 2 * np.einsum("ri,ri->r", directions, normals)[:, None] * normals
 

@@ -54,7 +54,7 @@ def compare(primitives: int, frame: tuple[int, int], backend: str, rays: int) ->
     """Seconds that each of `WAYS` takes for a frame (width, height), and its mean distance from the tracer's colors.
 
     Args:
-        backend: of the tracer and the rasterizer, "cpu" or "cuda"; PyTorch works on the same device.
+        backend: the tracer's and the rasterizer's, "cpu" or "cuda"; PyTorch works on the same device.
         rays: how many of the frame's rays the slow ways draw.
     """
     device = torch.device("cuda" if backend == "cuda" else "cpu")
@@ -107,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="envgs-bench bench tracers", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--primitives", type=positive, default=300_000, metavar="N", help="surfels (default: 300,000)")
-    parser.add_argument("--size", type=size, default=(876, 584), metavar="WxH", help="of the frame (default: 876x584)")
+    parser.add_argument("--size", type=size, default=(876, 584), metavar="WxH", help="frame size (default: 876x584)")
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu", help="default: cpu")
-    parser.add_argument("--rays", type=positive, default=64, metavar="N", help="of the sample (default: 64)")
+    parser.add_argument("--rays", type=positive, default=64, metavar="N", help="rays of the sample (default: 64)")
     return parser

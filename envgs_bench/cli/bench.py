@@ -6,7 +6,7 @@ import argparse
 import importlib
 from collections.abc import Sequence
 
-SUBJECTS = {"core": "rasterizing, tracing and building", "tracers": "our tracer beside Embree's"}
+SUBJECTS = {"core": "rasterizing, tracing and building", "tracers": "reflected rays by our tracer and by slower ways"}
 
 
 def main(arguments: Sequence[str]) -> int:

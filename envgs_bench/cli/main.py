@@ -9,9 +9,9 @@ import sys
 from collections.abc import Sequence
 
 # Each is a file of this folder with a `main(arguments) -> exit status`, imported only when it is called; there `--help`
-# answers before anything slow is imported.
+# prints before anything slow is imported.
 COMMANDS = {
-    "run": "train, render, score and time; `run --help` tells the keys",
+    "run": "train, render, score and time; `run --help` lists the keys",
     "report": "tables, charts and pages from records",
     "rescore": "finished runs under another protocol, without training them again",
     "masks": "masks of what reflects, from an EnvGS that was trained on a capture",

@@ -26,7 +26,7 @@ def main(arguments: Sequence[str]) -> int:
         help="draw the views again from the checkpoints, instead of taking the 8-bit pictures that runs left: "
         "for protocols that score floats, and for masks added since; needs the data",
     )
-    parser.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="of --redraw")
+    parser.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="device of --redraw")
     options = parser.parse_args(arguments)
     return explained("rescore", lambda: _rescore(options))
 

@@ -11,7 +11,7 @@ from envgs_bench.settings import RunSettings
 
 @dataclass(frozen=True)
 class Outcome:
-    """One job. `action` is ran, reused, not retried, skipped (another process is at it) or unreadable."""
+    """One job. `action` is ran, reused, not retried, skipped (another process is running it) or unreadable."""
 
     dataset: str
     method: str
@@ -47,7 +47,7 @@ class Outcome:
 
 
 def outcome_of(folder: Path, settings: RunSettings, action: str, message: str = "") -> Outcome:
-    """The outcome that the record in `folder` tells."""
+    """The outcome of a job, from the record in `folder`."""
     record: Record | None
     try:
         record = read_record(folder)

@@ -33,7 +33,7 @@ PACKAGES = (
     "cuda-core",
 )
 
-COMMAND_SECONDS = 5.0  # patience with git and nvidia-smi
+COMMAND_SECONDS = 5.0  # time limit of git and nvidia-smi
 
 GPU_FIELDS = {
     "clock_mhz": "clocks.sm",

@@ -23,7 +23,7 @@ def save_view(folder: Path, view: View, rendering: Rendering, unit: float) -> No
     Layers are the method's own and "normal", "depth", "error"; colors are sRGB.
 
     Args:
-        unit: of depth, world units: see `depth_picture`.
+        unit: depth that is shown as middle gray, world units: see `depth_picture`.
     """
     layers = rendering.layers | {
         "normal": functional.normalize(rendering.normal, dim=-1) / 2 + 0.5,

@@ -28,8 +28,8 @@ from .scoring import Pair, score_pairs
 DECODED = (".png", ".jpg", ".jpeg")
 SUFFIXES = (*DECODED, ".npy")
 MODES = ("L", "LA", "P", "RGB", "RGBA")  # those of 8 bits a channel
-NAMED_AT_MOST = 20  # problems of each kind
-BRIGHTEST = 1.5  # mean of a picture whose range is [0, 1], with room for what overshoots
+MAX_LISTED = 20  # problems listed of each kind
+MAX_MEAN = 1.5  # mean of a picture whose range is [0, 1], with room for what overshoots
 
 
 class RendersError(ValueError):
@@ -135,7 +135,7 @@ def read_render(path: Path, background: Tensor) -> Tensor:
     image = torch.from_numpy(np.array(values, np.float32)) / scale
     if not torch.isfinite(image).all():
         raise RendersError(f"{path}: {float((~torch.isfinite(image)).float().mean()):.1%} of its values are not finite")
-    if image.abs().mean() > BRIGHTEST:
+    if image.abs().mean() > MAX_MEAN:
         raise RendersError(
             f"{path}: its values average {float(image.mean()):.3g}, expected sRGB in [0, 1]; divide by 255?"
         )
@@ -169,5 +169,5 @@ def _natural(path: Path) -> list[Any]:
 
 
 def _listed(items: Sequence[str]) -> str:
-    more = len(items) - NAMED_AT_MOST
-    return ", ".join(items[:NAMED_AT_MOST]) + (f" and {more} more" if more > 0 else "")
+    more = len(items) - MAX_LISTED
+    return ", ".join(items[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")

@@ -13,7 +13,7 @@ from envgs_bench.run_folder import CURVE_NAME
 from ..numbers.runs import Run
 from ..tables.sections import Section
 
-MOST_POINTS = 80  # drawn of a curve, evenly chosen
+MAX_POINTS = 80  # points drawn of a curve, evenly chosen
 QUANTITIES = {
     "psnr": "training PSNR, dB",
     "primitives": "primitives",
@@ -66,7 +66,7 @@ def read_curve(run: Run) -> Curve | None:
 def merged_curves(curves: list[Curve]) -> dict[str, Any]:
     """Mean, lowest and highest over the curves at each step that any of them has; None where there is no number."""
     steps = np.unique(np.concatenate([curve["step"] for curve in curves]))
-    steps = steps[np.unique(np.linspace(0, len(steps) - 1, MOST_POINTS).round().astype(int))]
+    steps = steps[np.unique(np.linspace(0, len(steps) - 1, MAX_POINTS).round().astype(int))]
     merged: dict[str, Any] = {"step": steps.tolist(), "seconds": _band(curves, steps, "seconds")["mean"]}
     for name in QUANTITIES:
         if any(name in curve for curve in curves):

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-COVERED = 0.1  # the share of its area that a label which can be left out may cover at most
+MAX_COVERED = 0.1  # the share of its area that a label which can be left out may cover at most
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def place_labels(
 
     for (x, y), (width, height), must in zip(marks, sizes, needed, strict=True):
         best = min(_candidates(x, y, width, height, gap), key=lambda item: item[0] + harm(item[1]))[1]
-        if must or harm(best) < COVERED * width * height:
+        if must or harm(best) < MAX_COVERED * width * height:
             boxes.append(best)
             taken.append(best)
         else:

@@ -13,8 +13,8 @@ class Style:
     symbol: str  # plotly's
 
 
-# After Okabe and Ito for the ladder, then Tol's muted ones: safe for every common color blindness.
-LADDER = {
+# After Okabe and Ito for the paper's methods, then Tol's muted ones: safe for every common color blindness.
+METHOD_STYLES = {
     "3dgs": Style("#0072B2", "s", "square"),
     "2dgs": Style("#009E73", "D", "diamond"),
     "envmap": Style("#DB8A00", "^", "triangle-up"),
@@ -27,7 +27,7 @@ MARKS = (("v", "triangle-down"), ("P", "cross"), ("X", "x"), ("p", "pentagon"), 
 
 
 def styles(methods: Sequence[str]) -> dict[str, Style]:
-    """A style for each of the methods, by name for the ladder's, in turn for the others.
+    """A style for each of the methods, METHOD_STYLES by name, the others in turn.
 
     Variants of one method (`envgs [steps=9]`) share its color, each lighter than the one before, and its mark.
     """
@@ -37,8 +37,8 @@ def styles(methods: Sequence[str]) -> dict[str, Style]:
         families.setdefault(method.split(" [")[0], []).append(method)
     others = 0
     for name, members in families.items():
-        if name in LADDER:
-            style = LADDER[name]
+        if name in METHOD_STYLES:
+            style = METHOD_STYLES[name]
         else:
             marker, symbol = MARKS[others % len(MARKS)]
             style = Style(COLORS[others % len(COLORS)], marker, symbol)

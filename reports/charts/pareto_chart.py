@@ -14,7 +14,7 @@ from ..tables.sections import Section
 from .chart_font import chart_fonts
 from .pareto_panel import GRAY, INK, SOFT, Panel, draw_panel, name_marks
 
-MOST_ROWS = 4  # data sets drawn one by one; more are drawn as their means
+MAX_ROWS = 4  # data sets drawn one by one; more are drawn as their means
 FORMATS = ("png", "pdf")
 DPI = 200
 WIDTH, HEIGHT = 5.6, 2.9  # a panel's, inches
@@ -58,7 +58,7 @@ def panel_rows(sections: Sequence[Section], cost: Column, accuracies: Sequence[C
     for section in sections:
         alone = [table for table in section.subjects if len(table.datasets) == 1]
         means = [table for table in section.subjects if len(table.datasets) > 1]
-        for table in alone if len(alone) <= MOST_ROWS else means:
+        for table in alone if len(alone) <= MAX_ROWS else means:
             panels = [Panel(section, table, cost, accuracy) for accuracy in accuracies]
             rows.append([panel for panel in panels if panel.places])
     return [row for row in rows if row]

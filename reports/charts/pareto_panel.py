@@ -17,7 +17,7 @@ from .palette import Style, styles
 from .pareto import Point, front, points
 
 INK, SOFT, GRID, GRAY = "#1f2733", "#667085", "#e8ebf0", "#a5adba"
-CROWD = 12  # points, above which a dominated one goes without its name if there is no room for it
+MAX_NAMED = 12  # points above this number may go without a name if they are dominated and there is no room
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def name_marks(figure: Figure, axis: Axes, panel: Panel) -> None:
     area = axis.get_window_extent(renderer)
     frame = Box(area.x0, area.y0, area.x1, area.y1)
     points_px = figure.dpi / 72
-    needed = [p in best or len(places) <= CROWD for p in places]
+    needed = [p in best or len(places) <= MAX_NAMED for p in places]
     boxes = place_labels(marks, sizes, needed, frame, _obstacles(axis, places, best), gap=9 * points_px)
     for text, box, mark in zip(texts, boxes, marks, strict=True):
         if box is None:

@@ -83,7 +83,7 @@ class Numbers:
         return tuple(name for name in datasets if region == "full" or region in self._regions.get(name, set()))
 
     def estimate(self, datasets: tuple[str, ...], method: str, region: str, metric: str, against: str = "") -> Estimate:
-        """Of one data set, or the unweighted mean over several: complete only where every run of each finished.
+        """For one data set, or the unweighted mean over several: complete only where every run of each finished.
 
         Args:
             against: a method whose value of the same seed is subtracted from each; "" for none.

@@ -13,7 +13,7 @@ UNTIMED = "no device: pictures from elsewhere"
 
 @dataclass(frozen=True)
 class BrokenRecord:
-    """A run folder that tells nothing: its record is missing, truncated or not a record."""
+    """A run folder without a usable record: it is missing, truncated or not a record."""
 
     path: Path
     reason: str

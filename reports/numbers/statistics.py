@@ -34,9 +34,9 @@ def bootstrap_interval(
 
     Args:
         strata: one sequence a scene: its values by view, or by seed. Every stratum counts alike, whatever its length.
-        coverage: of the two-sided interval.
+        coverage: share of the two-sided interval.
         draws: resamples.
-        seed: of the generator; the same values give the same interval, always.
+        seed: the generator's; the same values give the same interval, always.
 
     Returns:
         None where there are no strata or one has fewer than two values: a single value says nothing of its spread.

@@ -16,8 +16,8 @@ from envgs_bench.run_folder import has_renders, layers_of, mask_path, render_pat
 from ..numbers.runs import Run
 from ..tables.sections import Section
 
-MOST_VIEWS = 8
-MOST_PICTURES = 800  # over all data sets and methods together, before fewer views are shown of each
+MAX_VIEWS = 8
+MAX_PICTURES = 800  # over all data sets and methods together, before fewer views are shown of each
 SHOWN_FIRST = ("error", "flip", *LAYERS, "normal", "depth")  # the layers of a view, in this order
 REGION = "reflective"
 
@@ -52,8 +52,8 @@ class Gallery:
 
 def galleries(section: Section) -> list[Gallery]:
     """A gallery for each of the section's data sets that left pictures."""
-    share = MOST_PICTURES // max(1, len(section.datasets) * len(section.methods))
-    found = [_gallery(section, dataset, max(2, min(MOST_VIEWS, share))) for dataset in section.datasets]
+    share = MAX_PICTURES // max(1, len(section.datasets) * len(section.methods))
+    found = [_gallery(section, dataset, max(2, min(MAX_VIEWS, share))) for dataset in section.datasets]
     return [gallery for gallery in found if gallery.shots]
 
 

@@ -18,8 +18,8 @@ from envgs_bench.run_folder import read_png_if_any
 from .gallery import Gallery, Shot, ordered_layers, slug
 
 CELL = 340  # width of a picture in a sheet, px
-MARGIN, GAP, HEAD, MOST_SIDE = 26, 14, 44, 300
-MOST_COLUMNS = 7  # methods in one sheet
+MARGIN, GAP, HEAD, MAX_SIDE = 26, 14, 44, 300
+MAX_COLUMNS = 7  # methods in one sheet
 ZOOM = 3.2  # the zoomed window is this fraction of the picture's edges
 INK, SOFT, FRAME, PAPER = "#1f2733", "#667085", "#ffd400", "#ffffff"
 Panel = tuple[np.ndarray | None, str]  # the picture, or the words in its place
@@ -60,7 +60,7 @@ def _comparison(gallery: Gallery, shot: Shot, out: Path) -> Image.Image:
     target = read_png_if_any(shot.target)
     if target is None:
         return _grid(["ground truth"], [""], [("", [(None, "not readable")])], 0.75)
-    methods = [method for method in gallery.methods if method in shot.renders][:MOST_COLUMNS]
+    methods = [method for method in gallery.methods if method in shot.renders][:MAX_COLUMNS]
     renders = {method: read_png_if_any(shot.renders[method]) for method in methods}
     fitting = {m: picture for m, picture in renders.items() if picture is not None and picture.shape == target.shape}
     rows, columns = slice(0, target.shape[0]), slice(0, target.shape[1])
@@ -69,7 +69,7 @@ def _comparison(gallery: Gallery, shot: Shot, out: Path) -> Image.Image:
         rows, columns = zoom_window(errors, _weight(shot, target.shape[:2]))
     maps = {m: read_png_if_any(out / flip["flip"]) for m in fitting if (flip := gallery.flips.get((shot.view, m)))}
     notes = ["", *(f"{shot.psnr[m]:.2f} dB" if m in shot.psnr else "" for m in methods)]
-    failed = list(gallery.missing)[: MOST_COLUMNS - len(methods)]
+    failed = list(gallery.missing)[: MAX_COLUMNS - len(methods)]
 
     def line(first: Panel, of: Callable[[str], np.ndarray | None]) -> list[Panel]:
         drawn = [(of(method), "") if method in fitting else (None, "not readable") for method in methods]
@@ -87,7 +87,7 @@ def _layer_sheet(shot: Shot) -> Image.Image:
     names = ordered_layers({name for layers in shot.layers.values() for name in layers})
     lines = []
     shape = None
-    for method in list(shot.layers)[:MOST_COLUMNS]:
+    for method in list(shot.layers)[:MAX_COLUMNS]:
         pictures = [read_png_if_any(shot.renders[method])]
         pictures += [read_png_if_any(path) if (path := shot.layers[method].get(n)) else None for n in names]
         shape = shape or next((picture.shape for picture in pictures if picture is not None), None)
@@ -118,7 +118,7 @@ def _grid(titles: list[str], notes: list[str], lines: list[tuple[str, list[Panel
     """A sheet: a title and a note above each column, a name beside each row."""
     height = round(CELL * aspect)
     longest = max((_font(17, True).getlength(name) for name, _ in lines), default=0.0)
-    side = min(MOST_SIDE, math.ceil(longest) + GAP) if longest else 0
+    side = min(MAX_SIDE, math.ceil(longest) + GAP) if longest else 0
     size = (2 * MARGIN + side + len(titles) * (CELL + GAP) - GAP, 2 * MARGIN + HEAD + len(lines) * (height + GAP) - GAP)
     sheet = Image.new("RGB", size, PAPER)
     draw = ImageDraw.Draw(sheet)

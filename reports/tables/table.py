@@ -65,8 +65,8 @@ class DroppedLoss:
     loss: str
     why: str
     dataset: str
-    runs: int  # those that trained without it,
-    done: int  # of so many
+    runs: int  # finished runs that trained without it
+    done: int  # all finished runs
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The command line: its answers, its exit statuses, and what it does not import."""
+"""The command line: its output, its exit statuses, and what it does not import."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_flags_may_stand_between_overrides(capsys: pytest.CaptureFixture[str]) -
     assert "seed: 7" in shown
 
 
-def test_cuda_where_there_is_none_is_explained(
+def test_asking_for_cuda_where_there_is_none_is_explained(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)

@@ -20,7 +20,7 @@ from envgs_bench.core.torch.rotation import rotation_matrices
 KEYS = {"op", "direction", "backend", "primitives", "width", "height", "median_ms", "spread_ms", "hits_per_ray"}
 
 
-def test_the_room_is_on_its_surfaces():
+def test_the_rooms_gaussians_lie_on_its_surfaces():
     """Every center is within a few deviates of a side or a sphere, and normals are those of the surface, tilted."""
     gaussians = room_gaussians(5000)
     assert len(gaussians) == 5000

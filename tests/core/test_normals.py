@@ -1,4 +1,4 @@
-"""depth_normals() on surfaces whose answer is known."""
+"""depth_normals() on surfaces whose normals are known."""
 
 import math
 

@@ -47,7 +47,7 @@ def test_only_surfaces_reflect_and_only_where_it_is_visible(beta_min, dark):
 
 
 def test_gradients_against_finite_differences():
-    """Of a mirror with a hole, whose directions and β teach nothing."""
+    """A mirror with a hole, whose directions and β have no gradient."""
     camera = make_camera()
     camera = Camera(camera.world_to_camera.double(), camera.intrinsics.double(), WIDTH, HEIGHT)
     shown = mirror(camera, torch.tensor([0.1, 0.0, -1.0], dtype=torch.float64), -4.0)

@@ -146,7 +146,7 @@ def test_exact_normals_are_for_the_test_views(root: Path, encoding: str) -> None
     assert all(view.normal is not None for view in load(root, train_normals=True).train)
 
 
-def test_a_folder_of_normals_is_no_truth_here(root: Path) -> None:
+def test_a_folder_of_normals_is_no_ground_truth(root: Path) -> None:
     """As an estimator leaves one; test views are held to what was rendered with them."""
     for split, count in (("train", 3), ("test", 2)):
         (root / "normals" / split).mkdir(parents=True)
@@ -201,7 +201,7 @@ def test_names_that_climb_out_of_the_folder_are_refused(root: Path, name: str) -
     refused(root, r"transforms_train\.json: names a file outside its folder")
 
 
-def test_a_pose_that_is_none(root: Path) -> None:
+def test_an_invalid_pose_is_refused(root: Path) -> None:
     given = content(root, "test")
     for matrix, message in (
         ([[1, 0], [0, 1]], "is no camera-to-world matrix"),

@@ -86,13 +86,13 @@ def test_files_that_did_not_change_are_not_read_again(root: Path, monkeypatch: p
     assert read == [files[3]]
 
 
-def test_a_memory_of_digests_that_is_spoilt_is_made_again(root: Path) -> None:
+def test_a_damaged_file_of_digests_is_made_again(root: Path) -> None:
     cache = root.parent / "cache"
     files = sorted((root / "images").iterdir())
     first = digest_of(files, root, cache)
     (memory,) = (cache / "digests").iterdir()
-    for spoilt in ("{", "[]"):
-        memory.write_text(spoilt)
+    for damaged in ("{", "[]"):
+        memory.write_text(damaged)
         assert digest_of(files, root, cache) == first
 
 

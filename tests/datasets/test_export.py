@@ -101,7 +101,7 @@ def test_some_rotation_rounds_to_every_rounded_rotation(seed: int) -> None:
     np.testing.assert_array_equal(through_quaternion.astype(np.float32), matrix)
 
 
-def test_without_the_search_bits_are_lost() -> None:
+def test_the_nearest_rotation_loses_bits() -> None:
     """The nearest rotation, which a plain conversion stores, mostly rounds to another matrix."""
     lost = 0
     for seed in range(20):

@@ -113,7 +113,7 @@ def test_the_model_is_made_once(corner: Path, monkeypatch: pytest.MonkeyPatch) -
     assert second.train[0].image.shape == (HEIGHT // 2, WIDTH // 2, 3)
 
 
-def test_too_few_that_can_be_placed(tmp_path: Path) -> None:
+def test_too_few_images_that_can_be_placed(tmp_path: Path) -> None:
     """Half of the photographs show something else altogether."""
     root = tmp_path / "mixed"
     (root / "images").mkdir(parents=True)
@@ -128,7 +128,7 @@ def test_too_few_that_can_be_placed(tmp_path: Path) -> None:
     assert len(load(root, min_registered=0.5).train) == 3
 
 
-def test_photographs_of_nothing(tmp_path: Path) -> None:
+def test_photographs_without_features(tmp_path: Path) -> None:
     (tmp_path / "gray").mkdir()
     for index in range(3):
         Image.fromarray(np.full((HEIGHT, WIDTH, 3), 90, dtype=np.uint8)).save(tmp_path / f"gray/{index}.png")

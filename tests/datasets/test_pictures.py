@@ -142,7 +142,7 @@ def test_pixels_are_taken_as_they_lie_in_the_file_as_colmap_takes_them(tmp_path:
 
 
 @pytest.mark.parametrize(("orientation", "turns"), [(6, 1), (8, -1)])
-def test_they_are_turned_where_only_that_fits_the_camera(tmp_path: Path, orientation: int, turns: int) -> None:
+def test_pixels_are_turned_where_only_that_fits_the_camera(tmp_path: Path, orientation: int, turns: int) -> None:
     """A program that does apply orientations made the model: its camera has the turned picture's size."""
     root = write_capture(tmp_path / "bench", NAMES_OF_TEN)
     for name in NAMES_OF_TEN:

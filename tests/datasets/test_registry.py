@@ -15,7 +15,7 @@ import yaml
 from envgs_bench import core
 from envgs_bench.core import Scene
 from envgs_bench.datasets import DatasetError, load_scene
-from envgs_bench.datasets.settings import SourceSettings, parse_settings
+from envgs_bench.datasets.settings import SourceSettings, parse_dataset_settings
 from envgs_bench.datasets.sources.blender import BlenderSettings
 from envgs_bench.datasets.sources.colmap import ColmapSettings
 from envgs_bench.datasets.sources.photos import PhotosSettings
@@ -109,7 +109,7 @@ def test_a_cached_scene_comes_back_whole(tmp_path: Path) -> None:
     assert len(made) == 2
 
 
-def test_a_spoilt_file_is_made_again(tmp_path: Path) -> None:
+def test_a_damaged_file_is_made_again(tmp_path: Path) -> None:
     cached_scene(tmp_path, "a", {}, tiny_scene)
     (path,) = (tmp_path / "scenes").iterdir()
     path.write_bytes(path.read_bytes()[:100])
@@ -144,7 +144,7 @@ def test_shipped_configurations_hold_every_setting(path: Path) -> None:
     model = MODELS[content["kind"]]
     if content.get("root") == "???":
         content["root"] = "somewhere"
-    settings = parse_settings(model, content)
+    settings = parse_dataset_settings(model, content)
     assert set(content) == set(model.model_fields)
     defaults = model(**{key: value for key, value in content.items() if model.model_fields[key].is_required()})
     assert settings.model_copy(update={"name": None}) == defaults

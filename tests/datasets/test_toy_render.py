@@ -17,7 +17,7 @@ from envgs_bench.datasets.toy.render import geometry, picture
 from envgs_bench.datasets.toy.rod import Rod
 from envgs_bench.datasets.toy.shapes import Cone, Disc, Mesh, Rectangle, Shape, Sphere, Torus, box, tessellate
 from envgs_bench.datasets.toy.waves import Wave, Waves
-from envgs_bench.datasets.toy.world import Part, World, reflect
+from envgs_bench.datasets.toy.world import Part, World, reflect_directions
 
 SHAPES = [
     Sphere((0.1, -0.2, 0.3), 0.8),
@@ -106,7 +106,7 @@ def test_a_mirror_ball_shows_the_plane_that_analytic_rays_meet() -> None:
     ball = inside > 0.02  # rays that graze the ball amplify the mesh's own error
     origins, directions = origins[ball], directions[ball]
     points = origins + (-b[ball] - np.sqrt(inside[ball]))[:, None] * directions
-    mirrored = reflect(directions, (points - center) / radius)
+    mirrored = reflect_directions(directions, (points - center) / radius)
     with np.errstate(divide="ignore"):
         x, y = (points - points[:, 2:] / mirrored[:, 2:] * mirrored)[:, :2].T
     on_floor = (mirrored[:, 2] < 0) & (abs(x) < 3.9) & (abs(y) < 3.9)

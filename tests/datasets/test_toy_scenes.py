@@ -136,9 +136,9 @@ def test_wavy_normals_are_those_of_the_surface(load: Load) -> None:
     assert torch.rad2deg(normals[inner].std(0).norm()) > 3
 
 
-def test_matt_surfaces_look_the_same_from_everywhere_and_mirrors_do_not(load: Load) -> None:
-    """Depth carries pixels of one view into the next: matt ones keep their color, reflections move."""
-    matt, mirror = [], []
+def test_matte_surfaces_look_the_same_from_everywhere_and_mirrors_do_not(load: Load) -> None:
+    """Depth carries pixels of one view into the next: matte ones keep their color, reflections move."""
+    matte, mirror = [], []
     scene = load("chrome_room")
     ordered = views_of(scene)
     for view, other in pairwise(ordered):
@@ -146,15 +146,15 @@ def test_matt_surfaces_look_the_same_from_everywhere_and_mirrors_do_not(load: Lo
         # level patches only: elsewhere the two pixels cover different areas of a pattern
         level = neighborhood_range(view) < 0.15
         difference = (ours - theirs).abs().mean(-1)
-        matt.append(difference[seen & level & ~view.masks["reflective"]])
+        matte.append(difference[seen & level & ~view.masks["reflective"]])
         mirror.append(difference[seen & level & view.masks["reflective"]])
-    assert torch.cat(matt).numel() > 300
+    assert torch.cat(matte).numel() > 300
     assert torch.cat(mirror).numel() > 100
-    assert torch.cat(matt).median() < 0.03
-    assert torch.cat(mirror).median() > 2 * torch.cat(matt).median()
+    assert torch.cat(matte).median() < 0.03
+    assert torch.cat(mirror).median() > 2 * torch.cat(matte).median()
 
 
-def test_points_lie_on_matt_surfaces_that_two_views_see(load: Load) -> None:
+def test_points_lie_on_matte_surfaces_that_two_views_see(load: Load) -> None:
     scene = load("diffuse_room")
     points = scene.points[: -len(scene.train)]  # far points come last
     seen_by = torch.zeros(len(points))

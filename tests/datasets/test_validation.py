@@ -118,7 +118,7 @@ def test_a_capture_s_validation_views_keep_masks_and_lose_guessed_normals(captur
 
 
 @pytest.mark.parametrize("exact", [False, True])
-def test_normals_beside_images_are_scored_where_they_are_vouched_for(capture: Path, exact: bool) -> None:
+def test_normals_beside_images_are_scored_where_they_are_exact(capture: Path, exact: bool) -> None:
     scene = load(with_normals(capture), exact_normals=exact)
     assert all((view.normal is not None) == exact for view in [*scene.val, *scene.test])
     assert all(view.normal is not None for view in scene.train)

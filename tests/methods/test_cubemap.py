@@ -54,7 +54,7 @@ def test_texel_directions_are_where_the_texels_are_read():
     torch.testing.assert_close(found, texels.reshape(-1, 2), atol=1e-6, rtol=0)
 
 
-def test_a_smooth_function_is_met_to_second_order_within_a_face_and_to_first_across_seams():
+def test_a_smooth_function_is_approximated_to_second_order_within_a_face_and_to_first_across_seams():
     directions = random_directions(4000)
     sizes = directions.abs().sort(dim=1).values
     inside = sizes[:, 1] / sizes[:, 2] < 1 - 1 / 16

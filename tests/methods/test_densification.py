@@ -112,14 +112,14 @@ def growing(gradients, max_primitives: int) -> list[float]:
     return [color for color in range(n) if found.count(color) == 2]
 
 
-def test_a_tenth_grows_at_once_the_largest_gradients():
+def test_at_most_a_tenth_is_added_at_once_by_the_largest_gradients():
     gradients = [2.0 + 0.01 * i for i in range(100)]
     assert growing(gradients, max_primitives=1000) == list(range(90, 100))
     assert growing([0.5] * 50 + gradients[:50], max_primitives=1000) == list(range(90, 100))
     assert growing([0.5] * 97 + gradients[:3], max_primitives=1000) == [97, 98, 99]
 
 
-def test_what_fills_less_than_a_pixel_does_not_grow():
+def test_what_fills_less_than_a_pixel_is_not_divided():
     rule = dataclasses.replace(RULE, min_coverage=1.0)
     record = make_record([2.0, 2.0] + [0.0] * 18, [0.9, 1.1] + [1.0] * 18)
     record.add(torch.tensor([2.0, 2.0] + [0.0] * 18), torch.tensor([1.0, 1.0] + [1.0] * 18))  # means 0.95 and 1.05
@@ -128,7 +128,7 @@ def test_what_fills_less_than_a_pixel_does_not_grow():
     assert colors(parameters) == [0, 1, 1, *range(2, 20)]
 
 
-def test_what_few_views_show_does_not_grow():
+def test_what_few_views_show_is_not_divided():
     """Ten steps: two primitives are shown by three of them, the second almost only by one, the third by all alike."""
     rule = dataclasses.replace(RULE, min_views=2.9)
     record = DensificationRecord(30, torch.device("cpu"))
@@ -141,7 +141,7 @@ def test_what_few_views_show_does_not_grow():
     assert colors(parameters) == [0, 0, 1, 2, 2, *range(3, 30)]
 
 
-def test_towards_the_cap_there_is_less_room():
+def test_the_cap_limits_how_many_are_added():
     gradients = [2.0 + 0.01 * i for i in range(100)]
     assert growing(gradients, max_primitives=107) == list(range(93, 100))
 
@@ -163,10 +163,10 @@ def test_moments_follow_through_a_densification():
     densify(parameters, make_record([2.0, 2.0, 0.0] + [0.0] * 20, [1.0] * 23), RULE, RADIUS, generator())
     moment = parameters.optimizer.state[parameters.tensors["means"]]["exp_avg"]
     assert moment.shape == (24, 3)
-    assert (moment != 0).all(dim=1).sum() == 21  # of the cloned and the idle; clone and parts start anew
+    assert (moment != 0).all(dim=1).sum() == 21  # rows that stay keep theirs; the clone and the parts start anew
 
 
-def test_the_criterion_is_a_mean_over_the_views_that_saw():
+def test_the_criterion_is_a_mean_over_the_views_that_saw_a_primitive():
     record = DensificationRecord(2, torch.device("cpu"))
     record.add(torch.tensor([3.0, 0.0]), torch.tensor([1.0, 0.0]))
     record.add(torch.tensor([1.0, 8.0]), torch.tensor([1.0, 1.0]))

@@ -1,4 +1,4 @@
-"""Losses on images whose answer is known."""
+"""Losses on images where their value is known."""
 
 import math
 
@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from envgs_bench.core.ssim import ssim
-from envgs_bench.methods.losses import nearness, normal_distance, normal_loss, photometric_loss, psnr
+from envgs_bench.methods.losses import nearness, normal_distance, normal_loss, photometric_loss, training_psnr
 
 
 def test_normal_loss_is_one_minus_cosine_and_spares_unknown_pixels():
@@ -46,5 +46,5 @@ def test_nearness():
     assert nearness(torch.zeros(2, 2)).tolist() == [[1.0, 1.0], [1.0, 1.0]]
 
 
-def test_psnr():
-    assert psnr(torch.full((4, 4, 3), 0.6), torch.full((4, 4, 3), 0.5)).item() == pytest.approx(20, abs=1e-3)
+def test_training_psnr():
+    assert training_psnr(torch.full((4, 4, 3), 0.6), torch.full((4, 4, 3), 0.5)).item() == pytest.approx(20, abs=1e-3)

@@ -65,7 +65,7 @@ def test_near_things_reflect_best_in_envgs(trained, scene):
 
 
 @pytest.mark.slow
-def test_the_papers_order(tmp_path):
+def test_the_methods_rank_as_in_the_paper(tmp_path):
     scene = load_scene({**ROOM, "normal_noise": 5.0}, tmp_path)
     trained = train(scene, 3000, min_coverage=3.0)
     psnr = {kind: near_field(method, scene) for kind, method in trained.items()}

@@ -76,7 +76,7 @@ def test_new_rows_start_without_moments():
     torch.testing.assert_close(parameters.tensors["means"][6:], parameters.tensors["means"][[0, 5]])
 
 
-def test_adam_goes_on_after_a_change_as_if_the_other_rows_had_never_been():
+def test_adam_goes_on_after_a_change_as_if_the_other_rows_had_never_existed():
     whole, changed = make_parameters(), make_parameters()
     rows = torch.tensor([0, 2, 3])
     for parameters in (whole, changed):

@@ -53,7 +53,7 @@ def test_base_and_reflection_are_blended_by_beta(monkeypatch):
 
 @pytest.mark.parametrize(("share", "traced"), [(0.0, 256), (0.5, 160), (0.75, 80), (0.9, 32)])
 def test_the_filter_traces_the_pixels_of_the_greatest_beta(monkeypatch, share, traced):
-    """Of β rising over 320 pixels from 0 to 1, the threshold 0.199 leaves 256 and the filter its share of all 320."""
+    """With β rising over 320 pixels from 0 to 1, the threshold 0.199 leaves 256 and the filter its share of all 320."""
     beta = torch.linspace(0, 1, WIDTH * HEIGHT).reshape(HEIGHT, WIDTH)
     shown = mirror(make_camera(), torch.tensor([0.0, 0.0, -1.0]), -4.0)
     rendering = make_rendering(shown.depth, shown.normal, shown.alpha, beta)

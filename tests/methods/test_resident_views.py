@@ -25,7 +25,7 @@ def test_a_view_is_copied_once() -> None:
     assert views.on_device(one) is copy
 
 
-def test_what_finds_no_room_is_copied_each_time() -> None:
+def test_a_view_without_room_is_copied_each_time() -> None:
     views, one, other = ResidentViews(DEVICE, room=2 * BYTES - 1), view("a"), view("b")
     stays = views.on_device(one)
     assert views.on_device(other) is not views.on_device(other)

@@ -64,7 +64,7 @@ def test_a_short_run_has_every_phase_that_it_can_recover_from(steps, missing):
     ("steps", "usual", "settling"),
     [(30_000, 100, 500), (12_000, 40, 200), (7000, 30, 150), (3000, 30, 150), (2000, 30, 90), (800, 30, 30)],
 )
-def test_while_reflections_settle_the_base_grows_more_rarely_but_ten_times(steps, usual, settling):
+def test_the_settling_interval_leaves_the_base_ten_densifications(steps, usual, settling):
     grows = events("envgs", steps, opacity_reset_every=0)["densify_base"]
     first, last = round(0.1 * steps), round(0.6 * steps)  # 3,000 to 18,000 of 30,000
     settles = [step for step in grows if first < step <= last]
@@ -96,7 +96,7 @@ def test_positions_decay_log_linearly():
     assert schedule.rate(1000, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-6)
 
 
-def test_the_normals_of_what_reflects_settle():
+def test_rotation_rates_of_reflective_methods_decay_to_a_tenth():
     """A tenth of the rotation rate remains at the end; 2DGS keeps its own."""
     view = View("view", Camera(torch.eye(4), torch.eye(3), 4, 4), torch.zeros(4, 4, 3, dtype=torch.uint8))
     points = torch.rand(20, 3, generator=torch.Generator().manual_seed(0))

@@ -91,7 +91,7 @@ def test_a_render_is_an_image_with_its_layers(trained, scene, kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_loaded_renders_what_was_saved(trained, scene, kind, tmp_path):
+def test_a_loaded_method_renders_as_the_saved_one(trained, scene, kind, tmp_path):
     method, _ = trained[kind]
     method.save(tmp_path / "checkpoint")
     again = make_method(kind, seed=99)
@@ -135,10 +135,10 @@ def test_a_gradient_that_is_not_finite_never_reaches_adam(scene, kind):
     states = [{k: v.clone() for k, v in o.state[p].items()} for o in optimizers for p in o.state]
     record = method.sets["base"].record.gradients.clone()
 
-    spoilt = dataclasses.replace(scene.train[0], normal=torch.full_like(scene.train[0].normal, float("nan")))
+    damaged = dataclasses.replace(scene.train[0], normal=torch.full_like(scene.train[0].normal, float("nan")))
     if kind in ("2dgs", "3dgs"):  # no view's normals enter their loss: a target that is not finite
-        spoilt = NotFinite(**{f.name: getattr(spoilt, f.name) for f in dataclasses.fields(spoilt)})
-    losses = method.training_step(spoilt, 11)
+        damaged = NotFinite(**{f.name: getattr(damaged, f.name) for f in dataclasses.fields(damaged)})
+    losses = method.training_step(damaged, 11)
 
     after = [value.detach() for o in method.optimizers() for group in o.param_groups for value in group["params"]]
     assert not torch.isfinite(losses["loss"])
@@ -171,7 +171,7 @@ def test_sh_degrees_are_added_one_by_one(scene):
 
 @pytest.mark.parametrize(("near", "free_space", "expected"), [(0.2, 0.0, 0.2), (0.2, 100.0, 100.0), (3.0, 1.0, 3.0)])
 def test_nothing_is_drawn_in_the_free_space_of_a_scene(scene, tmp_path, near, free_space, expected):
-    """The picture hangs less than 5 before the cameras: where 100 are free, the background alone is seen."""
+    """The scene lies within 5 of the cameras: with a free space of 100, only the background is drawn."""
     background = torch.tensor([0.25, 0.5, 0.75])
     method = make_method("2dgs", near=near)
     method.initialize(dataclasses.replace(scene, free_space=free_space, background=background), STEPS)

@@ -130,7 +130,7 @@ def test_hash_is_of_every_choice_and_not_of_the_name():
     assert len({protocol.hash for protocol in PROTOCOLS.values()}) == len(PROTOCOLS)
     assert Protocol("renamed", "none", "zero", "[0, 1]", "white").hash == get_protocol().hash
     assert all(len(protocol.hash) == 8 for protocol in PROTOCOLS.values())
-    assert get_protocol().hash == "b9bc53ab"  # of published records: a new hash starts new tables
+    assert get_protocol().hash == "b9bc53ab"  # published records have this hash: a new one starts new tables
 
 
 def test_description_names_the_choices():

@@ -22,8 +22,8 @@ from envgs_bench.metrics import WeightsUnavailable, find_weights, lpips_jax, vgg
 from envgs_bench.metrics.lpips import lpips
 from envgs_bench.metrics.vgg16 import load_vgg16
 
-# The astronaut's 160×160 pixels about the face, in float64 by the formulas alone, from the weights and the linear heads
-# of lpips-jax: the mean of each stage's features, and LPIPS to the same moved by a pixel, fed in [−1, 1] and in [0, 1].
+# The astronaut's 160×160 pixels about the face, in float64 by the formulas alone, from lpips-jax's weights and linear
+# heads: the mean of each stage's features, and LPIPS to the same moved by a pixel, fed in [−1, 1] and in [0, 1].
 STAGE_MEANS = (0.3169399876, 0.5541912146, 0.8676542351, 0.4278087968, 0.0732651589)
 LPIPS = {"[-1, 1]": 0.0568379920, "[0, 1]": 0.0460015932}
 
@@ -112,7 +112,7 @@ def in_torch_hub(path: Path) -> Path:
 def test_both_layouts_are_the_same_network(trusted, torchvisions, convolutions, monkeypatch):
     batch = torch.randn(1, 3, 35, 50, generator=torch.Generator().manual_seed(2))
     weights.cached_weights().parent.mkdir()
-    save_file(lpips_jax.read_checkpoint(lpips_jax.read_member(trusted)), weights.cached_weights())
+    save_file(lpips_jax.read_convolutions(lpips_jax.read_member(trusted)), weights.cached_weights())
     first, source = load_vgg16()(batch), load_vgg16().source
     monkeypatch.setenv("ENVGS_BENCH_VGG16", str(torchvisions))
     second = load_vgg16()(batch)
@@ -121,7 +121,7 @@ def test_both_layouts_are_the_same_network(trusted, torchvisions, convolutions, 
         torch.testing.assert_close(ours, theirs, atol=1e-5, rtol=0)
 
 
-def test_the_real_weights_see_what_the_stored_figures_say(real_weights):
+def test_the_real_weights_give_the_stored_figures(real_weights):
     """Whichever source this machine has: so the two are held against each other, a machine each."""
     picture = torch.from_numpy(skimage.data.astronaut()[40:200, 140:300]).float() / 255
     network = load_vgg16()
@@ -240,5 +240,5 @@ def test_a_pickle_of_anything_but_arrays_is_refused(tmp_path):
             return open, (str(tmp_path / "executed"), "w")
 
     with pytest.raises(pickle.UnpicklingError, match=r"asks for (_?io)\.open, expected NumPy's arrays alone"):
-        lpips_jax.read_checkpoint(pickle.dumps({"VGG16_0": Command()}))
+        lpips_jax.read_convolutions(pickle.dumps({"VGG16_0": Command()}))
     assert not (tmp_path / "executed").exists()

@@ -47,7 +47,7 @@ def test_less_error_is_better_on_the_front() -> None:
     assert front([bad, good], FRAME_MS, PSNR) == [good, bad]
 
 
-def test_a_method_that_failed_somewhere_beats_nobody() -> None:
+def test_a_method_that_failed_somewhere_dominates_no_other() -> None:
     lucky, solid = point(5, 40, done=2), point(10, 30)
     assert front([lucky, solid], FRAME_MS, PSNR) == [solid]
 

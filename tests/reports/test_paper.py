@@ -155,7 +155,7 @@ def test_the_filters_rows_are_those_of_table_6(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("row", ["envgs [beta_filter=0.5, steps=800]", "envgs [beta_filter=unset]"])
-def test_a_filter_that_the_paper_did_not_turn_is_no_row_of_its_table_6(row: str) -> None:
+def test_filters_that_the_paper_did_not_test_are_no_rows_of_its_table_6(row: str) -> None:
     assert paper_method(row) == row
 
 

@@ -10,7 +10,7 @@ from PIL import Image
 from reports_runs import METHODS, ball_in_a_box, record, run_folder, write_failure, write_record, write_runs
 
 from envgs_bench.reports.numbers.runs import read_runs
-from envgs_bench.reports.pictures.error_maps import draw_error_maps, flip_map
+from envgs_bench.reports.pictures.error_maps import colored_flip_map, draw_error_maps
 from envgs_bench.reports.pictures.gallery import Gallery, copy_pictures, galleries, slug
 from envgs_bench.reports.pictures.sheets import CELL, draw_sheets, zoom_window
 from envgs_bench.reports.tables.sections import split_sections
@@ -127,15 +127,15 @@ def test_flip_maps_lie_beside_their_renders(tmp_path: Path) -> None:
     drawn = read_png_if_any(tmp_path / "out" / gallery.flips[shot.view, "envgs"]["flip"])
     assert render is not None
     assert target is not None
-    np.testing.assert_allclose(drawn, 255 * flip_map(render, target)[0], atol=0.51)
+    np.testing.assert_allclose(drawn, 255 * colored_flip_map(render, target)[0], atol=0.51)
 
 
 def test_flip_is_0_for_equal_pictures_and_large_for_opposite_ones() -> None:
     target = (255 * np.clip(ball_in_a_box((48, 64), 0.3)["base"], 0, 1)).astype(np.uint8)
-    colors, same = flip_map(target, target)
+    colors, same = colored_flip_map(target, target)
     assert same == 0
     assert colors.shape == (48, 64, 3)
-    assert 0.3 < flip_map(255 - target, target)[1] <= 1
+    assert 0.3 < colored_flip_map(255 - target, target)[1] <= 1
 
 
 def test_pictures_are_read_as_they_are(tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ def test_the_interval_lies_within_the_values_and_holds_more_at_higher_coverage(s
     assert wide.high <= np.mean([max(values) for values in strata]) + slack
 
 
-def test_too_little_says_nothing_and_nonsense_is_refused():
+def test_too_few_values_have_no_interval_and_non_finite_ones_are_refused():
     assert bootstrap_interval([]) is None
     assert bootstrap_interval([[1.0, 2.0], [3.0]]) is None
     with pytest.raises(ValueError, match="not finite"):

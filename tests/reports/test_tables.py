@@ -83,7 +83,7 @@ def test_ranks_are_of_printed_numbers_and_ties_share_them() -> None:
     assert [row.cells["psnr"].rank for row in table.rows] == [1, 1, 3, None, None]
 
 
-def test_less_is_better_where_it_is() -> None:
+def test_lower_is_better_for_error_metrics() -> None:
     table = table_of({"a": [0.2], "b": [0.1], "c": [0.3]}, metric="flip")
     assert [row.cells["flip"].rank for row in table.rows] == [2, 1, 3]
 
@@ -239,7 +239,7 @@ def test_the_newest_of_two_equal_runs_counts(tmp_path: Path) -> None:
     assert len(section.superseded) == 1
 
 
-def test_methods_come_in_the_ladders_order(tmp_path: Path) -> None:
+def test_methods_come_in_a_fixed_order(tmp_path: Path) -> None:
     write_runs(tmp_path, methods=("zebra", "envgs", "envmap", "aardvark", "2dgs", "3dgs"), seeds=(0,), pictures=False)
     assert sections_of(tmp_path)[0].methods == ["3dgs", "2dgs", "envmap", "envgs", "aardvark", "zebra"]
 
@@ -370,7 +370,7 @@ def test_glass_has_a_column_and_a_region_of_ones_own_a_table(tmp_path: Path) -> 
     assert row_of(regions, "envgs").cells["varnish: psnr_varnish"].estimate.strata == ((17.25,),)
 
 
-def test_times_beside_others_are_said_to_be(tmp_path: Path) -> None:
+def test_times_on_a_busy_machine_are_noted(tmp_path: Path) -> None:
     content = record(ROOM, "envgs", 0)
     content["provenance"]["machine"]["others_cores"] = 1.5
     write_record(tmp_path / "busy", content)

@@ -82,7 +82,7 @@ def test_the_device_and_the_code_change_the_identity(monkeypatch: pytest.MonkeyP
         {"device": "cpu"},
     ],
 )
-def test_what_does_not_determine_the_result_does_not(changes: dict[str, Any]) -> None:
+def test_what_does_not_determine_the_result_leaves_the_identity(changes: dict[str, Any]) -> None:
     assert run_id(settings(**changes), "cpu") == run_id(settings(), "cpu")
 
 

@@ -22,7 +22,7 @@ def git(*arguments):
     return subprocess.run(["git", "-C", str(REPOSITORY), *arguments], capture_output=True, text=True, check=True).stdout
 
 
-def test_it_is_plain_json_and_names_versions_machine_and_threads():
+def test_provenance_is_plain_json_and_names_versions_machine_and_threads():
     found = collect("cpu")
     assert json.loads(json.dumps(found)) == found
     assert found["packages"]["torch"] == version("torch")
@@ -49,7 +49,7 @@ def test_an_installed_copy_has_no_commit(monkeypatch, tmp_path):
     assert provenance.checkout() == {"commit": None, "dirty": None}
 
 
-def test_missing_slow_and_failing_commands_say_nothing(monkeypatch):
+def test_missing_slow_and_failing_commands_give_none(monkeypatch):
     assert provenance._output(["no-such-command-anywhere"]) is None
     assert provenance._output([sys.executable, "-c", "raise SystemExit(3)"]) is None
     monkeypatch.setattr(provenance, "COMMAND_SECONDS", 0.05)
@@ -57,7 +57,7 @@ def test_missing_slow_and_failing_commands_say_nothing(monkeypatch):
 
 
 def test_others_are_what_is_left_of_the_machines_work(monkeypatch):
-    """Of 25 s of work in 10 s, 5 were ours: others kept two cores busy."""
+    """5 s of 25 s of work in 10 s were ours: others kept two cores busy."""
     monkeypatch.setattr(provenance, "_AT_IMPORT", (100.0, 1000.0, 50.0))
     monkeypatch.setattr(provenance, "_busy_seconds", lambda: (110.0, 1025.0, 55.0))
     assert provenance._others_cores() == 2.0
@@ -89,7 +89,7 @@ def test_a_gpu_is_named_with_driver_and_clocks():
 
 
 def test_a_gpus_fields_are_read_in_their_order(monkeypatch):
-    """nvidia-smi's answers, recorded; two processes mean that the device was shared."""
+    """nvidia-smi's output, recorded; two processes mean that the device was shared."""
 
     class Properties:
         name, total_memory, major, minor, multi_processor_count, uuid = "H", 80 << 30, 9, 0, 132, "u"

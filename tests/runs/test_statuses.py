@@ -120,7 +120,7 @@ def test_skipped_steps_are_counted(sweep: Sweep) -> None:
     assert cost.skipped_steps == 20
 
 
-def test_the_one_that_worked_has_everything(sweep: Sweep) -> None:
+def test_a_successful_run_has_a_complete_record_and_all_files(sweep: Sweep) -> None:
     record, folder = sweep.records["MeanColor"], sweep.folders["MeanColor"]
     assert record.status == "ok"
     assert record.error is None

@@ -57,7 +57,7 @@ def test_the_first_frame_of_every_view_is_not_counted(clock):
     assert [c is cameras[0] for c in renderer.drawn] == [True] * 4 + [False] * 4
 
 
-def test_time_ends_a_view_before_its_frames_do(clock):
+def test_the_time_limit_can_end_a_view_before_the_frame_limit(clock):
     times = time_views(Renderer(clock, 0.3).render, [camera()], "cpu", frames=50, seconds=1.0).times_ms
     np.testing.assert_allclose(times, [[300] * 4])
     one = time_views(Renderer(clock, 5.0).render, [camera()], "cpu", frames=50, seconds=1.0).times_ms
@@ -112,7 +112,7 @@ def test_contract_says_what_was_timed():
 
 
 class Device:
-    """A GPU whose calls take 20 ms each, and 1 ms to launch; an event tells when all that lies before it has ended."""
+    """A GPU whose calls take 20 ms each, and 1 ms to launch; an event records when all work before it has ended."""
 
     def __init__(self, clock):
         self.clock, self.busy_until, self.most_waiting = clock, clock.now, 0
@@ -165,7 +165,7 @@ def test_on_a_gpu_every_frame_is_positive():
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-def test_on_a_gpu_time_ends_a_view_although_launching_takes_none():
+def test_on_a_gpu_the_time_limit_ends_a_view_although_launching_takes_no_time():
     square = torch.randn(8192, 8192, device="cuda")
     times = time_views(lambda camera: square @ square, [camera().to("cuda")], "cuda", frames=5000, seconds=0.2).times_ms
     assert len(times[0]) < 5000

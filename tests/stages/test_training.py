@@ -103,7 +103,7 @@ def test_the_peak_is_the_most_of_all_sets_together(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("steps", "last"), [(100, 22), (3, None)])
-def test_a_loss_that_stays_away_is_a_divergence(tmp_path: Path, steps: int, last: int | None) -> None:
+def test_a_loss_that_stays_not_finite_is_a_divergence(tmp_path: Path, steps: int, last: int | None) -> None:
     training = Training(LosesItsLoss(Settings(crash_at=3)), tiny_scene(), steps, 0)
     if last is None:  # one step of three
         training.run(tmp_path / "curve.csv", nothing)
@@ -113,7 +113,7 @@ def test_a_loss_that_stays_away_is_a_divergence(tmp_path: Path, steps: int, last
 
 
 def test_losses_of_a_device_are_read_ten_steps_at_once_and_judged_one_by_one(tmp_path: Path) -> None:
-    """19 steps without a loss, one with, and 20 without: the 42nd is the last straw, found out after the 50th."""
+    """19 steps without a loss, one with, and 20 without: the run diverges in step 42, noticed after step 50."""
 
     class OnDevice(MeanColor):
         def training_step(self, view: Any, step: int) -> dict[str, torch.Tensor]:

@@ -22,7 +22,7 @@ def coarse_toys() -> Iterator[None]:
     """Within it toy scenes have grainier light and coarser textures and sky: they are made sooner."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lighting, "GATHERED_RAYS", 16)
-        patch.setattr(textures, "PER_METRE", 64)
+        patch.setattr(textures, "TEXELS_PER_METER", 64)
         patch.setattr(sky, "ROWS", 256)
         patch.setattr(sky, "COLUMNS", 512)
         yield

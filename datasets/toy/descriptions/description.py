@@ -18,7 +18,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Orbit:
-    """A closed path of cameras around `target`, rising and falling, nearing and parting."""
+    """A closed path of cameras around `target`, varying in height and in distance."""
 
     target: Vector
     radius: float
@@ -35,10 +35,10 @@ class Description:
     parts: list[Part]
     sky: Array  # [H, W, 3] linear radiance
     orbit: Orbit
-    far_points: int  # of the sky, in the point cloud
+    far_points: int  # points on the sky, in the point cloud
     bounces: int = 5  # reflections and refractions followed along one path
 
 
 def painted(shape: Shape, picture: Array) -> Part:
-    """The matt surface with an sRGB picture [H, W, 3]."""
+    """The matte surface with an sRGB picture [H, W, 3]."""
     return Part(shape, to_linear(picture))

@@ -14,7 +14,7 @@ from .description import Description, Orbit, painted
 from .room import BLOCKS, HALF, blocks, walls
 
 WIDTH, BOTTOM, TOP = 5.6, 0.12, 2.85
-AWAY = 0.06  # from the wall
+WALL_GAP = 0.06  # from the wall
 
 
 def facing_mirrors(rng: np.random.Generator) -> Description:
@@ -27,7 +27,7 @@ def facing_mirrors(rng: np.random.Generator) -> Description:
 
 def _mirror(side: int, frame: tex.Color, rng: np.random.Generator) -> list[Part]:
     """A framed mirror along x, on the wall at y = ±HALF."""
-    y = side * (HALF - AWAY)
+    y = side * (HALF - WALL_GAP)
     glass = Rectangle((-side * WIDTH / 2, y, TOP), (side * WIDTH, 0, 0), (0, 0, BOTTOM - TOP))
     parts = [Part(glass, to_linear(tex.plain(tex.grid(1, 1)[0], tex.SLATE)), reflectance=0.92)]
     bar, depth = 0.09, 0.06
@@ -45,7 +45,7 @@ def _mirror(side: int, frame: tex.Color, rng: np.random.Generator) -> list[Part]
 
 
 def _figure(rng: np.random.Generator) -> list[Part]:
-    """A skittle whose two sides differ, so that every image in the tunnel tells which way it is turned."""
+    """A bowling pin whose two sides differ, so that every image in the tunnel shows which way it is turned."""
     body = Lathe((0, 0, 0), ((0.06, 0.74), (0.11, 0.6), (0.28, 0.3), (0.24, 0.08), (0.17, 0.0)))
     x, y = tex.grid(*body.extent)
     half = body.extent[0] / 2

@@ -96,8 +96,8 @@ def _with_window(corner: Vector, across: Vector, down: Vector, wall: Array) -> l
 
     def piece(x0: float, y0: float, x1: float, y1: float) -> Part:
         start = np.array(corner) + x0 * x_axis + y0 * y_axis
-        rows = slice(round(y0 * tex.PER_METRE), round(y1 * tex.PER_METRE))
-        columns = slice(round(x0 * tex.PER_METRE), round(x1 * tex.PER_METRE))
+        rows = slice(round(y0 * tex.TEXELS_PER_METER), round(y1 * tex.TEXELS_PER_METER))
+        columns = slice(round(x0 * tex.TEXELS_PER_METER), round(x1 * tex.TEXELS_PER_METER))
         edges = (tuple(edge.tolist()) for edge in ((x1 - x0) * x_axis, (y1 - y0) * y_axis))
         return painted(Rectangle(tuple(start.tolist()), *edges), wall[rows, columns])
 

@@ -15,7 +15,7 @@ from .room import walls
 
 SIDE, FOOT, TOP = 1.05, 0.1, 1.35
 TURN = 45  # degrees
-FENCE, HIGH = 0.92, 0.74  # from the middle to each side of the fence; height of its upper rail
+FENCE_DISTANCE, RAIL_HEIGHT = 0.92, 0.74  # from the middle to each side of the fence; height of its upper rail
 BARS = ((0.022, tex.MUSTARD), (0.010, tex.VERMILION), (0.014, tex.INK), (0.010, tex.CREAM))  # radius, color; in turn
 
 
@@ -44,14 +44,14 @@ def _fence(rng: np.random.Generator) -> list[Part]:
         inward, along = np.array([-np.sin(turn), np.cos(turn), 0]), np.array([np.cos(turn), np.sin(turn), 0])
 
         def place(position: float, height: float, inward: Array = inward, along: Array = along) -> Array:
-            return -FENCE * inward + position * FENCE * along + np.array([0, 0, height])
+            return -FENCE_DISTANCE * inward + position * FENCE_DISTANCE * along + np.array([0, 0, height])
 
         for position, (radius, color) in zip(np.arange(-1, 1, 0.25), 2 * BARS, strict=True):
-            parts.append(_rod(place(position, 0), place(position, HIGH + 0.03), radius, color, rng))
-        for height in (0.08, HIGH):
+            parts.append(_rod(place(position, 0), place(position, RAIL_HEIGHT + 0.03), radius, color, rng))
+        for height in (0.08, RAIL_HEIGHT):
             parts.append(_rod(place(-1, height), place(1, height), 0.02, tex.VERMILION, rng))
-        parts.append(_rod(place(-1, 0.08), place(1, HIGH), 0.006, tex.SKY, rng))
-        parts.append(_rod(place(-1, HIGH), place(1, 0.08), 0.006, tex.SKY, rng))
+        parts.append(_rod(place(-1, 0.08), place(1, RAIL_HEIGHT), 0.006, tex.SKY, rng))
+        parts.append(_rod(place(-1, RAIL_HEIGHT), place(1, 0.08), 0.006, tex.SKY, rng))
     return parts
 
 

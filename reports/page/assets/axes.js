@@ -1,7 +1,7 @@
 "use strict";
 /* What the charts' axes, ranges and names look like. */
 window.Report.axes = (function () {
-  const CROWD = 12; // points, above which a name that covers others is left to the hover and the list
+  const MAX_NAMED = 12; // points, above which a name that covers others is left to the hover and the list
   const SIDES = { "top left": [-1, 1], "top right": [1, 1], "bottom right": [1, -1], "bottom left": [-1, -1], "top center": [0, 1], "bottom center": [0, -1], "middle right": [1, 0], "middle left": [-1, 0] };
   const CONFIG = { responsive: true, displaylogo: false, modeBarButtons: [["toImage", "zoom2d", "pan2d", "resetScale2d"]] };
 
@@ -69,7 +69,7 @@ window.Report.axes = (function () {
       const area = (a, b) => Math.max(0, Math.min(a[2], b[2]) - Math.max(a[0], b[0])) * Math.max(0, Math.min(a[3], b[3]) - Math.max(a[1], b[1]));
       const cost = (b) => taken.reduce((sum, other) => sum + area(b, other), 0) + 30 * Math.max(0, -b[0], b[2] - width);
       const best = Object.keys(SIDES).reduce((a, b) => (cost(box(SIDES[b])) < cost(box(SIDES[a])) ? b : a));
-      if (points.length > CROWD && cost(box(SIDES[best])) > 400 && !needed.includes(point)) return null;
+      if (points.length > MAX_NAMED && cost(box(SIDES[best])) > 400 && !needed.includes(point)) return null;
       taken.push(box(SIDES[best]));
       return best;
     });

@@ -140,7 +140,7 @@
         const name = element("button", { type: "button", className: "pick" }, mark(section.styles[row.method], !row.complete), element("span", { textContent: row.method, className: best.includes(point) ? "on-front" : "" }));
         name.dataset.key = row.method;
         name.title = row.method;
-        name.addEventListener("click", () => tell(row));
+        name.addEventListener("click", () => describe(row));
         const item = element("li", {}, box, name, numbers);
         item.addEventListener("mouseenter", () => highlight(row.method));
         item.addEventListener("mouseleave", () => highlight(null));
@@ -159,8 +159,8 @@
       plot.dataset.highlight = method || "";
     }
 
-    /* What hovering tells, as text, with a way to the pictures. */
-    function tell(row) {
+    /* The facts of the hover label as text, with a button to the pictures. */
+    function describe(row) {
       const shown = Object.entries(section.columns).filter(([key]) => row.values[key]).map(([key, column]) => element("div", {}, element("dt", { textContent: column.title }), element("dd", { textContent: row.values[key][3] })));
       const overrides = row.overrides.length ? [element("p", { className: "overrides" }, element("code", { textContent: row.overrides.join(" ") }))] : [];
       const pictures = element("button", { type: "button", className: "to-pictures", textContent: "Pictures" });

@@ -4,7 +4,7 @@
   const { escaped, fill, groups } = window.Report;
   const { CONFIG, layout } = window.Report.axes;
   const FIRST = ["psnr", "primitives", "skipped_steps"];
-  const loaded = {}; // "section place" -> the curves, once their file has called
+  const loaded = {}; // "section place" -> the curves, once their file is loaded
   const waiting = {};
 
   window.addCurves = (section, place, curves) => {

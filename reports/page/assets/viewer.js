@@ -5,7 +5,7 @@
   const { element, fill, groups } = window.Report;
   const TARGET = "ground truth";
   const NAMES = { image: "image", beta: "β", flip: "FLIP map", error: "error map" };
-  const LARGEST = 8; // screen pixels a pixel of the picture, unzoomed
+  const MAX_ENLARGEMENT = 8; // screen pixels a pixel of the picture, unzoomed
   const PAN = 4; // per cent of the picture, a key press
 
   function setUp(group, section) {
@@ -104,7 +104,7 @@
     function fit(event) {
       const image = event.target;
       root.style.setProperty("--ratio", String(image.naturalWidth / image.naturalHeight || 1.333));
-      root.style.setProperty("--largest", `${LARGEST * image.naturalWidth || 1000}px`);
+      root.style.setProperty("--largest", `${MAX_ENLARGEMENT * image.naturalWidth || 1000}px`);
       image.classList.toggle("pixels", image.clientWidth * state.zoom > image.naturalWidth);
     }
 

@@ -1,4 +1,4 @@
-"""Methods that break the contract of `Method`, each in one way: what `check_method` must tell."""
+"""Methods that break the contract of `Method`, each in one way: which `check_method` must name."""
 
 from __future__ import annotations
 
