@@ -153,6 +153,11 @@ def test_a_method_that_is_not_there_cannot_be_listed(capsys: pytest.CaptureFixtu
     assert "Did you mean 'envgs'?" in capsys.readouterr().err
 
 
+def test_what_configurations_share_is_no_method(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "method=envgz", "--cfg", "job"]) == 2
+    assert "_published" not in capsys.readouterr().err
+
+
 def test_an_installed_packages_method_is_offered_with_its_defaults(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
