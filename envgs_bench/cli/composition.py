@@ -27,11 +27,16 @@ CONF = Path(__file__).parents[1] / "conf"
 
 
 def config_names(group: str) -> list[str]:
-    """The options of a configuration group, as they are written behind `<group>=`; files named _… are parts of them."""
+    """The options of a configuration group, as they are written behind `<group>=`."""
     root = CONF / group
-    files = (path for path in root.rglob("*.yaml") if not path.name.startswith("_"))
+    files = (path.relative_to(root).with_suffix("").as_posix() for path in root.rglob("*.yaml"))
     registered = method_names() if group == "method" else []
-    return sorted({*(path.relative_to(root).with_suffix("").as_posix() for path in files), *registered})
+    return sorted({*_whole(files), *registered})
+
+
+def _whole(options: Iterable[str]) -> Iterable[str]:
+    """Without files named _…, which others are composed of."""
+    return (name for name in options if not name.rpartition("/")[2].startswith("_"))
 
 
 def settings_of(config: DictConfig, overrides: list[str]) -> RunSettings:
@@ -90,7 +95,7 @@ def explain(error: Exception) -> str:
     """What the user gave, what was expected, and what to do, of an error in composing the configuration."""
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         group, _, name = str(error.missing_cfg_file).rpartition("/")
-        options = sorted({*(error.options or []), *config_names(group)})
+        options = sorted({*_whole(error.options or []), *config_names(group)})
         if options:
             return f"there is no {group} {name!r}; {group} is one of {', '.join(options)}{_guess(name, options)}"
         return f"there is no configuration {error.missing_cfg_file!r}; `envgs-bench list` shows what there is"

@@ -17,9 +17,11 @@ class Style:
 METHOD_STYLES = {
     "3dgs": Style("#0072B2", "s", "square"),
     "2dgs": Style("#009E73", "D", "diamond"),
+    "envmap_paper": Style("#B35900", "<", "triangle-left"),
     "envmap": Style("#DB8A00", "^", "triangle-up"),
     "envmap128": Style("#DB8A00", "^", "triangle-up"),
     "envmap256": Style("#8F5B00", ">", "triangle-right"),
+    "envgs_paper": Style("#8C1C38", "d", "diamond-tall"),
     "envgs": Style("#D1495B", "o", "circle"),
 }
 COLORS = ("#6A5ACD", "#2A8F4E", "#AA4499", "#8C8C1F", "#A3386F", "#2F9C8F", "#CC6677")

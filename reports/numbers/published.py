@@ -26,14 +26,16 @@ SCENE_NAMES = {"gardenspheres": "spheres"}
 METHOD_NAMES = {
     "3dgs": "3DGS",
     "2dgs": "2DGS",
-    "envgs": "EnvGS",
-    "envmap": "w/ environment map",
-    "envgs_no_joint": "w/o joint optimization",
-    "envgs_no_mono_normal": "w/o mono normal loss",
-    "envgs_no_color_sabotage": "w/o color sabotage",
-    "envgs_no_normal_propagation": "w/o normal propagation",
-    "envgs_no_perceptual": "w/o lpips loss",
+    "envgs_paper": "EnvGS",
+    "envmap_paper": "w/ environment map",
+    "envgs_paper_no_joint": "w/o joint optimization",
+    "envgs_paper_no_mono_normal": "w/o mono normal loss",
+    "envgs_paper_no_color_sabotage": "w/o color sabotage",
+    "envgs_paper_no_normal_propagation": "w/o normal propagation",
+    "envgs_paper_no_perceptual": "w/o lpips loss",
+    "envgs": "envgs",  # configured by this project: not the paper's, however alike the names
 }
+REGION_NAMES = {"reflective": "foreground"}  # the paper's foreground is what of it reflects (App. A.1)
 
 Scene = tuple[str, str]  # the paper's data set and scene
 Source = Literal["realtime", "non_realtime", "ablation"]  # the group of rows in which the paper prints a method
@@ -88,10 +90,10 @@ def paper_scene(dataset: str) -> Scene | None:
 
 
 def paper_method(method: str) -> str:
-    """The paper's name of one of our rows, or the row's own: its Table 6 is the turn of one knob."""
+    """The paper's name of one of our rows, or the row's own: its Table 6 is the turn of one knob of its EnvGS."""
     name, turned, text = method.partition(" [beta_filter=")
     share = as_number(text.removesuffix("]")) if turned else 0.0
-    if share is None:
+    if share is None or (turned and METHOD_NAMES.get(name) != "EnvGS"):
         return method
     if share > 0:
         return f"w/ {100 * share:.0f}% weight filtering"
@@ -115,6 +117,7 @@ def published_values(datasets: tuple[str, ...], region: str, metric: str) -> dic
     scenes = [scene for scene in found if scene is not None]
     if not scenes or len(scenes) < len(found):
         return {}
+    region = REGION_NAMES.get(region, region)
     each = [_printed().get((*scene, region, metric), {}) for scene in scenes]
     means = {m: mean(scores[m] for scores in each) for m in each[0] if all(m in scores for scores in each)}
     return means | (_printed_mean(frozenset(scenes), region, metric) if len(scenes) > 1 else {})

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from ..numbers.estimates import Numbers
 from ..numbers.labels import Label
-from ..numbers.published import paper_scene, published_source, published_values
+from ..numbers.published import paper_method, paper_scene, published_source, published_values
 from .columns import (
     FLIP,
     FRAME_MS,
@@ -35,7 +35,11 @@ KINDS = {
     "ablation": "What each part is worth",
     "speed": "Speed and memory",
 }
-ABLATED = {"envgs": ("envmap", "envgs_single_set")}  # kinds that replace a part of a method, besides its own variants
+WITHOUT = "_no_"  # <method>_no_<part>: the method without a part
+REPLACED = {  # what else is a method with a part of it replaced
+    "envgs_paper": ("envmap_paper", "envgs_paper_single_set"),
+    "envgs": ("envmap", "envmap128", "envmap256", "envgs_single_set"),
+}
 REGIONS_OF_ABLATION = ("near_field", "reflective")
 
 
@@ -47,7 +51,6 @@ class Contents:
         subjects: name -> data sets: each data set alone, families of several, and all together.
         methods: in the tables' order.
         labels: method -> its name, with the settings that set it apart from others of that name.
-        kinds: method -> the code that it is a variant of.
         beside_paper: whether the protocol is the paper's.
     """
 
@@ -55,7 +58,6 @@ class Contents:
     subjects: Mapping[str, tuple[str, ...]]
     methods: Sequence[str]
     labels: Mapping[str, Label]
-    kinds: Mapping[str, str]
     beside_paper: bool
 
     @property
@@ -142,37 +144,44 @@ def regions(contents: Contents) -> list[Table]:
 
 def ablations(contents: Contents) -> list[Table]:
     """Table 4: the variants of a method, then the method itself, and by how much they differ over the same seeds."""
-    tables = []
-    for full in _full_methods(contents):
-        name, kind = contents.labels[full].name, contents.kinds[full]
-        parts = [m for m in contents.methods if contents.kinds[m] == kind and contents.labels[m].name != name]
-        parts += [m for m in contents.methods if parts and contents.kinds[m] in ABLATED.get(kind, ())]
-        difference = replace(
-            PSNR, title="Δ PSNR", against=full, explanation=f"minus {full}, seed by seed", ranked=False
-        )
-        for subject, members in contents.subjects.items() if parts else ():
-            columns = list(over(members, (PSNR, difference, SSIM, LPIPS, FLIP)))
-            for region in REGIONS_OF_ABLATION:
-                having = contents.numbers.having(members, region)
-                columns += over(having, (in_region(PSNR, region), in_region(difference, region))) if having else ()
-            columns += over(members, (NORMALS,))
-            title = f"{subject}: {full} and what it is without"
-            tables.append(
-                contents.table(title, "ablation", columns, [*parts, full], lambda m: published_source(m) == "ablation")
-            )
+    tables = [table for full in _full_methods(contents) for table in _ablation(contents, full)]
     return [table for table in tables if len(table.rows) > 1]
 
 
+def _ablation(contents: Contents, full: str) -> list[Table]:
+    """The variants of one method; the paper's stand below those of its own recipe only."""
+    name = contents.labels[full].name
+    parts = [m for m in contents.methods if contents.labels[m].name.startswith(name + WITHOUT)]
+    parts += [m for m in contents.methods if contents.labels[m].name in REPLACED.get(name, ())]
+    printed = paper_method(name) == "EnvGS"
+    difference = replace(PSNR, title="Δ PSNR", against=full, explanation=f"minus {full}, seed by seed", ranked=False)
+    tables = []
+    for subject, members in contents.subjects.items():
+        columns = list(over(members, (PSNR, difference, SSIM, LPIPS, FLIP)))
+        for region in REGIONS_OF_ABLATION:
+            having = contents.numbers.having(members, region)
+            columns += over(having, (in_region(PSNR, region), in_region(difference, region))) if having else ()
+        columns += over(members, (NORMALS,))
+        title = f"{subject}: {full} and what it is without"
+        tables.append(
+            contents.table(
+                title, "ablation", columns, [*parts, full], lambda m: printed and published_source(m) == "ablation"
+            )
+        )
+    return tables
+
+
 def _full_methods(contents: Contents) -> list[str]:
-    """Of each kind the row that has its name; of several, as a knob's, the one with the most runs."""
+    """The methods that some other is without a part; of several rows of one, as a knob's, that with the most runs."""
     whole = tuple(dict.fromkeys(name for members in contents.subjects.values() for name in members))
+    ablated = {label.name.partition(WITHOUT)[0] for label in contents.labels.values() if WITHOUT in label.name}
     found: dict[str, str] = {}
     for method in contents.methods:
-        kind = contents.kinds[method]
-        if contents.labels[method].name == kind:
+        name = contents.labels[method].name
+        if name in ablated:
             runs = contents.numbers.statuses(whole, method).total()
-            if kind not in found or runs > contents.numbers.statuses(whole, found[kind]).total():
-                found[kind] = method
+            if name not in found or runs > contents.numbers.statuses(whole, found[name]).total():
+                found[name] = method
     return list(found.values())
 
 

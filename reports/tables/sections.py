@@ -90,7 +90,6 @@ class Section:
             self.families | alone,
             self.methods,
             {item.method: item.label for item in self.runs},
-            {method: settings["kind"] for method, settings in self.settings.items()},
             self.protocol.name == PROTOCOL,
         )
         return [

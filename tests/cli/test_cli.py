@@ -65,7 +65,10 @@ def test_wrong_usage_ends_with_status_2(arguments: list[str], capsys: pytest.Cap
         (["method.settings.rat=1"], ["unknown key 'method.settings.rat'", "crash_at, rate"]),
         (["method=envgs", "method.settings.rat=1"], ["unknown key 'method.settings.rat'", "ray_offset, rotation_lr"]),
         (["method=envgs", "method.settings.sh_degree=two"], ["method.settings.sh_degree", "'two'", "Integer"]),
-        (["method=envgs_no_joint", "method.settings.joint=maybe"], ["method.settings.joint", "'maybe'", "valid bool"]),
+        (
+            ["method=envgs_paper_no_joint", "method.settings.joint=maybe"],
+            ["method.settings.joint", "'maybe'", "valid bool"],
+        ),
         (["timing.frame=1"], ["unknown key 'timing.frame'", "timing has frames, seconds"]),
         (["dataset=colmap"], ["dataset.root is missing: give it as dataset.root=VALUE"]),
         (["seed=-1"], ["seed=-1", "greater than or equal to 0"]),

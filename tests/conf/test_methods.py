@@ -18,6 +18,7 @@ from envgs_bench.cli import composition
 from envgs_bench.cli.composition import config_names, default_settings, register_methods
 from envgs_bench.cli.main import main
 from envgs_bench.methods import registry
+from envgs_bench.methods.reflection import ReflectionSettings
 from envgs_bench.methods.registry import BUILT_IN, create_method, method_class
 from envgs_bench.methods.settings import make_settings, setting_comments
 from envgs_bench.settings import read_settings
@@ -26,12 +27,15 @@ DIFFERENCES = {
     **{kind: {} for kind in BUILT_IN},
     "envmap128": {"envmap_size": 128},
     "envmap256": {"envmap_size": 256},
-    "envgs_no_joint": {"joint": False},
-    "envgs_no_mono_normal": {"mono_weight": 0.0},
-    "envgs_no_color_sabotage": {"sabotage": False},
-    "envgs_no_normal_propagation": {"propagate": False},
-    "envgs_no_perceptual": {"perceptual_weight": 0.0},
 }
+ABLATIONS = {  # of the published recipe
+    "envgs_paper_no_joint": {"joint": False},
+    "envgs_paper_no_mono_normal": {"mono_weight": 0.0},
+    "envgs_paper_no_color_sabotage": {"sabotage": False},
+    "envgs_paper_no_normal_propagation": {"propagate": False},
+    "envgs_paper_no_perceptual": {"perceptual_weight": 0.0},
+}
+REPLACED = {"envmap_paper": "envmap", "envgs_paper_single_set": "envgs_single_set"}  # name -> kind
 
 
 @pytest.fixture(autouse=True)
@@ -57,6 +61,26 @@ def test_a_configuration_holds_every_setting(name: str) -> None:
     assert method["settings"] == defaults | DIFFERENCES[name]
 
 
+@pytest.mark.parametrize("name", ABLATIONS)
+def test_an_ablation_is_the_published_recipe_without_one_part(name: str) -> None:
+    method, paper = composed(name), composed("envgs_paper")
+    assert method["name"] == name
+    assert method["kind"] == paper["kind"] == "envgs"
+    assert method["settings"] == paper["settings"] | ABLATIONS[name]
+    ((part, without),) = ABLATIONS[name].items()
+    assert paper["settings"][part] != without
+    assert paper["settings"]["disturb_every"] > 0  # or neither sabotage nor propagation would ever happen
+
+
+@pytest.mark.parametrize("name", REPLACED)
+def test_what_replaces_the_environment_leaves_the_rest_of_the_published_recipe(name: str) -> None:
+    method, paper = composed(name), composed("envgs_paper")
+    assert (method["name"], method["kind"]) == (name, REPLACED[name])
+    create_method(method["kind"], method["settings"])
+    shared = {field.name for field in dataclasses.fields(ReflectionSettings)}
+    assert {key: method["settings"][key] for key in shared} == {key: paper["settings"][key] for key in shared}
+
+
 def test_the_published_configurations_are_what_was_published() -> None:
     """Spot checks against the paper's Sec. 4.3 and App. C, and the release's schedule."""
     paper, released = (composed(f"envgs_{name}") for name in ("paper", "released"))
@@ -70,7 +94,9 @@ def test_the_published_configurations_are_what_was_published() -> None:
 
 
 def test_every_configuration_is_tested() -> None:
-    assert {*DIFFERENCES, "envgs_paper", "envgs_released", "renders"} == set(config_names("method"))
+    assert {*DIFFERENCES, *ABLATIONS, *REPLACED, "envgs_paper", "envgs_released", "renders"} == set(
+        config_names("method")
+    )
 
 
 @pytest.mark.parametrize("kind", BUILT_IN)
@@ -125,6 +151,11 @@ def test_a_variant_is_listed_by_its_differences(capsys: pytest.CaptureFixture[st
 def test_a_method_that_is_not_there_cannot_be_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list", "method", "envgz"]) == 2
     assert "Did you mean 'envgs'?" in capsys.readouterr().err
+
+
+def test_what_configurations_share_is_no_method(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "method=envgz", "--cfg", "job"]) == 2
+    assert "_published" not in capsys.readouterr().err
 
 
 def test_an_installed_packages_method_is_offered_with_its_defaults(

@@ -75,9 +75,9 @@ def test_other_differences_are_no_knob() -> None:
 
 
 def test_colors_and_marks_tell_methods_apart() -> None:
-    chosen = styles([*METHODS, "a", "b", "c", "d"])
-    assert len({style.color for style in chosen.values()}) == 8
-    assert len({style.marker for style in chosen.values()}) == 8
+    chosen = styles([*METHODS, "envgs_paper", "envmap_paper", "a", "b", "c", "d"])
+    assert len({style.color for style in chosen.values()}) == 10
+    assert len({style.marker for style in chosen.values()}) == 10
     assert chosen["envgs"] == styles(["envgs"])["envgs"]
     variants = styles(["envgs [steps=1]", "envgs [steps=2]"])
     assert variants["envgs [steps=1]"] == chosen["envgs"]

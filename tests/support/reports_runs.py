@@ -31,7 +31,10 @@ METHODS: dict[str, tuple[float, float, float, float, int, int, float]] = {
     "envmap": (27.8, 4.4, 24.0, 39.0, 12_300, 0, 1.8),
     "envgs": (29.6, 2.6, 61.0, 66.0, 12_100, 3_400, 0.8),
 }
-KINDS = dict.fromkeys(("envgs_no_joint", "envgs_no_mono_normal", "envgs_no_perceptual"), "envgs")
+KINDS = {
+    **dict.fromkeys(("envgs_paper", "envgs_paper_no_joint", "envgs_paper_no_mono_normal", "envgs_no_joint"), "envgs"),
+    "envmap_paper": "envmap",
+}
 DATASETS = {"toy/chrome_room": 0.0, "toy/sky_ball": 3.1, "toy/diffuse_room": 5.4}
 VIEWS = 5
 
