@@ -3,33 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from hydra import compose, initialize_config_dir
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from omegaconf import DictConfig
-
-from envgs_bench.cli.composition import CONF, register_methods, settings_of
-from envgs_bench.settings import RunSettings
+from sweeps import one_run, swept
 
 SUITES = ("tuning", "tuning_test", "untouched")
-
-
-def config(*overrides: str, with_hydra: bool = False) -> DictConfig:
-    register_methods()
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("config", list(overrides), return_hydra_config=with_hydra)
-
-
-def swept(suite: str) -> dict[str, list[str]]:
-    """What `envgs-bench run -m experiment=<name>` takes in turn, by key."""
-    parser = OverridesParser.create()
-    parameters = config(f"experiment={suite}", with_hydra=True).hydra.sweeper.params
-    overrides = {key: parser.parse_override(f"{key}={values}") for key, values in parameters.items()}
-    return {key: list(override.sweep_string_iterator()) for key, override in overrides.items()}
-
-
-def one_run(suite: str, **choices: str) -> RunSettings:
-    overrides = [f"experiment={suite}", *(f"{key.replace('__', '.')}={value}" for key, value in choices.items())]
-    return settings_of(config(*overrides), overrides)
 
 
 @pytest.mark.parametrize("suite", SUITES)

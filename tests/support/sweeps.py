@@ -1,0 +1,33 @@
+"""Prepared sweeps as `envgs-bench run -m experiment=<name>` reads them."""
+
+from __future__ import annotations
+
+from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import DictConfig
+
+from envgs_bench.cli.composition import CONF, register_methods, settings_of
+from envgs_bench.settings import RunSettings
+
+
+def swept(experiment: str) -> dict[str, list[str]]:
+    """What the experiment takes in turn, by key."""
+    parameters = _config(f"experiment={experiment}", with_hydra=True).hydra.sweeper.params
+    parser = OverridesParser.create()
+    overrides = {key: parser.parse_override(f"{key}={values}") for key, values in parameters.items()}
+    return {
+        key: list(override.sweep_string_iterator()) if override.is_sweep_override() else [str(parameters[key])]
+        for key, override in overrides.items()
+    }
+
+
+def one_run(experiment: str, **choices: str) -> RunSettings:
+    """The settings of a run of the experiment, with a choice by key, its dots written __."""
+    overrides = [f"experiment={experiment}", *(f"{key.replace('__', '.')}={value}" for key, value in choices.items())]
+    return settings_of(_config(*overrides), overrides)
+
+
+def _config(*overrides: str, with_hydra: bool = False) -> DictConfig:
+    register_methods()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return compose("config", list(overrides), return_hydra_config=with_hydra)
