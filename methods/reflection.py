@@ -76,6 +76,8 @@ class ReflectiveMethod(GaussianMethod):
             raise ValueError(f"beta_filter is {settings.beta_filter:g}, expected a share of at least 0 and below 1")
         if settings.settling_interval < 1:
             raise ValueError(f"settling_interval is {settings.settling_interval}, expected at least 1 × densify_every")
+        if not 0 < settings.initial_beta < 1:
+            raise ValueError(f"initial_beta is {settings.initial_beta:g}, expected a weight between 0 and 1")
         if not 0 <= settings.mono_floor <= 1:
             raise ValueError(f"mono_floor is {settings.mono_floor:g}, expected a share from 0 to 1")
         self.reflects = False  # True once the bootstrapping is over

@@ -240,6 +240,7 @@ def test_unknown_settings_are_refused_with_the_known_ones():
         ("2dgs", {"normal_weighting": "far"}, "expected none or depth"),
         ("envgs", {"mono_loss": "l2"}, "mono_loss is 'l2', expected cos or l1_cos"),
         ("envmap", {"envmap_size": 1}, "envmap_size is 1, expected at least 2"),
+        ("envmap", {"initial_beta": 0.0}, "initial_beta is 0, expected a weight between 0 and 1"),
         ("envmap", {"mono_floor": 1.5}, "mono_floor is 1.5, expected a share from 0 to 1"),
     ],
 )
