@@ -69,7 +69,7 @@ class GaussianMethod(Method):
             raise ValueError(f"scene {scene.name} has no points to start from")
         if self.settings.mono_weight > 0 and (lacking := _without_normals(scene)):
             self.dropped_losses[MONO] = lacking
-        self.schedule = Schedule(steps)
+        self.schedule = Schedule(steps, self.settings.stretches)
         self.radius = scene.radius or _extent(scene.points)
         self.near = max(self.settings.near, scene.free_space)
         self.background = scene.background.to(self.device)

@@ -22,6 +22,8 @@ class GaussianSettings:
     sh_degree: int = 2  # of the view-dependent color, 0 to 3
     sh_every: int = 0  # steps after which another SH degree is added; 0: all from the start
 
+    stretches: bool = True  # a run of more than 30,000 steps stretches the schedule; false: it goes on after its end
+
     position_lr: float = 1.6e-4  # positions' learning rate × scene radius at the start; log-linear to position_lr_final
     position_lr_final: float = 1.6e-6  # positions' learning rate × scene radius at the end
     sh_lr: float = 2.5e-3  # learning rate of the spherical harmonics' constant term; 1/20 of it for the others

@@ -210,6 +210,14 @@ def test_the_base_set_has_a_primitive_for_so_many_training_pixels(scene, pixels,
     assert pixels == 10 or max(counts) > 250  # the bound is what holds it, not a lack of growth
 
 
+@pytest.mark.parametrize(("stretches", "first"), [(True, 668), (False, 600)])
+def test_a_long_run_stretches_the_schedule_unless_it_is_told_not_to(scene, stretches, first):
+    """The first densification after step 500 of 30,000, every 100 steps, in a run of 33,400."""
+    method = make_method("2dgs", stretches=stretches)
+    method.initialize(scene, 33_400)
+    assert next(step for step in range(1, 1000) if "densify_base" in method.events(step)) == first
+
+
 def test_the_environment_starts_in_its_box_and_on_a_sphere_around_it(scene):
     method = make_method("envgs", env_far=3.0, env_far_count=40, env_initial_opacity=0.07, bootstrap=0, env_box=2.0)
     method.initialize(scene, STEPS)
