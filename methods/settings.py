@@ -19,7 +19,7 @@ class GaussianSettings:
 
     backend: str = "auto"  # backend of the core: auto, cpu, cuda, torch
     near: float = 0.2  # hits nearer to the camera are not drawn, world units; a scene's free space raises it
-    sh_degree: int = 2  # of the view-dependent color, 0 to 3
+    sh_degree: int = 2  # degree of the view-dependent color's spherical harmonics, 0 to 3
     sh_every: int = 0  # steps after which another SH degree is added; 0: all from the start
 
     stretches: bool = True  # a run of more than 30,000 steps stretches the schedule; false: it goes on after its end

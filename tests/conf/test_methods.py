@@ -145,7 +145,7 @@ def test_a_methods_settings_are_listed_with_defaults_and_comments(capsys: pytest
     assert main(["list", "method", "envgs"]) == 0
     lines = [line.split(None, 2) for line in capsys.readouterr().out.splitlines()]
     rows = {line[0]: (line[1], line[2].strip()) for line in lines if len(line) == 3}
-    assert rows["sh_degree"] == ("2", "of the view-dependent color, 0 to 3")
+    assert rows["sh_degree"] == ("2", "degree of the view-dependent color's spherical harmonics, 0 to 3")
     assert rows["joint"] == ("true", "reflected rays pass gradients on to the base set's normals and positions")
     assert rows["densify_until"] == ("21000", "step before which densification and opacity resets end")
     assert {field.name for field in dataclasses.fields(method_class("envgs").Settings)} <= set(rows)
