@@ -13,13 +13,12 @@ from envgs_bench.parts import ENV
 
 from .densification import DensificationRule, spatial_criterion
 from .initialization import quantile_box, random_points_in_grid, random_points_on_sphere
-from .reflection import ReflectionSettings
 from .schedule import DENSIFY_FLOOR, ENV_RESET_FLOOR, RECOVERY
-from .traced import TracedReflection
+from .traced import TracedReflection, TracedSettings
 
 
 @dataclass(frozen=True)
-class EnvGSSettings(ReflectionSettings):
+class EnvGSSettings(TracedSettings):
     env_grid: int = 16  # N: the box is divided into N³ cells
     env_per_cell: int = 5  # K: random primitives in each
     env_box_quantile: float = 0.995  # share of the points' range, on each axis, that the box covers

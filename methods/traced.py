@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from envgs_bench.core import Bvh, Rendering, build_bvh, trace
+from envgs_bench.core.trace import SH_DIRECTIONS
 
 from .reflection import ReflectionSettings, ReflectiveMethod
+
+
+@dataclass(frozen=True)
+class TracedSettings(ReflectionSettings):
+    traced_sh_direction: str = "center"  # a traced primitive's color is seen toward its center, or along the ray: ray
 
 
 class TracedReflection(ReflectiveMethod):
     """A reflective method whose reflected color is traced through one of its own sets (paper, Sec. 4.2)."""
 
+    Settings: ClassVar[type] = TracedSettings
+    settings: TracedSettings
     traced: ClassVar[str]  # the set that reflected rays are traced through
 
-    def __init__(self, settings: ReflectionSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
+    def __init__(self, settings: TracedSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
+        if settings.traced_sh_direction not in SH_DIRECTIONS:
+            raise ValueError(
+                f"traced_sh_direction is {settings.traced_sh_direction!r}, expected {' or '.join(SH_DIRECTIONS)}"
+            )
         self._bvh: Bvh | None = None
 
     def prepare(self) -> None:
@@ -33,6 +46,7 @@ class TracedReflection(ReflectiveMethod):
             origins,
             directions,
             background=self.background,
+            sh_direction=self.settings.traced_sh_direction,
             bvh=self._bvh if step is None else None,
             backend=self.settings.backend,
         )

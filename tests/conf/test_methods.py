@@ -94,6 +94,7 @@ def test_the_published_configurations_are_what_was_published() -> None:
                 "mono_loss": "cos",
                 "perceptual_from": 0,
                 "beta_threshold": 0,
+                "traced_sh_direction": "ray",
             },
             paper,
         ),
