@@ -12,11 +12,14 @@ from envgs_bench.core import Bvh, Rendering, build_bvh, trace
 from envgs_bench.core.trace import SH_DIRECTIONS
 
 from .reflection import ReflectionSettings, ReflectiveMethod
+from .settings import check_words
 
 
 @dataclass(frozen=True)
 class TracedSettings(ReflectionSettings):
     traced_sh_direction: str = "center"  # a traced primitive's color is seen toward its center, or along the ray: ray
+    traced_near: float = 0.0  # hits nearer to a reflected ray's start are not drawn, world units
+    traced_background: str = "scene"  # what reflected rays that pass everything see: the scene's background, or black
 
 
 class TracedReflection(ReflectiveMethod):
@@ -28,10 +31,7 @@ class TracedReflection(ReflectiveMethod):
 
     def __init__(self, settings: TracedSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        if settings.traced_sh_direction not in SH_DIRECTIONS:
-            raise ValueError(
-                f"traced_sh_direction is {settings.traced_sh_direction!r}, expected {' or '.join(SH_DIRECTIONS)}"
-            )
+        check_words(settings, {"traced_sh_direction": SH_DIRECTIONS, "traced_background": ("scene", "black")})
         self._bvh: Bvh | None = None
 
     def prepare(self) -> None:
@@ -45,7 +45,8 @@ class TracedReflection(ReflectiveMethod):
             self.gaussians(self.traced, step),
             origins,
             directions,
-            background=self.background,
+            background=self.background if self.settings.traced_background == "scene" else None,
+            t_min=self.settings.traced_near,
             sh_direction=self.settings.traced_sh_direction,
             bvh=self._bvh if step is None else None,
             backend=self.settings.backend,

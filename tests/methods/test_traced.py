@@ -51,6 +51,28 @@ def test_parallel_rays_see_one_color_along_the_ray_and_two_toward_the_center(sh_
         assert difference[1:].max() < 1e-6
 
 
+@pytest.mark.parametrize("step", [None, 50])
+@pytest.mark.parametrize(("behind", "expected"), [("scene", (0.2, 0.4, 0.8)), ("black", (0.0, 0.0, 0.0))])
+def test_what_is_behind_the_environment(behind, expected, step):
+    method = facing_a_wall(background=(0.2, 0.4, 0.8), traced_background=behind)
+    away = method.trace_reflection(torch.zeros(1, 1, 3), torch.tensor([[[0.0, 0.0, -1.0]]]), step)
+    assert not away.hits.any()
+    assert away.color[0, 0].tolist() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("step", [None, 50])
+def test_hits_nearer_than_the_setting_are_not_drawn(step):
+    method = facing_a_wall(traced_near=0.06)
+    origins = torch.tensor([[[0.0, 0.0, 3 - 0.059], [0.0, 0.0, 3 - 0.061]]])
+    drawn = method.trace_reflection(origins, torch.tensor([[[0.0, 0.0, 1.0]] * 2]), step)
+    assert drawn.hits[0].tolist() == [0, 1]
+
+
+def test_an_unknown_background_is_refused():
+    with pytest.raises(ValueError, match="traced_background is 'white', expected scene or black"):
+        create_method("envgs", {"traced_background": "white"})
+
+
 def test_an_unknown_direction_of_color_is_refused():
     with pytest.raises(ValueError, match="traced_sh_direction is 'mean', expected center or ray"):
         create_method("envgs", {"traced_sh_direction": "mean"})
