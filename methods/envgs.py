@@ -65,7 +65,9 @@ class EnvGS(TracedReflection):
 
     def position_rate(self, name: str, step: int) -> float:
         rate, s = super().position_rate(name, step), self.settings
-        return s.env_position_scale * self.radius ** (s.env_radius_power - 1) * rate if name == ENV else rate
+        if name == ENV:
+            rate *= s.env_position_scale * self.radius ** (s.env_radius_power - 1)
+        return rate
 
     def sh_from(self, name: str) -> int:
         return self.settings.env_sh_from if name == ENV else super().sh_from(name)

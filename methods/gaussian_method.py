@@ -296,7 +296,7 @@ class GaussianMethod(Method):
         if step is None:
             return self.prepared[name]
         every, since = self.schedule.at(self.settings.sh_every), step - self.schedule.at(self.sh_from(name))
-        if since < 0:
+        if since <= 0:
             degree: int | None = 0
         else:
             degree = min(self.settings.sh_degree, since // every) if every else None
