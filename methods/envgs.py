@@ -13,13 +13,12 @@ from envgs_bench.parts import ENV
 
 from .densification import DensificationRule, spatial_criterion
 from .initialization import quantile_box, random_points_in_grid, random_points_on_sphere
-from .reflection import ReflectionSettings
 from .schedule import DENSIFY_FLOOR, ENV_RESET_FLOOR, RECOVERY
-from .traced import TracedReflection
+from .traced import TracedReflection, TracedSettings
 
 
 @dataclass(frozen=True)
-class EnvGSSettings(ReflectionSettings):
+class EnvGSSettings(TracedSettings):
     env_grid: int = 16  # N: the box is divided into N³ cells
     env_per_cell: int = 5  # K: random primitives in each
     env_box_quantile: float = 0.995  # share of the points' range, on each axis, that the box covers
@@ -27,10 +26,13 @@ class EnvGSSettings(ReflectionSettings):
     env_far: float = 4.0  # radius of a sphere around the box that primitives start on too, × half its diagonal
     env_far_count: int = 2_000  # primitives on that sphere; 0: none
     env_initial_opacity: float = 0.05  # opacity that the environment's primitives start with
+    env_sh_from: int = 0  # step up to which the environment's color is the same from everywhere, SH degree 0
     env_position_scale: float = 5.0  # × the base set's position rate
+    env_radius_power: int = 1  # its position rate grows with this power of the scene radius; released code: 2
     env_densify_every: int = 500  # steps between the environment's densifications
     env_densify_threshold: float = 1e-4  # gradient ½·t·∂L/∂mean above which its primitives are cloned or split
     env_max_primitives: int = 630_000  # largest environment; beyond, those of the least blending weight are pruned
+    env_densify_until: int = 21_000  # step before which the environment's densification and opacity resets end
     env_opacity_reset_every: int = 6_000  # steps between the environment's opacity resets; 0: never
 
 
@@ -62,8 +64,13 @@ class EnvGS(TracedReflection):
         self.sets[ENV] = self.new_set(points, colors, rule, s.env_initial_opacity, beta=None, generator=self.generator)
 
     def position_rate(self, name: str, step: int) -> float:
-        scale = self.settings.env_position_scale if name == ENV else 1.0
-        return scale * super().position_rate(name, step)
+        rate, s = super().position_rate(name, step), self.settings
+        if name == ENV:
+            rate *= s.env_position_scale * self.radius ** (s.env_radius_power - 1)
+        return rate
+
+    def sh_from(self, name: str) -> int:
+        return self.settings.env_sh_from if name == ENV else super().sh_from(name)
 
     def reflected_color(
         self, origins: Tensor, directions: Tensor, step: int | None
@@ -79,14 +86,14 @@ class EnvGS(TracedReflection):
     def events(self, step: int) -> set[str]:
         s, schedule = self.settings, self.schedule
         happens = super().events(step)
-        resets = {"stop": s.densify_until, "interval": s.env_opacity_reset_every, "floor": ENV_RESET_FLOOR}
+        resets = {"stop": s.env_densify_until, "interval": s.env_opacity_reset_every, "floor": ENV_RESET_FLOOR}
         every = schedule.interval(s.env_densify_every, DENSIFY_FLOOR)
         # As after a reset, opacities do not yet show what is needed.
         young = step <= schedule.at(s.bootstrap) + RECOVERY
         if (
             not young
             and not schedule.recovers(step, **resets)
-            and schedule.densifies(step, start=s.bootstrap, stop=s.densify_until, every=every)
+            and schedule.densifies(step, start=s.bootstrap, stop=s.env_densify_until, every=every)
         ):
             happens.add("densify_env")
         if step > schedule.at(s.bootstrap) and schedule.resets(step, **resets):

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, View, depth_normals, rasterize
+from envgs_bench.core.vectors import unit
 from envgs_bench.parts import BASE, MONO, PERCEPTUAL, SETS
 
 from .checkpoint import read_checkpoint, write_checkpoint
@@ -21,8 +22,16 @@ from .method import Method
 from .parameters import GaussianParameters, LearningRates
 from .resident_views import ResidentViews
 from .schedule import DENSIFY_FLOOR, Schedule
-from .settings import GaussianSettings
+from .settings import GaussianSettings, check_words
 from .trained_set import TrainedSet
+
+WORDS = {  # of settings that choose
+    "normal_reference": ("unit", "alpha"),
+    "mono_loss": ("cos", "l1_cos"),
+    "mono_normals": ("blended", "unit"),
+    "normal_weighting": ("none", "depth", "alpha"),
+    "perceptual_loss": ("features", "lpips"),
+}
 
 
 class GaussianMethod(Method):
@@ -51,10 +60,7 @@ class GaussianMethod(Method):
 
     def __init__(self, settings: GaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        if settings.normal_weighting not in ("none", "depth"):
-            raise ValueError(f"normal_weighting is {settings.normal_weighting!r}, expected none or depth")
-        if settings.mono_loss not in ("cos", "l1_cos"):
-            raise ValueError(f"mono_loss is {settings.mono_loss!r}, expected cos or l1_cos")
+        check_words(settings, WORDS)
         self.sets: dict[str, TrainedSet] = {}
         self.schedule = Schedule(1)
         self.radius = 1.0
@@ -140,6 +146,10 @@ class GaussianMethod(Method):
     def uses_perceptual(self) -> bool:
         return self.settings.perceptual_weight > 0
 
+    @property
+    def perceptual_loss(self) -> str:
+        return self.settings.perceptual_loss
+
     # What happens in a training step
 
     def before_step(self, step: int) -> None:
@@ -181,14 +191,19 @@ class GaussianMethod(Method):
         weight = self._normal_weights(rendering)
         if settings.normal_weight > 0 and step > self.schedule.at(settings.normal_from):
             reference = depth_normals(rendering.depth, view.camera, backend=settings.backend)
+            if settings.normal_reference == "alpha":
+                reference = reference * rendering.alpha.detach()[..., None]
             terms["normal"] = settings.normal_weight * normal_loss(rendering.normal, reference, weight)
-        if settings.mono_weight > 0 and view.normal is not None:
+        mono = settings.mono_weight > 0 and step > self.schedule.at(settings.mono_from)
+        if mono and view.normal is not None:
             mono_weight = settings.mono_weight * self.schedule.rate_scale
             trusted = self.mono_weights(rendering)
-            trusted = trusted if weight is None or trusted is None else trusted * weight
-            error = normal_loss(rendering.normal, view.normal, trusted)
+            if weight is not None:
+                trusted = weight if trusted is None else trusted * weight
+            normal = unit(rendering.normal) if settings.mono_normals == "unit" else rendering.normal
+            error = normal_loss(normal, view.normal, trusted)
             if settings.mono_loss == "l1_cos":
-                error = error + normal_distance(rendering.normal, view.normal, trusted)
+                error = error + normal_distance(normal, view.normal, trusted)
             terms[MONO] = mono_weight * error
         if self.perceptual and self.uses_perceptual and step > self.schedule.at(settings.perceptual_from):
             terms[PERCEPTUAL] = settings.perceptual_weight * self.perceptual(rendering.color, target)
@@ -280,9 +295,16 @@ class GaussianMethod(Method):
         """The set `name` as it is drawn at a training step, or for an image where `step` is None."""
         if step is None:
             return self.prepared[name]
-        every = self.schedule.at(self.settings.sh_every)
-        degree = min(self.settings.sh_degree, step // every) if every else None
+        every, since = self.schedule.at(self.settings.sh_every), step - self.schedule.at(self.sh_from(name))
+        if since <= 0:
+            degree: int | None = 0
+        else:
+            degree = min(self.settings.sh_degree, since // every) if every else None
         return self.sets[name].parameters.gaussians(degree)
+
+    def sh_from(self, name: str) -> int:
+        """The step of a run of 30,000 up to which the color of the set `name` is the same from everywhere."""
+        return self.settings.sh_from
 
     def new_set(
         self,
@@ -307,7 +329,12 @@ class GaussianMethod(Method):
         return TrainedSet(GaussianParameters(tensors, self.initial_learning_rates(), self.radius), rule)
 
     def _normal_weights(self, rendering: Rendering) -> Tensor | None:
-        return nearness(rendering.depth) if self.settings.normal_weighting == "depth" else None
+        match self.settings.normal_weighting:
+            case "depth":
+                return nearness(rendering.depth)
+            case "alpha":
+                return rendering.alpha.detach()
+        return None
 
     def _finite(self, loss: Tensor) -> Tensor:
         """Whether the loss and all gradients are finite, a scalar tensor; judged by their largest magnitude."""

@@ -41,15 +41,17 @@ def normal_distance(normal: Tensor, reference: Tensor, weight: Tensor | None = N
 
 
 def nearness(depth: Tensor) -> Tensor:
-    """clip(1 − normalized depth, 0, 1), [H, W]: 1 at the nearest hit, 0 at the farthest; 1 everywhere on a flat map.
+    """clip(1 − normalized depth, 0, 1), [H, W]: 1 at the nearest hits, 0 at the farthest; 1 everywhere on a flat map.
 
-    A weight for the normal losses that spares far surfaces. Depth is normalized to the range of the pixels with a hit.
+    A weight for the normal losses that spares far surfaces. Depth is normalized to the range of the pixels with a hit,
+    without the nearest and the farthest hundredth of them (EnvGS's released code, which takes pixels without one too).
     """
     depth = depth.detach()
     hits = depth[depth > 0]
     if not len(hits):
         return torch.ones_like(depth)
-    low, high = hits.min(), hits.max()
+    rank = max(1, len(hits) // 100)
+    low, high = hits.kthvalue(rank).values, hits.kthvalue(len(hits) - rank + 1).values
     return (1 - (depth - low) / (high - low).clamp_min(1e-6 * high)).clamp(0, 1)
 
 

@@ -23,9 +23,9 @@ class Method(ABC):
         Settings: the method's frozen settings dataclass; every field has a default.
         skipped_steps: training steps that were not applied because a loss or gradient was not finite; a number, or a
             tensor of one.
-        perceptual: the perceptual loss of two [H, W, 3] images in [0, 1], (image, target) -> scalar, differentiable in
-            the first. The harness sets it before `initialize` where `uses_perceptual` is true and the network's weights
-            can be had; None otherwise, and the method then trains without it.
+        perceptual: the `perceptual_loss` of two [H, W, 3] images in [0, 1], (image, target) -> scalar, differentiable
+            in the first. The harness sets it before `initialize` where `uses_perceptual` is true and the network's
+            weights can be had; None otherwise, and the method then trains without it.
         dropped_losses: a loss that the settings ask for and that cannot be computed here -> why, a loss of
             `envgs_bench.parts.LOSSES` under its key there; complete once `initialize` is done. The harness adds the
             perceptual loss where it has none to offer, the method what the scene lacks.
@@ -45,6 +45,11 @@ class Method(ABC):
     def uses_perceptual(self) -> bool:
         """Whether these settings train with the perceptual loss; most methods do not."""
         return False
+
+    @property
+    def perceptual_loss(self) -> str:
+        """Which one `perceptual` is to be, a key of `envgs_bench.metrics.PERCEPTUAL_LOSSES`."""
+        return "features"
 
     @abstractmethod
     def initialize(self, scene: Scene, steps: int) -> None:

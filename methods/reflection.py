@@ -55,6 +55,8 @@ class ReflectionSettings(GaussianSettings):
     beta_threshold: float = 1 / 255  # an image traces no ray whose β is below; in training every surface reflects
     beta_filter: float = 0.0  # share of an image's pixels, those of the smallest β, that are not traced either
     ray_offset: float = 1e-3  # a reflected ray starts this far above the surface, × scene radius
+    reflect_alpha: float = 0.0  # pixels whose alpha is not above do not reflect: in images, and late in training
+    reflect_alpha_from: int = 0  # step after which that holds in training too
 
     disturb_every: int = 0  # steps between color sabotages and normal propagations; 0: never
     disturb_until: int = 18_000  # step up to which disturbances go on, and densifications are settling_interval apart
@@ -133,6 +135,9 @@ class ReflectiveMethod(GaussianMethod):
         """Origins, directions and β of `reflect`: in training of every surface, in an image where it is visible."""
         if not self.settings.joint:
             base = replace(base, normal=base.normal.detach(), depth=base.depth.detach())
+        least = self.settings.reflect_alpha
+        if least > 0 and (step is None or step > self.schedule.at(self.settings.reflect_alpha_from)):
+            base = replace(base, extras=base.extras * (base.alpha > least)[..., None])
         return reflect(
             base,
             camera,

@@ -8,7 +8,7 @@ import inspect
 import io
 import textwrap
 import tokenize
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +20,8 @@ class GaussianSettings:
     backend: str = "auto"  # backend of the core: auto, cpu, cuda, torch
     near: float = 0.2  # hits nearer to the camera are not drawn, world units; a scene's free space raises it
     sh_degree: int = 2  # degree of the view-dependent color's spherical harmonics, 0 to 3
-    sh_every: int = 0  # steps after which another SH degree is added; 0: all from the start
+    sh_every: int = 0  # steps after which another SH degree is added; 0: all at once
+    sh_from: int = 0  # step up to which the base set's color is the same from everywhere, SH degree 0
 
     stretches: bool = True  # a run of more than 30,000 steps stretches the schedule; false: it goes on after its end
 
@@ -47,9 +48,13 @@ class GaussianSettings:
     normal_weight: float = 0.04  # weight of L_norm, rendered normals against those of the depth map
     normal_from: int = 0  # step after which L_norm counts
     mono_weight: float = 0.01  # weight of L_mono, rendered normals against the view's own where it has any
+    normal_reference: str = "unit"  # depth map's normals in L_norm: unit, or alpha: × the pixel's alpha (2DGS's code)
     mono_loss: str = "cos"  # cos: 1 − cos (paper); l1_cos: the L1 distance beside it (released code)
-    normal_weighting: str = "none"  # weights of pixels in both normal losses: none, or depth (near ones count more)
+    mono_normals: str = "blended"  # rendered normals in L_mono: blended, as they are, or unit: normalized
+    mono_from: int = 0  # step after which L_mono counts
+    normal_weighting: str = "none"  # weights of pixels in both normal losses: none, depth (near ones more), or alpha
     perceptual_weight: float = 0.01  # weight of L_perc, where the harness provides it
+    perceptual_loss: str = "features"  # L_perc: features, the L1 distance of VGG-16's (paper), or lpips (released code)
     perceptual_from: int = 0  # step after which L_perc counts
 
 
@@ -66,6 +71,13 @@ def make_settings(settings_type: type, values: Mapping[str, Any], owner: str) ->
     if unknown:
         raise ValueError(f"{owner} has no setting {', '.join(unknown)}; its settings are {', '.join(sorted(known))}")
     return settings_type(**{key: _checked(owner, key, value, getattr(defaults, key)) for key, value in values.items()})
+
+
+def check_words(settings: Any, words: Mapping[str, Sequence[str]]) -> None:
+    """Raise a ValueError that names the setting where one of those in `words` is none of its words."""
+    for name, known in words.items():
+        if getattr(settings, name) not in known:
+            raise ValueError(f"{name} is {getattr(settings, name)!r}, expected {' or '.join(known)}")
 
 
 def _checked(owner: str, key: str, value: Any, default: Any) -> Any:

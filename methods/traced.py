@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from envgs_bench.core import Bvh, Rendering, build_bvh, trace
+from envgs_bench.core.trace import SH_DIRECTIONS
 
 from .reflection import ReflectionSettings, ReflectiveMethod
+from .settings import check_words
+
+
+@dataclass(frozen=True)
+class TracedSettings(ReflectionSettings):
+    traced_sh_direction: str = "center"  # a traced primitive's color is seen toward its center, or along the ray: ray
+    traced_near: float = 0.0  # hits nearer to a reflected ray's start are not drawn, world units
+    traced_background: str = "scene"  # what reflected rays that pass everything see: the scene's background, or black
 
 
 class TracedReflection(ReflectiveMethod):
     """A reflective method whose reflected color is traced through one of its own sets (paper, Sec. 4.2)."""
 
+    Settings: ClassVar[type] = TracedSettings
+    settings: TracedSettings
     traced: ClassVar[str]  # the set that reflected rays are traced through
 
-    def __init__(self, settings: ReflectionSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
+    def __init__(self, settings: TracedSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
+        check_words(settings, {"traced_sh_direction": SH_DIRECTIONS, "traced_background": ("scene", "black")})
         self._bvh: Bvh | None = None
 
     def prepare(self) -> None:
@@ -32,7 +45,9 @@ class TracedReflection(ReflectiveMethod):
             self.gaussians(self.traced, step),
             origins,
             directions,
-            background=self.background,
+            background=self.background if self.settings.traced_background == "scene" else None,
+            t_min=self.settings.traced_near,
+            sh_direction=self.settings.traced_sh_direction,
             bvh=self._bvh if step is None else None,
             backend=self.settings.backend,
         )

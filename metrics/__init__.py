@@ -1,11 +1,12 @@
 """Metrics: one file a metric, and the protocols that say how they are taken."""
 
+from .perceptual import PERCEPTUAL_LOSSES, make_perceptual_loss
 from .protocol import METRICS, PROTOCOLS, Protocol, get_protocol
-from .vgg16 import make_perceptual_loss
 from .weights import WeightsUnavailable, find_weights
 
 __all__ = [
     "METRICS",
+    "PERCEPTUAL_LOSSES",
     "PROTOCOLS",
     "Protocol",
     "WeightsUnavailable",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -33,19 +34,27 @@ def lpips(prediction: Tensor, target: Tensor, input_range: str, mask: Tensor | N
     Raises:
         WeightsUnavailable: the weights cannot be had here.
     """
+    distance = 0.0
+    for stage in stage_distances(prediction, target, input_range):
+        if mask is not None:
+            stage = functional.interpolate(stage[None], mask.shape, mode="bilinear")[0, 0][mask]
+        distance += float(stage.double().mean())
+    return distance
+
+
+def stage_distances(prediction: Tensor, target: Tensor, input_range: str) -> Iterator[Tensor]:
+    """Σ_c w_c·(f̂_c − ĝ_c)² at each place of a stage, [1, h, w], stage by stage; `lpips`'s arguments.
+
+    Differentiable in the prediction.
+    """
     if input_range not in INPUT_RANGES:
         raise ValueError(f"unknown input range {input_range!r}, expected one of {', '.join(INPUT_RANGES)}")
     network = load_vgg16(prediction.device)
     # One image at a time: half the memory, and equal images get equal features to the last bit.
     features = [network(_network_input(image, input_range)) for image in (prediction, target)]
-    distance = 0.0
     for first, second, head in zip(*features, load_heads(), strict=True):
         squared = (_unit(first) - _unit(second)).square()
-        stage = torch.einsum("c,bchw->bhw", head.to(squared.device), squared)
-        if mask is not None:
-            stage = functional.interpolate(stage[None], mask.shape, mode="bilinear")[0, 0][mask]
-        distance += float(stage.double().mean())
-    return distance
+        yield torch.einsum("c,bchw->bhw", head.to(squared.device), squared)
 
 
 @cache
@@ -72,5 +81,5 @@ def _network_input(image: Tensor, input_range: str) -> Tensor:
 
 
 def _unit(features: Tensor) -> Tensor:
-    """[B, C, H, W] scaled to unit length over the channels."""
-    return features / (features.square().sum(1, keepdim=True).sqrt() + 1e-10)
+    """[B, C, H, W] scaled to unit length over the channels; where all are zero they stay so, and get no gradient."""
+    return features / (features.square().sum(1, keepdim=True).clamp_min(1e-36).sqrt() + 1e-10)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from functools import cache
 
 import torch
@@ -58,31 +57,6 @@ def load_vgg16(device: torch.device | str = "cpu") -> Vgg16:
     # Channels last, oneDNN does the convolutions in 70% of the time.
     layout = torch.channels_last if device.type == "cpu" else torch.contiguous_format
     return loaded.to(device, memory_format=layout)  # type: ignore[call-overload]  # PyTorch's stubs lack this one
-
-
-def make_perceptual_loss(device: torch.device | str = "cpu") -> Callable[[Tensor, Tensor], Tensor]:
-    """L_perc = ‖Φ(I) − Φ(I_gt)‖₁ (EnvGS paper, Eq. 10) as a function of two [H, W, 3] images in [0, 1], a scalar.
-
-    Φ are the features at the end of VGG-16's five stages; the norm is the mean over each stage's values, summed over
-    the stages. Differentiable in the first image.
-
-    Raises:
-        WeightsUnavailable: by this function, not by the one it returns.
-    """
-    network = load_vgg16(device)
-    mean = torch.tensor([0.485, 0.456, 0.406], device=device)
-    deviation = torch.tensor([0.229, 0.224, 0.225], device=device)
-
-    def features(image: Tensor) -> list[Tensor]:
-        return network(((image - mean) / deviation).permute(2, 0, 1)[None])
-
-    def perceptual_loss(image: Tensor, target: Tensor) -> Tensor:
-        with torch.no_grad():
-            expected = features(target)
-        differences = [(a - b).abs().mean() for a, b in zip(features(image), expected, strict=True)]
-        return torch.stack(differences).sum()
-
-    return perceptual_loss
 
 
 @cache

@@ -45,6 +45,7 @@ class TraceOptions:
     background: Tensor  # [3]
     t_min: float
     transmittance_min: float
+    sh_along_ray: bool  # else toward each primitive's center
 
 
 def load_backend(name: str, device: torch.device, dtype: torch.dtype) -> ModuleType:

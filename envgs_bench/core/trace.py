@@ -13,6 +13,8 @@ from .gaussians import GaussianSet
 from .rasterize import checked_background
 from .rendering import Rendering
 
+SH_DIRECTIONS = ("center", "ray")
+
 
 @dataclass(frozen=True)
 class Bvh:
@@ -37,6 +39,7 @@ def trace(
     background: Tensor | None = None,
     t_min: float = 0.0,
     transmittance_min: float = 1e-4,
+    sh_direction: str = "center",
     bvh: Bvh | None = None,
     backend: str = "auto",
 ) -> Rendering:
@@ -53,6 +56,9 @@ def trace(
         background: [3] color behind everything, in [0, 1]; black where None. Receives no gradient.
         t_min: hits at smaller t are not drawn.
         transmittance_min: a ray ends with the hit that takes its transmittance below this.
+        sh_direction: where spherical harmonics are evaluated: "center", from the ray's origin toward each surfel's
+            center, as an image of a camera there has them; or "ray", along the ray, whose direction then gets their
+            gradient, and no center does (EnvGS's released tracer).
         bvh: from `build_bvh` over the very same values; built here where None.
         backend: "auto" (by device), "cpu", "cuda", "torch" or "embree".
 
@@ -60,7 +66,8 @@ def trace(
         Rendering with the rays' leading shape. `statistics` covers this call; position gradients after backward().
 
     Raises:
-        ValueError: rays of a wrong shape, dtype or device, 3D Gaussians, a foreign BVH, or an unknown backend.
+        ValueError: rays of a wrong shape, dtype or device, 3D Gaussians, a foreign BVH, an unknown backend or
+            `sh_direction`.
         RuntimeError: the backend does not work on this machine.
     """
     _check_surfels(gaussians)
@@ -73,12 +80,14 @@ def trace(
             raise ValueError(
                 f"{name} are {rays.dtype} on {rays.device}, gaussians {gaussians.means.dtype} on {gaussians.device}"
             )
+    if sh_direction not in SH_DIRECTIONS:
+        raise ValueError(f"sh_direction is {sh_direction!r}, expected {' or '.join(SH_DIRECTIONS)}")
     module = load_backend(backend, gaussians.device, gaussians.means.dtype)
     if bvh is not None and bvh.primitives != len(gaussians):
         raise ValueError(
             f"the BVH was built over {bvh.primitives} primitives, the set has {len(gaussians)}: rebuild it"
         )
-    options = TraceOptions(checked_background(background, gaussians), t_min, transmittance_min)
+    options = TraceOptions(checked_background(background, gaussians), t_min, transmittance_min, sh_direction == "ray")
     flat = module.trace(gaussians, origins.reshape(-1, 3), directions.reshape(-1, 3), bvh, options)
     return _reshaped(flat, origins.shape[:-1])
 

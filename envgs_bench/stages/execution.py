@@ -92,7 +92,7 @@ def _offer_perceptual_loss(method: Method) -> None:
     """Methods must not import metrics: those that use the perceptual loss are given it, if it can be had."""
     if method.uses_perceptual:
         try:
-            method.perceptual = make_perceptual_loss(method.device)
+            method.perceptual = make_perceptual_loss(method.perceptual_loss, method.device)
         except WeightsUnavailable as error:
             method.dropped_losses[PERCEPTUAL] = str(error)
             print(f"training without the perceptual loss: {error}", file=sys.stderr)

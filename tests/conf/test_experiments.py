@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from fakes.runs import set_environment
 from sweeps import one_run, swept
 
-from envgs_bench.cli.composition import config_names
+from envgs_bench.cli.composition import CONF, config_names
 from envgs_bench.reports.numbers.published import paper_method, paper_scene, paper_tables
 
 ON_THE_PAPERS_SCENES = ("table1", "table2", "table3", "table5", "table7", "table8", "table9")
@@ -45,6 +47,21 @@ def test_an_experiment_after_a_table_is_on_the_tables_scenes(name: str) -> None:
     methods = choices["method"]
     assert methods[-1] == "envgs"  # ours, beside what the table has
     assert {paper_method(method) for method in methods[:-1]} == {"3DGS", "2DGS", "EnvGS"} & set(rows["method"])
+
+
+def test_the_commands_for_the_released_recipe_train_every_scene_once() -> None:
+    """docs/paper.md has a command a variant; together they are the scenes of Tables 1, 3 and 8."""
+    text = (CONF.parent / "docs" / "paper.md").read_text(encoding="utf-8").replace("\\\n", " ")
+    commands = re.findall(r"^ +envgs-bench run -m method=(envgs_released\w*) +dataset=(\S+)$", text, re.MULTILINE)
+    assert {f"method={name}" for name, _ in commands} == {
+        f"method={name}" for name in config_names("method") if name.startswith("envgs_released_")
+    }
+    runs = [(method, dataset) for method, datasets in commands for dataset in datasets.split(",")]
+    for method, dataset in runs:
+        run = one_run("table1", method=method, dataset=dataset)
+        assert (run.method.name, run.dataset["name"]) == ("envgs_released", dataset)
+    scenes = {scene for table in ("table1", "table3", "table8") for scene in swept(table)["dataset"]}
+    assert sorted(dataset for _, dataset in runs) == sorted(scenes)
 
 
 def test_the_ablations_are_every_row_of_table_4_and_the_single_set() -> None:

@@ -18,8 +18,10 @@ from envgs_bench.cli import composition
 from envgs_bench.cli.composition import config_names, default_settings, register_methods
 from envgs_bench.cli.main import main
 from envgs_bench.methods import registry
+from envgs_bench.methods.envgs import EnvGS
 from envgs_bench.methods.reflection import ReflectionSettings
 from envgs_bench.methods.registry import BUILT_IN, create_method, method_class
+from envgs_bench.methods.schedule import Schedule
 from envgs_bench.methods.settings import make_settings, setting_comments
 from envgs_bench.settings import read_settings
 
@@ -35,6 +37,29 @@ ABLATIONS = {  # of the published recipe
     "envgs_paper_no_normal_propagation": {"propagate": False},
     "envgs_paper_no_perceptual": {"perceptual_weight": 0.0},
 }
+RELEASED = {  # as the released code sets scenes apart
+    "envgs_released_sedan": {"densify_until": 30_000, "env_densify_until": 30_000, "disturb_until": 24_000},
+    "envgs_released_toycar": {"sh_from": 10_000},
+    "envgs_released_spheres": {"sh_from": 10_000, "initial_beta": 0.1, "perceptual_weight": 0.1},
+    "envgs_released_late": {"perceptual_from": 45_000},
+    "envgs_released_metal": {"perceptual_from": 45_000, "initial_beta": 0.01},
+    "envgs_released_synthetic": {
+        "sh_from": 10_000,
+        "env_sh_from": 10_000,
+        "bootstrap": 6_000,
+        "initial_beta": 0.1,
+        "beta_reset_from": 9_000,
+        "env_densify_until": 42_000,
+        "env_opacity_reset_every": 3_000,
+        "normal_from": 4_000,
+        "mono_from": 4_000,
+        "normal_weighting": "alpha",
+        "perceptual_weight": 0.0,
+        "reflect_alpha": 0.75,
+        "reflect_alpha_from": 30_000,
+    },
+}
+RELEASED["envgs_released_ball"] = RELEASED["envgs_released_synthetic"] | {"initial_beta": 0.8}
 REPLACED = {"envmap_paper": "envmap", "envgs_paper_single_set": "envgs_single_set"}  # name -> kind
 
 
@@ -77,7 +102,8 @@ def test_what_replaces_the_environment_leaves_the_rest_of_the_published_recipe(n
     method, paper = composed(name), composed("envgs_paper")
     assert (method["name"], method["kind"]) == (name, REPLACED[name])
     create_method(method["kind"], method["settings"])
-    shared = {field.name for field in dataclasses.fields(ReflectionSettings)}
+    common = method_class("envgs_single_set").Settings if method["kind"] != "envmap" else ReflectionSettings
+    shared = {field.name for field in dataclasses.fields(common)}
     assert {key: method["settings"][key] for key in shared} == {key: paper["settings"][key] for key in shared}
 
 
@@ -94,11 +120,28 @@ def test_the_published_configurations_are_what_was_published() -> None:
                 "mono_loss": "cos",
                 "perceptual_from": 0,
                 "beta_threshold": 0,
+                "traced_sh_direction": "ray",
             },
             paper,
         ),
         (
-            {"sh_degree": 3, "stretches": False, "env_grid": 32, "mono_loss": "l1_cos", "perceptual_from": 21_000},
+            {
+                "sh_degree": 3,
+                "stretches": False,
+                "env_grid": 32,
+                "env_radius_power": 2,
+                "env_position_scale": 1,
+                "traced_sh_direction": "ray",
+                "traced_background": "black",
+                "traced_near": 0.06,
+                "ray_offset": 0,
+                "normal_reference": "alpha",
+                "mono_loss": "l1_cos",
+                "mono_normals": "unit",
+                "normal_weighting": "depth",
+                "perceptual_loss": "lpips",
+                "perceptual_from": 21_000,
+            },
             released,
         ),
     ):
@@ -106,8 +149,57 @@ def test_the_published_configurations_are_what_was_published() -> None:
         create_method("envgs", method["settings"])
 
 
+@pytest.mark.parametrize("name", RELEASED)
+def test_a_scene_of_the_release_is_a_row_of_its_recipe(name: str) -> None:
+    method, released = composed(name), composed("envgs_released")
+    assert (method["name"], method["kind"]) == ("envgs_released", "envgs")
+    assert method["settings"] == released["settings"] | RELEASED[name]
+    create_method("envgs", method["settings"])
+
+
+def events(name: str, steps: int) -> dict[str, list[int]]:
+    """For each event the steps of a run with method=<name> in which it happens."""
+    method = create_method("envgs", composed(name)["settings"])
+    assert isinstance(method, EnvGS)
+    method.schedule = Schedule(steps, method.settings.stretches)
+    found: dict[str, list[int]] = {}
+    for step in range(1, steps + 1):
+        for event in method.events(step):
+            found.setdefault(event, []).append(step)
+    return found
+
+
+def thousands(*numbers: int) -> list[int]:
+    return [1000 * number for number in numbers]
+
+
+def test_the_sedan_grows_and_is_disturbed_for_longer() -> None:
+    """In 60,000 steps; the released code's loop has so many of each."""
+    found = events("envgs_released_sedan", 60_000)
+    counts = {name: len(steps) for name, steps in found.items()}
+    assert [counts[name] for name in ("densify_base", "densify_env", "propagate", "sabotage")] == [126, 53, 14, 14]
+    assert [counts[name] for name in ("reset_base_opacity", "reset_beta", "reset_env_opacity")] == [9, 8, 4]
+    assert found["densify_base"] == [
+        *range(600, 3001, 100),
+        *range(3500, 24_001, 500),
+        *range(24_100, 30_000, 100),
+    ]
+    assert found["propagate"] == thousands(4, 5, 7, 8, 10, 11, 13, 14, 16, 17, 19, 20, 22, 23)
+
+
+def test_the_synthetic_scenes_have_a_schedule_of_their_own() -> None:
+    found = events("envgs_released_synthetic", 60_000)
+    assert found.pop("densify_base") == [*range(600, 6001, 100), *range(6500, 18_001, 500), *range(18_100, 21_000, 100)]
+    assert found.pop("densify_env") == list(range(6500, 42_000, 500))
+    assert found.pop("sabotage") == found.pop("propagate") == thousands(7, 8, 10, 11, 13, 14, 16, 17)
+    assert found.pop("reset_base_opacity") == list(range(3000, 21_000, 3000))
+    assert found.pop("reset_beta") == list(range(9000, 21_000, 3000))
+    assert found.pop("reset_env_opacity") == list(range(9000, 42_000, 3000))
+    assert not found
+
+
 def test_every_configuration_is_tested() -> None:
-    assert {*DIFFERENCES, *ABLATIONS, *REPLACED, "envgs_paper", "envgs_released", "renders"} == set(
+    assert {*DIFFERENCES, *ABLATIONS, *RELEASED, *REPLACED, "envgs_paper", "envgs_released", "renders"} == set(
         config_names("method")
     )
 

@@ -54,18 +54,19 @@ def test_images(single, scene, as_gaussians_3d, low_pass):
     compare(drawn_with(single, gaussians, image(low_pass), keep, ()), expected, keep)
 
 
+@pytest.mark.parametrize("sh_direction", ["center", "ray"])
 @pytest.mark.parametrize("scene", list(SCENES))
-def test_ray_batches(single, scene):
-    gaussians, rays, expected = oracle_ray_batch(scene)
+def test_ray_batches(single, scene, sh_direction):
+    gaussians, rays, expected = oracle_ray_batch(scene, sh_direction)
     keep = torch.ones(len(rays[0])) > 0
-    compare(drawn_with(single, gaussians, ray_batch, keep, rays), expected, keep)
+    compare(drawn_with(single, gaussians, ray_batch(sh_direction), keep, rays), expected, keep)
 
 
 @pytest.mark.parametrize("scene", list(SCENES))
 def test_embree_finds_the_same_hits(scene):
     """In float64, hit for hit, without leaving any ray out."""
     gaussians, rays, keep = SCENES[scene], random_rays(1000), torch.ones(1000) > 0
-    one, other = (drawn_with(each, gaussians, ray_batch, keep, rays) for each in (Backend.named("embree"), ORACLE))
+    one, other = (drawn_with(each, gaussians, ray_batch(), keep, rays) for each in (Backend.named("embree"), ORACLE))
     compare(one, other, keep)
 
 

@@ -79,11 +79,13 @@ def test_a_tile_with_more_surfels_than_a_block_fetches_at_once(emulate):
         compare(drawn_with(emulate(order), surfels, draw, keep, ()), expected, keep)
 
 
-@pytest.mark.parametrize("scene", ["few", "many", "opaque"])
-def test_ray_batches(backend, scene):
-    gaussians, rays, expected = oracle_ray_batch(scene)
+@pytest.mark.parametrize(
+    ("scene", "sh_direction"), [("few", "center"), ("many", "center"), ("opaque", "center"), ("many", "ray")]
+)
+def test_ray_batches(backend, scene, sh_direction):
+    gaussians, rays, expected = oracle_ray_batch(scene, sh_direction)
     keep = torch.ones(len(rays[0])) > 0
-    compare(drawn_with(backend, gaussians, ray_batch, keep, rays), expected, keep)
+    compare(drawn_with(backend, gaussians, ray_batch(sh_direction), keep, rays), expected, keep)
 
 
 @pytest.mark.parametrize("kind", ["surfels", "gaussians_3d", "rays"])

@@ -90,6 +90,11 @@ def test_rays_of_another_dtype_are_refused():
         trace(random_set(3), origins, directions.double(), backend="torch")
 
 
+def test_an_unknown_direction_of_color_is_refused():
+    with pytest.raises(ValueError, match="sh_direction is 'mean', expected center or ray"):
+        trace(random_set(3), *random_rays(2), sh_direction="mean", backend="torch")
+
+
 def test_background_of_a_wrong_shape_is_refused():
     with pytest.raises(ValueError, match=r"background has shape \(1, 3\), expected \(3,\)"):
         rasterize(random_set(3), plain_camera(), background=torch.ones(1, 3), backend="torch")

@@ -6,7 +6,17 @@ from dataclasses import fields, replace
 
 import pytest
 import torch
-from core_scenes import C0, ORACLE, facing_surfels, loss_of, plain_camera, random_rays, random_set, tilted_camera
+from core_scenes import (
+    C0,
+    ORACLE,
+    facing_surfels,
+    gradients_of,
+    loss_of,
+    plain_camera,
+    random_rays,
+    random_set,
+    tilted_camera,
+)
 from torch import Tensor
 
 from envgs_bench.core import GaussianSet, Rendering
@@ -61,13 +71,14 @@ def test_gradients_through_the_screen_space_filter_are_differences():
     check_against_differences(render, list(vars(tiny).values()))
 
 
+@pytest.mark.parametrize("sh_direction", ["center", "ray"])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_traced_gradients_are_differences(degree):
+def test_traced_gradients_are_differences(degree, sh_direction):
     rays = [x.to(torch.float64) for x in plain_camera(2, 2, focal=6.0).rays()]
     origins = rays[0] + torch.tensor([0.1, -0.1, 0.2], dtype=torch.float64)
 
     def render(*values: Tensor) -> Rendering:
-        return ORACLE.trace(GaussianSet(*values[:-2]), *values[-2:], background=BACKGROUND)
+        return ORACLE.trace(GaussianSet(*values[:-2]), *values[-2:], background=BACKGROUND, sh_direction=sh_direction)
 
     check_against_differences(render, [*vars(broad_set(degree=degree)).values(), origins, rays[1]])
 
@@ -189,6 +200,34 @@ def test_position_gradients_leave_the_direction_of_color_out(rasterizer, columns
     (positions, means), (fixed_positions, fixed_means) = results
     torch.testing.assert_close(positions, fixed_positions, atol=1e-2, rtol=1e-3)
     assert (means - fixed_means).norm() > 1e-2 * means.norm()
+
+
+def test_color_along_the_ray_moves_the_direction_and_neither_origin_nor_center(tracer):
+    """One ray and three surfels. Colors that are fixed at what the ray sees give all but the direction's gradient;
+    the direction's is that of the surfels' colors, by autograd and with the weights that were blended."""
+    gaussians = facing_surfels(torch.tensor([[0.1, 0.0, 3.0], [-0.2, 0.1, 4.0], [0.2, -0.1, 5.0]]))
+    sh = 0.4 * torch.randn(3, 16, 3, generator=torch.Generator().manual_seed(3))
+    direction = torch.tensor([0.05, 0.1, 1.3])
+    fixed = (sh_color(sh.double(), direction.double()) - 0.5) / C0
+    gradients = []
+    for coefficients in (sh, fixed[:, None, :].float()):
+        leaves = tracer.take(replace(gaussians, sh=coefficients))
+        rays = tracer.take(torch.zeros(1, 3)), tracer.take(direction[None])
+        drawn = tracer.trace(leaves, *rays, sh_direction="ray")
+        assert drawn.hits.item() == 3
+        loss_of(drawn).backward()
+        gradients.append((drawn, gradients_of(leaves, origins=rays[0], directions=rays[1])))
+    (drawn, seen), (_, geometry) = gradients
+    for name in ("means", "quaternions", "scales", "opacities", "origins"):
+        torch.testing.assert_close(seen[name], geometry[name], atol=1e-5, rtol=1e-4)
+
+    free = direction.double().requires_grad_()
+    upstream = torch.randn(1, 3, generator=torch.Generator().manual_seed(2000)).double()  # loss_of's for color
+    weights = drawn.statistics.weights.detach().cpu().double()
+    (upstream * (weights[:, None] * sh_color(sh.double(), free)).sum(0)).sum().backward()
+    assert free.grad is not None
+    assert free.grad.norm() > 0.05
+    torch.testing.assert_close(seen["directions"] - geometry["directions"], free.grad[None], atol=1e-5, rtol=1e-4)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])

@@ -93,6 +93,23 @@ def test_traced_colors_are_scipys(tracer, coefficient):
     np.testing.assert_allclose(colors, expected, atol=2e-5)
 
 
+@pytest.mark.parametrize("coefficient", range(16))
+def test_colors_along_the_ray_are_scipys(tracer, coefficient):
+    """Twelve rays of any length through one wide surfel, which they meet off its center."""
+    away = torch.from_numpy(unit_vectors(12, seed=coefficient)).float()
+    directions = away * torch.linspace(0.3, 2, 12)[:, None]
+    sh = torch.zeros(1, 16, 3)
+    sh[:, coefficient] = torch.tensor([0.3, -0.2, 0.1])
+    surfel = replace(facing_surfels(torch.tensor([[0.2, -0.3, 0.0]]), scale=10.0, opacity=0.9), sh=sh)
+
+    drawn = tracer.trace(*(tracer.take(x) for x in (surfel, -2 * away, directions)), sh_direction="ray")
+
+    expected = real_harmonics(away.double().numpy(), 3)[:, coefficient, None] * [0.3, -0.2, 0.1] + 0.5
+    assert (drawn.hits == 1).all()
+    colors = (drawn.color / drawn.alpha[:, None]).detach().double().cpu().numpy()
+    np.testing.assert_allclose(colors, expected, atol=2e-5)
+
+
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_rasterized_colors_are_scipys(rasterizer, degree):
     """The middle pixel's ray hits the only surfel at its center."""

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -44,6 +45,17 @@ def test_nearness():
     assert nearness(depth).tolist() == [[1.0, 0.0], [0.5, 1.0]]
     assert nearness(torch.full((2, 2), 3.0)).tolist() == [[1.0, 1.0], [1.0, 1.0]]
     assert nearness(torch.zeros(2, 2)).tolist() == [[1.0, 1.0], [1.0, 1.0]]
+
+
+def test_nearness_leaves_out_a_hundredth_at_either_end():
+    """Between the third smallest and the third largest of 300 depths, as numpy sorts them."""
+    depth = 2 + 3 * torch.rand(20, 15, generator=torch.Generator().manual_seed(0))
+    depth[3, 4], depth[5, 6], depth[7, 8] = 0.3, 90.0, 70.0
+    ordered = np.sort(depth.numpy().ravel())
+    low, high = ordered[2], ordered[-3]
+    assert high < 5
+    expected = np.clip(1 - (depth.numpy() - low) / (high - low), 0, 1)
+    np.testing.assert_allclose(nearness(depth).numpy(), expected, atol=1e-6)
 
 
 def test_training_psnr():

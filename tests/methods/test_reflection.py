@@ -29,6 +29,20 @@ def test_joint_optimization_lets_gradients_through(joint):
         assert normal.grad.abs().sum() > 0
 
 
+@pytest.mark.parametrize(("step", "filtered"), [(None, True), (50, False), (51, True)])
+def test_pixels_of_little_alpha_do_not_reflect_late_in_training_and_in_images(step, filtered):
+    """From half of a run of 100 steps on, alpha must be above 0.75; so far 0.01 is enough."""
+    camera = make_camera()
+    shown = mirror(camera, torch.tensor([0.0, 0.0, -1.0]), -4.0)
+    shown.alpha[0], shown.alpha[1], shown.alpha[2] = 0.74, 0.76, 0.009
+    method, _ = initialized(100, reflect_alpha=0.75, reflect_alpha_from=15_000)
+    _, directions, beta = method._reflected_rays(shown, camera, step)
+    expected = torch.ones(HEIGHT, WIDTH, dtype=torch.bool)
+    expected[0], expected[2] = not filtered, False
+    assert torch.equal(directions.any(-1), expected)
+    assert torch.equal(beta, torch.where(expected, 0.5, 0.0))
+
+
 def test_base_and_reflection_are_blended_by_beta(monkeypatch):
     """Equation 5, pixel by pixel, with a cube map of one color; pixels without a surface keep the base color."""
     camera = make_camera()

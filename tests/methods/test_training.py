@@ -169,6 +169,40 @@ def test_sh_degrees_are_added_one_by_one(scene):
     assert [method.gaussians("base", step).sh_degree for step in (1, 9, 10, 19, 20, 300)] == [0, 0, 1, 1, 2, 2]
 
 
+@pytest.mark.parametrize(
+    ("every", "base", "env"),
+    [(1000, [0, 0, 0, 0, 1, 2], [0, 1, 2, 2, 2, 2]), (0, [0, 0, 0, 2, 2, 2], [2, 2, 2, 2, 2, 2])],
+)
+def test_either_set_adds_sh_degrees_from_a_step_of_its_own(scene, every, base, env):
+    """In a run of 300 steps a thousand of the reference run are ten."""
+    method = make_method("envgs", sh_every=every, sh_from=5_000, env_sh_from=3_000, bootstrap=3_000)
+    method.initialize(scene, 300)
+    method.before_step(31)
+    steps = (39, 40, 50, 59, 60, 70)
+    assert [method.gaussians("base", step).sh_degree for step in steps] == base
+    assert [method.gaussians("env", step).sh_degree for step in steps] == env
+
+
+@pytest.mark.parametrize("power", [1, 2])
+def test_the_environments_rate_grows_with_a_power_of_the_scene_radius(scene, power):
+    rates = {}
+    for size in (1.0, 3.0):
+        cameras = [dataclasses.replace(view.camera, world_to_camera=scaled(view.camera, size)) for view in scene.train]
+        views = [dataclasses.replace(view, camera=camera) for view, camera in zip(scene.train, cameras, strict=True)]
+        method = make_method("envgs", env_radius_power=power)
+        method.initialize(dataclasses.replace(scene, train=views), STEPS)
+        rates[size] = method.position_rate("base", 1), method.position_rate("env", 1)
+    assert rates[3.0][0] == pytest.approx(3 * rates[1.0][0], rel=1e-4)
+    assert rates[3.0][1] == pytest.approx(3**power * rates[1.0][1], rel=1e-4)
+
+
+def scaled(camera: Camera, size: float) -> torch.Tensor:
+    """The camera's pose with its center moved away from the origin by that factor."""
+    pose = camera.world_to_camera.clone()
+    pose[:3, 3] *= size
+    return pose
+
+
 @pytest.mark.parametrize(("near", "free_space", "expected"), [(0.2, 0.0, 0.2), (0.2, 100.0, 100.0), (3.0, 1.0, 3.0)])
 def test_nothing_is_drawn_in_the_free_space_of_a_scene(scene, tmp_path, near, free_space, expected):
     """The scene lies within 5 of the cameras: with a free space of 100, only the background is drawn."""
@@ -247,6 +281,9 @@ def test_unknown_settings_are_refused_with_the_known_ones():
         ("2dgs", {"near": True}, "near is True, expected a value of type float"),
         ("2dgs", {"normal_weighting": "far"}, "expected none or depth"),
         ("envgs", {"mono_loss": "l2"}, "mono_loss is 'l2', expected cos or l1_cos"),
+        ("2dgs", {"perceptual_loss": "vgg"}, "perceptual_loss is 'vgg', expected features or lpips"),
+        ("2dgs", {"normal_reference": "depth"}, "normal_reference is 'depth', expected unit or alpha"),
+        ("2dgs", {"mono_normals": "raw"}, "mono_normals is 'raw', expected blended or unit"),
         ("envmap", {"envmap_size": 1}, "envmap_size is 1, expected at least 2"),
         ("envmap", {"initial_beta": 0.0}, "initial_beta is 0, expected a weight between 0 and 1"),
         ("envmap", {"mono_floor": 1.5}, "mono_floor is 1.5, expected a share from 0 to 1"),

@@ -9,6 +9,7 @@ from torch.nn import functional
 from torchmetrics.functional.image import lpips as reference
 
 from envgs_bench.metrics import WeightsUnavailable, get_protocol, make_perceptual_loss, vgg16, weights
+from envgs_bench.metrics import lpips as lpips_module
 from envgs_bench.metrics.lpips import load_heads, lpips
 from envgs_bench.metrics.vgg16 import load_vgg16
 
@@ -117,6 +118,33 @@ def test_perceptual_loss_is_l1_of_the_features_and_reaches_the_image(kornias_lay
     assert image.grad.abs().sum() > 0
 
 
+def test_lpips_as_a_loss_is_torchmetrics_with_its_gradient(kornias_layers, monkeypatch):
+    monkeypatch.setattr(reference, "_get_tv_model_features", lambda net, pretrained: kornias_layers)
+    network = reference._LPIPS(net="vgg")
+    image, target = (x.requires_grad_() for x in images())
+    first, second = (x.permute(2, 0, 1)[None] for x in (image, target))
+    (expected,) = torch.autograd.grad(network(first, second, normalize=False).sum(), image)
+    value = make_perceptual_loss("lpips")(image, target)
+    (gradient,) = torch.autograd.grad(value, image)
+    assert value.item() == pytest.approx(network(first, second, normalize=False).item(), rel=1e-4)
+    assert expected.abs().max() > 0
+    torch.testing.assert_close(gradient, expected, atol=1e-6, rtol=1e-3)
+
+
+def test_lpips_as_a_loss_passes_no_gradient_where_all_features_are_zero(random_weights, monkeypatch):
+    monkeypatch.setattr(vgg16.Vgg16, "forward", lambda self, image: [torch.relu(image - 1e6)] * 5)
+    monkeypatch.setattr(lpips_module, "load_heads", lambda: [torch.ones(3)] * 5)
+    image, target = images()
+    make_perceptual_loss("lpips")(image.requires_grad_(), target).backward()
+    assert image.grad is not None
+    assert not image.grad.any()
+
+
+def test_an_unknown_perceptual_loss_is_refused():
+    with pytest.raises(ValueError, match="unknown perceptual loss 'vgg', expected one of features, lpips"):
+        make_perceptual_loss("vgg")
+
+
 def test_without_weights_lpips_is_none_with_a_reason(monkeypatch):
     monkeypatch.setenv("ENVGS_BENCH_VGG16", "off")
     protocol = get_protocol()
@@ -126,6 +154,8 @@ def test_without_weights_lpips_is_none_with_a_reason(monkeypatch):
     assert protocol.weights is None
     with pytest.raises(WeightsUnavailable):
         make_perceptual_loss()
+    with pytest.raises(WeightsUnavailable):
+        make_perceptual_loss("lpips")
 
 
 def test_unknown_input_range_is_refused():

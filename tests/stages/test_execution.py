@@ -26,7 +26,7 @@ def test_methods_that_want_it_are_given_the_perceptual_loss(monkeypatch: pytest.
     def loss(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
         return (image - target).abs().mean()
 
-    monkeypatch.setattr(execution, "make_perceptual_loss", lambda device: loss)
+    monkeypatch.setattr(execution, "make_perceptual_loss", lambda name, device: loss)
     wants, does_not = create_method("envgs", WITH_PERCEPTUAL), MeanColor(Settings())
     without = create_method("envgs", {"perceptual_weight": 0.0})
     for method in (wants, does_not, without):
@@ -36,10 +36,18 @@ def test_methods_that_want_it_are_given_the_perceptual_loss(monkeypatch: pytest.
     assert without.perceptual is None
 
 
+def test_methods_are_given_the_perceptual_loss_that_they_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    named: list[str] = []
+    monkeypatch.setattr(execution, "make_perceptual_loss", lambda name, device: named.append(name))
+    for settings in ({}, {"perceptual_loss": "lpips"}):
+        execution._offer_perceptual_loss(create_method("envgs", WITH_PERCEPTUAL | settings))
+    assert named == ["features", "lpips"]
+
+
 def test_without_weights_methods_train_without_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def unavailable(device: torch.device) -> None:
+    def unavailable(name: str, device: torch.device) -> None:
         raise WeightsUnavailable("no weights here")
 
     monkeypatch.setattr(execution, "make_perceptual_loss", unavailable)

@@ -86,8 +86,10 @@ def image(low_pass: bool = True) -> Draw:
     )
 
 
-def ray_batch(backend: Backend, leaves: GaussianSet, rays: list[Tensor]) -> Rendering:
-    return backend.trace(leaves, *rays, t_min=0.5, background=BACKGROUND)
+def ray_batch(sh_direction: str = "center") -> Draw:
+    return lambda backend, leaves, rays: backend.trace(
+        leaves, *rays, t_min=0.5, background=BACKGROUND, sh_direction=sh_direction
+    )
 
 
 @cache
@@ -99,10 +101,10 @@ def oracle_image(scene: str, as_gaussians_3d: bool, low_pass: bool) -> tuple[Gau
 
 
 @cache
-def oracle_ray_batch(scene: str) -> tuple[GaussianSet, tuple[Tensor, ...], Drawn]:
+def oracle_ray_batch(scene: str, sh_direction: str = "center") -> tuple[GaussianSet, tuple[Tensor, ...], Drawn]:
     """A scene, rays that can be compared (and no others, so that statistics can be too), and the oracle's drawing."""
     gaussians, (origins, directions) = SCENES[scene], random_rays(1000)
     keep = steady(gaussians, traced(gaussians, origins, directions, t_min=0.5))
     assert keep.double().mean() > 0.75
     rays = origins[keep], directions[keep]
-    return gaussians, rays, drawn_with(ORACLE, gaussians, ray_batch, keep[keep], rays)
+    return gaussians, rays, drawn_with(ORACLE, gaussians, ray_batch(sh_direction), keep[keep], rays)

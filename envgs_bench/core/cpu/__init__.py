@@ -97,6 +97,7 @@ class _TracePass:
             options.background,
             options.t_min,
             options.transmittance_min,
+            options.sh_along_ray,
             threads,
         )
 

@@ -52,6 +52,7 @@ class TracePass:
         background: Tensor,  # [3] in [0, 1]
         t_min: float,  # hits at smaller t are not drawn, units of |direction|
         transmittance_min: float,  # a ray ends with the hit that takes it below this
+        sh_along_ray: bool,  # SH at the ray's direction; else from its origin toward each surfel's center
         threads: int,  # workers; sums over rays depend on their number
         /,
     ) -> None: ...

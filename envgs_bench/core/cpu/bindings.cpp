@@ -125,11 +125,12 @@ NB_MODULE(_native, m) {
                             In background,             // [3] in [0, 1]
                             float t_min,               // hits at smaller t are not drawn, units of |direction|
                             float transmittance_min,   // a ray ends with the hit that takes it below this
+                            bool sh_along_ray,         // SH at the ray's direction; else toward each surfel's center
                             int threads                // workers; sums over rays depend on their number
                          ) {
             RayBatch rays = {origins.data(), directions.data(), int(origins.shape(0))};
             new (self) TracePass(std::move(bvh), gaussians_of(set), rays, load3(background.data()), t_min,
-                                 transmittance_min, threads);
+                                 transmittance_min, sh_along_ray, threads);
         })
         .def("forward", [](TracePass& self,
                            const OutPlanes& out,  // filled, P = R

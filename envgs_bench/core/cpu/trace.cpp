@@ -30,9 +30,9 @@ struct TracePass::Worker {
 };
 
 TracePass::TracePass(std::shared_ptr<const Bvh> bvh, const Gaussians& gaussians, const RayBatch& rays,
-                     Vec3<float> background, float t_min, float transmittance_min, int threads)
+                     Vec3<float> background, float t_min, float transmittance_min, bool sh_along_ray, int threads)
     : bvh_(std::move(bvh)), g_(gaussians), rays_(rays), background_(background), t_min_(t_min),
-      transmittance_min_(transmittance_min), threads_(threads) {}
+      transmittance_min_(transmittance_min), sh_along_ray_(sh_along_ray), threads_(threads) {}
 
 int TracePass::chunks() const { return (rays_.count + kChunk - 1) / kChunk; }
 
@@ -55,7 +55,7 @@ void TracePass::forward(Planes<float> out, int* hits, float* weights, bool keep_
                     const TracedSurfel& s = bvh_->surfels[i];
                     float weight = transmittance * hit.alpha;
                     transmittance *= 1.0f - hit.alpha;
-                    color = color + weight * color_at(g_, i, s.mean - origin);
+                    color = color + weight * color_at(g_, i, sh_along_ray_ ? direction : s.mean - origin);
                     normal = normal + (dot(s.frame.n, direction) < 0.0f ? weight : -weight) * s.frame.n;
                     depth += weight * hit.t();
                     for (int e = 0; e < g_.extra_count; ++e) extras[e] += weight * g_.extras[g_.extra_count * i + e];
@@ -122,7 +122,7 @@ void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<co
         for (int lane = 0; lane < group; ++lane) {
             int i = hits[begin + lane];
             const TracedSurfel& s = bvh_->surfels[i];
-            Vec3<float> v = s.mean - origin;
+            Vec3<float> v = sh_along_ray_ ? direction : s.mean - origin;
             Vec3<float> color = color_at(g_, i, v);
             float side = hit.d_z[lane] < 0.0f ? 1.0f : -1.0f;
             float value = dot(g.color, color) + g.depth * hit.t[lane] + side * dot(g.normal, s.frame.n) + g.weight;
@@ -133,8 +133,12 @@ void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<co
             TracedSurfelSums& sum = sums[i];
             Vec3<float> g_v = color_backward_at(g_, i, v, color, weight[lane] * g.color,
                                                 g_sh + 3l * g_.sh_coefficients * i);
-            sum.color_direction = sum.color_direction + g_v;
-            g_origin = g_origin - g_v;
+            if (sh_along_ray_) {
+                g_direction = g_direction + g_v;
+            } else {
+                sum.color_direction = sum.color_direction + g_v;
+                g_origin = g_origin - g_v;
+            }
             sum.normal = sum.normal + (side * weight[lane]) * g.normal;
             for (int e = 0; e < g_.extra_count; ++e) g_extras[g_.extra_count * i + e] += weight[lane] * g_extra[e];
         }

@@ -27,6 +27,7 @@ public:
         Vec3<float> background,          // in [0, 1]
         float t_min,                     // hits at smaller t are not drawn, units of |direction|
         float transmittance_min,         // a ray ends with the hit that takes it below this
+        bool sh_along_ray,               // SH at the ray's direction; else from its origin toward each surfel's center
         int threads                      // workers; sums over rays depend on their number
     );
 
@@ -57,6 +58,7 @@ private:
     RayBatch rays_;
     Vec3<float> background_;
     float t_min_, transmittance_min_;
+    bool sh_along_ray_;
     int threads_;
     std::vector<std::vector<int>> chunk_hits_;  // primitive indices, ray after ray
     std::vector<int> hit_counts_;               // [R]

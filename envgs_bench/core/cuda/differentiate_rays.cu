@@ -111,7 +111,7 @@ extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
             PlaneHit<float> hit = intersect(s.frame, ray.origin - s.mean, ray.direction);
             float a = response_alpha(s.opacity, hit.u * hit.u + hit.v * hit.v);
             float side = hit.d_z < 0.0f ? 1.0f : -1.0f;
-            Vec3<float> v = s.mean - ray.origin;
+            Vec3<float> v = kShAlongRay ? ray.direction : s.mean - ray.origin;
             Vec3<float> c = sh_color<kShDegree>(appearance.values, v);
             float weight = g.transmittance * a;
             float value = g.value(c, hit.t, side * s.frame.n, appearance.values + kShFloats);
@@ -129,7 +129,7 @@ extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
             sum[kOpacitySum] = own.opacity;
             Vec3<float> g_v = sh_color_backward<kShDegree>(appearance.values, v, c, weight * g.sum.color,
                                                            sum + kShSums);
-            store3(sum + kDirectionSum, g_v);
+            if constexpr (!kShAlongRay) store3(sum + kDirectionSum, g_v);
 #pragma unroll
             for (int e = 0; e < kExtras; ++e) sum[kShSums + kShFloats + e] = weight * g.extras[e];
             index = s.index;
@@ -139,8 +139,10 @@ extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
                                                                  sum[4 * k + 3]);
 
             Vec3<float> world = local.x * s.frame.u + local.y * s.frame.v + local.z * s.frame.n;
-            g_origin = g_origin + world - g_v;
+            g_origin = g_origin + world;
             g_direction = g_direction + hit.t * world;
+            if constexpr (kShAlongRay) g_direction = g_direction + g_v;
+            else g_origin = g_origin - g_v;
         }
         rows_of_warp.add_to(sums, index);
     }

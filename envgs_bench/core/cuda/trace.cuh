@@ -13,6 +13,9 @@ struct alignas(16) Appearance {
 
 constexpr int kRays = 8;  // rays in a packet
 
+// SH at the ray's direction; else from its origin toward each surfel's center. Fixed as SH_COEFFICIENTS is.
+constexpr bool kShAlongRay = SH_ALONG_RAY;
+
 // The rays' hits are remembered page by page: a page holds rows of one hit (a slot) for each ray of a packet.
 constexpr int kPageRows = 32;
 constexpr u32 kNoHit = ~0u;

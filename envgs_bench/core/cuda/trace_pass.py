@@ -36,7 +36,8 @@ class TracePass:
 
     def _kernels(self, *sources: str) -> Kernels:
         sh, extras = self.tensors.sh.shape[1], self.tensors.extras.shape[1]
-        return kernels(sources, self.device, SH_COEFFICIENTS=sh, EXTRAS=extras)
+        along_ray = int(self.options.sh_along_ray)
+        return kernels(sources, self.device, SH_COEFFICIENTS=sh, EXTRAS=extras, SH_ALONG_RAY=along_ray)
 
     def forward(self, keep: bool) -> PassOutput:
         launch = self._kernels("ray_keys.cu", "surfels.cu", "trace_rays.cu")

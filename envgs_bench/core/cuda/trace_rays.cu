@@ -113,7 +113,8 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
             bool blends = listed && before >= transmittance_min;
             if (blends) {
                 Appearance appearance = appearances[slot];
-                Vec3<float> c = sh_color<kShDegree>(appearance.values, s.mean - own.origin);
+                Vec3<float> v = kShAlongRay ? own.direction : s.mean - own.origin;
+                Vec3<float> c = sh_color<kShDegree>(appearance.values, v);
                 sums.add(before * a, c, hit.t, (hit.d_z < 0.0f ? 1.0f : -1.0f) * s.frame.n,
                          appearance.values + kShFloats);
                 atomicAdd(weights + s.index, before * a);

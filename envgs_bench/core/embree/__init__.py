@@ -31,7 +31,7 @@ def trace(
     if bvh is not None and bvh.backend != "embree":
         raise ValueError(f"the BVH was built by backend {bvh.backend!r}, this is 'embree': build it with its backend")
     rays, primitives = candidate_pairs(gaussians, origins, directions, options.t_min)
-    intersector = TracedSurfels(gaussians, origins, directions, options.t_min)
+    intersector = TracedSurfels(gaussians, origins, directions, options.t_min, options.sh_along_ray)
     hits = blended_hits(intersector, rays, primitives, options.transmittance_min)
     return blend_hits(intersector, hits, options.background)
 

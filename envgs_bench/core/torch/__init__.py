@@ -40,7 +40,7 @@ def trace(
         raise ValueError(
             f"the BVH was built by backend {bvh.backend!r}, this is 'torch': build it with backend='torch'"
         )
-    intersector = TracedSurfels(gaussians, origins, directions, options.t_min)
+    intersector = TracedSurfels(gaussians, origins, directions, options.t_min, options.sh_along_ray)
     hits = all_blended_hits(intersector, options.transmittance_min)
     return blend_hits(intersector, hits, options.background)
 

@@ -53,8 +53,11 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
 class TracedSurfels(Intersector):
     """Surfels along arbitrary rays, in the order of their hits."""
 
-    def __init__(self, gaussians: GaussianSet, origins: Tensor, directions: Tensor, t_min: float) -> None:
+    def __init__(
+        self, gaussians: GaussianSet, origins: Tensor, directions: Tensor, t_min: float, sh_along_ray: bool = False
+    ) -> None:
         self.gaussians, self.origins, self.directions, self.t_min = gaussians, origins, directions, t_min
+        self.sh_along_ray = sh_along_ray
         self.shape = (len(origins),)
         self.frames = rotation_matrices(gaussians.quaternions)
         self.axes = self.frames[:, :, 2]
@@ -67,6 +70,8 @@ class TracedSurfels(Intersector):
         return Intersections(plane.t, plane.rho, order=plane.t, facing=plane.facing, valid=valid)
 
     def colors(self, rays: Tensor, primitives: Tensor) -> Tensor:
+        if self.sh_along_ray:
+            return sh_color(self.gaussians.sh[primitives], self.directions[rays])
         return sh_color(self.gaussians.sh[primitives], self.gaussians.means[primitives] - self.origins[rays])
 
 

@@ -1,0 +1,67 @@
+"""L_norm and L_mono of a plane whose blended normals are half as long as unit ones."""
+
+import math
+
+import pytest
+import torch
+from reflection_scenes import HEIGHT, WIDTH, make_camera, mirror
+
+from envgs_bench.core import Rendering, Scene, View, depth_normals
+from envgs_bench.methods.registry import create_method
+
+NORMAL = torch.tensor([0.0, 0.0, -1.0])
+TILTED = torch.tensor([0.0, math.sin(0.5), -math.cos(0.5)])  # what the view's own normals say
+
+
+@pytest.fixture(autouse=True)
+def _no_photometric_loss(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("envgs_bench.methods.gaussian_method.photometric_loss", lambda *_, **__: torch.zeros(()))
+
+
+def shown() -> Rendering:
+    """The left half has alpha 0.4, the right half 0.9."""
+    rendering = mirror(make_camera(), NORMAL, -4.0)
+    rendering.alpha[:, : WIDTH // 2], rendering.alpha[:, WIDTH // 2 :] = 0.4, 0.9
+    return rendering
+
+
+def terms(step: int = 100, **settings) -> dict[str, float]:
+    """The terms of the loss at that step of 100. L_mono counts ten times its weight in so short a run, and so 1."""
+    method = create_method("2dgs", {"normal_weight": 1.0, "normal_from": 0, "mono_weight": 0.1, **settings})
+    image = torch.zeros(HEIGHT, WIDTH, 3, dtype=torch.uint8)
+    view = View("view", make_camera(), image, normal=TILTED.expand(HEIGHT, WIDTH, 3).clone())
+    method.initialize(Scene("plane", [view], [], torch.rand(8, 3), torch.rand(8, 3)), 100)
+    assert method.schedule.rate_scale == 10
+    return {name: float(value) for name, value in method.losses(shown(), torch.zeros(1), view, step).items()}
+
+
+def known_share() -> float:
+    """Pixels to whose depth there is a normal."""
+    return float(depth_normals(shown().depth, make_camera()).any(-1).float().mean())
+
+
+def test_the_reference_of_l_norm_is_of_unit_length_or_as_long_as_alpha():
+    assert terms()["normal"] == pytest.approx(known_share() * 0.5, rel=1e-4)
+    reduced = 0.5 * (1 - 0.5 * 0.4) + 0.5 * (1 - 0.5 * 0.9)
+    assert terms(normal_reference="alpha")["normal"] == pytest.approx(known_share() * reduced, rel=1e-4)
+
+
+@pytest.mark.parametrize(("loss", "of_unit"), [("cos", 0.0), ("l1_cos", math.sin(0.5) + 1 - math.cos(0.5))])
+def test_l_mono_takes_normals_as_they_are_or_of_unit_length(loss, of_unit):
+    cosine = math.cos(0.5)
+    found = terms(mono_loss=loss, mono_normals="unit")["mono"]
+    assert found == pytest.approx(1 - cosine + of_unit, rel=1e-4)
+    blended = {"cos": 0.0, "l1_cos": math.sin(0.5) + cosine - 0.5}[loss]
+    assert terms(mono_loss=loss)["mono"] == pytest.approx(1 - 0.5 * cosine + blended, rel=1e-4)
+
+
+def test_both_losses_are_weighted_by_alpha():
+    found = terms(normal_weighting="alpha", mono_normals="unit")
+    assert found["mono"] == pytest.approx((1 - math.cos(0.5)) * 0.65, rel=1e-4)
+    known = depth_normals(shown().depth, make_camera()).any(-1)
+    assert found["normal"] == pytest.approx(float((known * shown().alpha * 0.5).mean()), rel=1e-4)
+
+
+def test_l_mono_starts_when_it_is_told_to():
+    late = {"mono_from": 15_000}  # of 30,000: half of the run
+    assert [("mono" in terms(step, **late)) for step in (1, 50, 51, 100)] == [False, False, True, True]

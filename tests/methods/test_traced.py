@@ -1,0 +1,78 @@
+"""What reflected rays see of the set that they are traced through."""
+
+import pytest
+import torch
+from reflection_scenes import HEIGHT, WIDTH, make_camera
+
+from envgs_bench.core import Scene, View
+from envgs_bench.methods.initialization import initial_tensors
+from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.traced import TracedReflection
+
+
+def facing_a_wall(z: float = 3.0, background: tuple[float, ...] = (0.0, 0.0, 0.0), **settings) -> TracedReflection:
+    """A method whose environment is one wide surfel in the plane of that z, nearly opaque, red from below."""
+    method = create_method("envgs", {"backend": "cpu", "sh_degree": 1, **settings})
+    assert isinstance(method, TracedReflection)
+    view = View("view", make_camera(), torch.zeros(HEIGHT, WIDTH, 3, dtype=torch.uint8))
+    scene = Scene("wall", [view], [], torch.rand(8, 3), torch.rand(8, 3), background=torch.tensor(background))
+    method.initialize(scene, 100)
+    tensors = initial_tensors(
+        torch.tensor([[0.0, 0.0, z]]),
+        torch.full((1, 3), 0.5),
+        axes=2,
+        sh_degree=1,
+        opacity=0.9,
+        beta=None,
+        radius=1.0,
+        generator=None,
+    )
+    tensors["log_scales"] = torch.full((1, 2), 2.0)
+    tensors["quaternions"] = torch.tensor([[1.0, 0.0, 0.0, 0.0]])
+    tensors["sh_rest"][0, 0, 0] = 0.5
+    method.restore({**method.state(), "sets": {**method.state()["sets"], "env": tensors}})
+    method.prepare()
+    return method
+
+
+@pytest.mark.parametrize("step", [None, 50])
+@pytest.mark.parametrize("sh_direction", ["center", "ray"])
+def test_parallel_rays_see_one_color_along_the_ray_and_two_toward_the_center(sh_direction, step):
+    method = facing_a_wall(traced_sh_direction=sh_direction)
+    origins = torch.tensor([[[0.0, -2.0, 0.0], [0.0, 2.0, 0.0]]])
+    directions = torch.tensor([[[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]])
+    drawn = method.trace_reflection(origins, directions, step)
+    below, above = (drawn.color / drawn.alpha[..., None])[0]
+    difference = (below - above).abs()
+    if sh_direction == "ray":
+        assert difference.max() < 1e-6
+    else:
+        assert difference[0] > 0.1
+        assert difference[1:].max() < 1e-6
+
+
+@pytest.mark.parametrize("step", [None, 50])
+@pytest.mark.parametrize(("behind", "expected"), [("scene", (0.2, 0.4, 0.8)), ("black", (0.0, 0.0, 0.0))])
+def test_what_is_behind_the_environment(behind, expected, step):
+    method = facing_a_wall(background=(0.2, 0.4, 0.8), traced_background=behind)
+    away = method.trace_reflection(torch.zeros(1, 1, 3), torch.tensor([[[0.0, 0.0, -1.0]]]), step)
+    assert not away.hits.any()
+    assert away.color[0, 0].tolist() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("step", [None, 50])
+def test_hits_nearer_than_the_setting_are_not_drawn(step):
+    method = facing_a_wall(traced_near=0.06)
+    origins = torch.tensor([[[0.0, 0.0, 3 - 0.059], [0.0, 0.0, 3 - 0.061]]])
+    drawn = method.trace_reflection(origins, torch.tensor([[[0.0, 0.0, 1.0]] * 2]), step)
+    assert drawn.hits[0].tolist() == [0, 1]
+
+
+def test_an_unknown_background_is_refused():
+    with pytest.raises(ValueError, match="traced_background is 'white', expected scene or black"):
+        create_method("envgs", {"traced_background": "white"})
+
+
+def test_an_unknown_direction_of_color_is_refused():
+    with pytest.raises(ValueError, match="traced_sh_direction is 'mean', expected center or ray"):
+        create_method("envgs", {"traced_sh_direction": "mean"})
