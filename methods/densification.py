@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -14,10 +15,11 @@ from envgs_bench.core.vectors import unit
 
 from .parameters import GaussianParameters
 
+Oversized = Literal["split", "prune", "keep"]
+
 SPLIT_PARTS = 2
 OVERSIZED_SPLIT_PARTS = 5
 SPLIT_DIVISOR = 1.6  # 3DGS's divisor of the scales in a split in two; in five it grows with the area to cover
-MAX_GROWTH = 0.1  # share of the set added at once: a short run, whose gradients are large, grows no faster
 EXCHANGE_AT_CAP = 0.05  # share of a full set that may be replaced at once
 UNIMPORTANT_SHARE = 0.1  # an oversized primitive in this least-weighted share is removed, not split
 
@@ -28,9 +30,10 @@ class DensificationRule:
 
     gradient_threshold: float  # mean criterion above which a primitive is cloned or split
     min_opacity: float  # pruned below
-    max_primitives: int  # the least-weighted above this count are pruned
+    max_primitives: int  # the least-weighted above this count are pruned; 0: as many as grow
     min_coverage: float = 0.0  # pixels that a primitive must fill, on average over its views, to be cloned or split
     min_views: float = 0.0  # steps that must have shown it for that: `DensificationRecord.effective_views`
+    max_growth: float = 0.1  # most that either way of growing adds at once, × the set; 0: no limit, at the cap neither
     clone_below: float = 0.01  # largest scale up to which a primitive is cloned; above it is split
     oversized_above: float = 0.1  # largest scale above which a primitive is split in five or pruned
 
@@ -40,19 +43,28 @@ class DensificationRecord:
 
     def __init__(self, primitives: int, device: torch.device) -> None:
         self.gradients = torch.zeros(primitives, device=device)  # Σ of the criterion
+        self.steps = torch.zeros(primitives, device=device)  # steps that the mean of the criterion is taken over
         self.views = torch.zeros(primitives, device=device)  # steps in which the primitive was seen
         self.weights = torch.zeros(primitives, device=device)  # Σ of the blending weight
         self.squares = torch.zeros(primitives, device=device)  # Σ of its square
 
-    def add(self, criterion: Tensor, weights: Tensor) -> None:
-        """Add one step: the gradient criterion [N] and the blending weights [N] of its pass."""
+    def add(self, criterion: Tensor, weights: Tensor, counts: Tensor | None = None) -> None:
+        """Add one step.
+
+        Args:
+            criterion: [N] the gradient criterion of its pass.
+            weights: [N] its blending weights.
+            counts: [N] whether the step counts in the mean of the criterion; where None, if there was any weight.
+        """
+        seen = weights > 0
         self.gradients += criterion
-        self.views += weights > 0
+        self.steps += seen if counts is None else counts
+        self.views += seen
         self.weights += weights
         self.squares += weights.square()
 
     def mean_gradient(self) -> Tensor:
-        return self.gradients / self.views.clamp_min(1)
+        return self.gradients / self.steps.clamp_min(1)
 
     def mean_weight(self) -> Tensor:
         return self.weights / self.views.clamp_min(1)
@@ -87,14 +99,19 @@ def densify(
     rule: DensificationRule,
     radius: float,
     generator: torch.Generator,
+    oversized: Oversized = "split",
 ) -> DensificationRecord:
     """Clone, split, prune and cap the set in place; returns the empty record of the new set.
 
     In this order: small primitives with a large gradient are cloned, large ones split in two (scales ÷ 1.6); those
-    below `min_opacity` are pruned; oversized ones are pruned if among the least-weighted tenth, otherwise split in
-    five; and above `max_primitives` those with the least mean blending weight go. Parts share their parent's weight.
-    Either way of growing adds at most a tenth to the set, where the gradients or the weights are largest; at the cap a
-    twentieth, which takes the place of the least-weighted.
+    below `min_opacity` are pruned; what is `oversized` is treated as that says; and above `max_primitives` those with
+    the least mean blending weight go. Parts share their parent's weight. With `max_growth`, either way of growing adds
+    at most that share to the set, where the gradients or the weights are largest; at the cap a twentieth, which takes
+    the place of the least-weighted.
+
+    Args:
+        oversized: "split", in five, or pruned if among the least-weighted tenth (EnvGS); "prune", all of them (3DGS);
+            "keep".
     """
     weights = record.mean_weight()
     grows = _growing(record, rule)
@@ -110,22 +127,22 @@ def densify(
     opaque = parameters.tensors["opacity_logits"].detach().sigmoid() >= rule.min_opacity
     weights = _keep(parameters, weights, opaque)
 
-    oversized = _largest_scale(parameters) > rule.oversized_above * radius
-    if bool(oversized.any()):
-        unimportant = oversized & (weights <= _quantile(weights, UNIMPORTANT_SHARE))
-        weights = _keep(parameters, weights, ~unimportant)
-        oversized = oversized[~unimportant]
-        limit = math.ceil(MAX_GROWTH / (OVERSIZED_SPLIT_PARTS - 1) * len(oversized))
-        weights = _split(parameters, weights, _largest(oversized, weights, limit), OVERSIZED_SPLIT_PARTS, generator)
+    if oversized != "keep":
+        large = _largest_scale(parameters) > rule.oversized_above * radius
+        if oversized == "prune":
+            weights = _keep(parameters, weights, ~large)
+        elif bool(large.any()):
+            weights = _split_oversized(parameters, weights, large, rule, generator)
 
-    if len(parameters) > rule.max_primitives:
+    if 0 < rule.max_primitives < len(parameters):
         top = torch.topk(weights, rule.max_primitives).indices.sort().values
         _keep(parameters, weights, top)
     return DensificationRecord(len(parameters), weights.device)
 
 
 def _growing(record: DensificationRecord, rule: DensificationRule) -> Tensor:
-    """Which primitives [N] are cloned or split: the largest above the threshold, as many as there is room for.
+    """Which primitives [N] are cloned or split: those above the threshold; with `max_growth` the largest of them, as
+    many as there is room for.
 
     A blending weight summed over a view's pixels is the number of pixels that the primitive fills. One that fills less
     than `min_coverage` gains nothing by being divided. The depth of one that fewer than `min_views` steps showed is
@@ -134,9 +151,30 @@ def _growing(record: DensificationRecord, rule: DensificationRule) -> Tensor:
     gradients = record.mean_gradient()
     needed = (gradients >= rule.gradient_threshold) & (record.mean_weight() >= rule.min_coverage)
     known = record.effective_views() >= rule.min_views
-    room = max(rule.max_primitives - len(gradients), math.ceil(EXCHANGE_AT_CAP * len(gradients)))
-    room = min(room, math.ceil(MAX_GROWTH * len(gradients)))
+    if not rule.max_growth:
+        return needed & known
+    count = len(gradients)
+    room = math.ceil(rule.max_growth * count)
+    if rule.max_primitives:
+        room = min(room, max(rule.max_primitives - count, math.ceil(EXCHANGE_AT_CAP * count)))
     return _largest(needed & known, gradients, room)
+
+
+def _split_oversized(
+    parameters: GaussianParameters,
+    weights: Tensor,
+    large: Tensor,
+    rule: DensificationRule,
+    generator: torch.Generator,
+) -> Tensor:
+    """Prune those of the rows `large` [N] that are among the least-weighted, split others in five; the weights."""
+    unimportant = large & (weights <= _quantile(weights, UNIMPORTANT_SHARE))
+    weights = _keep(parameters, weights, ~unimportant)
+    large = large[~unimportant]
+    if rule.max_growth:
+        limit = math.ceil(rule.max_growth / (OVERSIZED_SPLIT_PARTS - 1) * len(large))
+        large = _largest(large, weights, limit)
+    return _split(parameters, weights, large, OVERSIZED_SPLIT_PARTS, generator)
 
 
 def _largest(rows: Tensor, values: Tensor, limit: int) -> Tensor:

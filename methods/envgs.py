@@ -61,7 +61,7 @@ class EnvGS(TracedReflection):
         points = torch.cat([inside, around])
         colors = torch.rand(points.shape, generator=self.generator)
         rule = self.densification_rule(ENV)
-        self.sets[ENV] = self.new_set(points, colors, rule, s.env_initial_opacity, beta=None, generator=self.generator)
+        self.sets[ENV] = self.new_set(points, colors, rule, s.env_initial_opacity, beta=None, orientation="random")
 
     def position_rate(self, name: str, step: int) -> float:
         rate, s = super().position_rate(name, step), self.settings

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import torch
 from torch import Tensor
@@ -14,9 +14,11 @@ from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, 
 from envgs_bench.core.vectors import unit
 from envgs_bench.parts import BASE, MONO, PERCEPTUAL, SETS
 
+from .base_growth import BaseGrowth, max_base_primitives
 from .checkpoint import read_checkpoint, write_checkpoint
 from .densification import DensificationRule, screen_criterion
-from .initialization import initial_tensors
+from .frustum import in_view
+from .initialization import ORIENTATIONS, Orientation, initial_orientation, initial_tensors
 from .losses import nearness, normal_distance, normal_loss, photometric_loss, training_psnr
 from .method import Method
 from .parameters import GaussianParameters, LearningRates
@@ -26,6 +28,9 @@ from .settings import GaussianSettings, check_words
 from .trained_set import TrainedSet
 
 WORDS = {  # of settings that choose
+    "initial_orientation": ORIENTATIONS,
+    "mean_gradient_over": ("drawn", "in_view"),
+    "oversized": ("split", "prune"),
     "normal_reference": ("unit", "alpha"),
     "mono_loss": ("cos", "l1_cos"),
     "mono_normals": ("blended", "unit"),
@@ -67,6 +72,7 @@ class GaussianMethod(Method):
         self.near = settings.near
         self.background = torch.zeros(3, device=self.device)
         self._max_primitives = settings.max_primitives
+        self._on_white = False
         self.prepared: dict[str, GaussianSet] = {}
         self._views = ResidentViews(self.device, room=0)
 
@@ -79,14 +85,15 @@ class GaussianMethod(Method):
         self.radius = scene.radius or _extent(scene.points)
         self.near = max(self.settings.near, scene.free_space)
         self.background = scene.background.to(self.device)
-        self._max_primitives = _max_base_primitives(self.settings, scene)
+        self._on_white = bool((scene.background == 1).all())
+        self._max_primitives = max_base_primitives(self.settings, scene)
         self.sets[BASE] = self.new_set(
             scene.points,
             scene.point_colors,
             self.densification_rule(BASE),
             opacity=self.settings.initial_opacity,
             beta=self.initial_beta(),
-            generator=None,
+            orientation=cast(Orientation, self.settings.initial_orientation),
         )
         self.prepared.clear()
         self._views = ResidentViews.of(self.device)
@@ -103,13 +110,13 @@ class GaussianMethod(Method):
         loss.backward()
 
         finite = self._finite(loss.detach())  # on the device: a step never waits to learn whether it counts
+        for name, seen in statistics.items():  # before Adam moves what was drawn
+            learned = (self.densification_criterion(name, seen, camera), seen.weights, self._counts(name, seen, camera))
+            self.sets[name].record.add(*(torch.where(finite, values, 0.0) for values in learned))
         skipped = (~finite).float()
         for optimizer in self.optimizers():
             optimizer.found_inf = skipped  # type: ignore[attr-defined]  # torch's way to skip a fused step
             optimizer.step()
-        for name, seen in statistics.items():
-            learned = self.densification_criterion(name, seen, camera), seen.weights
-            self.sets[name].record.add(*(torch.where(finite, values, 0.0) for values in learned))
         self.skipped_steps = self.skipped_steps + skipped
         for optimizer in self.optimizers():
             optimizer.zero_grad(set_to_none=True)
@@ -117,6 +124,10 @@ class GaussianMethod(Method):
             self.after_step(step, self.events(step))
         shown = {"loss": loss, "psnr": training_psnr(rendering.color, target), **terms}
         return {name: value.detach() for name, value in shown.items()}
+
+    def training_steps(self, steps: int) -> int:
+        longest = self.settings.longest_run
+        return min(steps, longest) if longest else steps
 
     @torch.no_grad()
     def render(self, camera: Camera) -> Rendering:
@@ -221,26 +232,25 @@ class GaussianMethod(Method):
         """The criterion [N] by which primitives of the set `name` are cloned or split, from one step's pass."""
         return screen_criterion(statistics, camera)
 
+    def _counts(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
+        """Whether one step counts in the mean of the criterion of the set `name`, [N] of 0 and 1."""
+        if name != BASE or self.settings.mean_gradient_over == "drawn":
+            return statistics.weights > 0
+        base = self.sets[BASE].parameters.tensors
+        return in_view(base["means"], base["log_scales"].exp(), camera, self.near)
+
     def densification_interval(self, step: int) -> Fraction:
         """Steps of this run between two densifications of the base set, as of `step`; 0: never."""
         return self.schedule.interval(self.settings.densify_every, DENSIFY_FLOOR)
 
     def events(self, step: int) -> set[str]:
         """Names of what this run does after Adam's step number `step`; `after_step` does it."""
-        s, schedule, happens = self.settings, self.schedule, set()
-        recovers = schedule.recovers(step, stop=s.densify_until, interval=s.opacity_reset_every)
-        if not recovers and schedule.densifies(
-            step, start=s.densify_from, stop=s.densify_until, every=self.densification_interval(step)
-        ):
-            happens.add("densify_base")
-        if schedule.resets(step, stop=s.densify_until, interval=s.opacity_reset_every):
-            happens.add("reset_base_opacity")
-        return happens
+        return self._growth().events(step, self.densification_interval(step))
 
     def after_step(self, step: int, events: set[str]) -> None:
         """Do what `events` names, after Adam's step and without gradients: densification and opacity resets."""
         if "densify_base" in events:
-            self.sets[BASE].densify(self.radius, self.generator)
+            self.sets[BASE].densify(self.radius, self.generator, self._growth().oversized(step))
         if "reset_base_opacity" in events:
             self.sets[BASE].reset_opacity()
 
@@ -249,7 +259,9 @@ class GaussianMethod(Method):
     def densification_rule(self, name: str) -> DensificationRule:
         """When a primitive of the set `name` is cloned, split or removed."""
         s = self.settings
-        return DensificationRule(s.densify_threshold, s.min_opacity, self._max_primitives, s.min_coverage, s.min_views)
+        return DensificationRule(
+            s.densify_threshold, s.min_opacity, self._max_primitives, s.min_coverage, s.min_views, s.max_growth
+        )
 
     def initial_learning_rates(self) -> LearningRates:
         """Adam's step sizes of a new set."""
@@ -313,20 +325,24 @@ class GaussianMethod(Method):
         rule: DensificationRule,
         opacity: float,
         beta: float | None,
-        generator: torch.Generator | None,
+        orientation: Orientation,
     ) -> TrainedSet:
         """A set with a primitive at each point; see `initial_tensors`."""
+        points = points.to(self.device, torch.float32)
         tensors = initial_tensors(
-            points.to(self.device, torch.float32),
+            points,
             colors.to(self.device, torch.float32),
+            initial_orientation(points, orientation, self.generator),
             axes=self.axes,
             sh_degree=self.settings.sh_degree,
             opacity=opacity,
             beta=beta,
             radius=self.radius,
-            generator=generator,
         )
         return TrainedSet(GaussianParameters(tensors, self.initial_learning_rates(), self.radius), rule)
+
+    def _growth(self) -> BaseGrowth:
+        return BaseGrowth(self.settings, self.schedule, self._on_white)
 
     def _normal_weights(self, rendering: Rendering) -> Tensor | None:
         match self.settings.normal_weighting:
@@ -341,14 +357,6 @@ class GaussianMethod(Method):
         gradients = [p.grad for o in self.optimizers() for g in o.param_groups for p in g["params"]]
         present = [gradient for gradient in gradients if gradient is not None and gradient.numel()]
         return torch.nn.utils.get_total_norm([loss, *present], math.inf).isfinite()
-
-
-def _max_base_primitives(settings: GaussianSettings, scene: Scene) -> int:
-    """The most primitives that the base set may have: as many as it starts with, at least."""
-    if settings.pixels_per_primitive <= 0:
-        return settings.max_primitives
-    pixels = sum(view.camera.width * view.camera.height for view in scene.train)
-    return min(settings.max_primitives, max(len(scene.points), int(pixels / settings.pixels_per_primitive)))
 
 
 def _without_normals(scene: Scene) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
@@ -10,6 +12,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from .parameters import inverse_sigmoid, sh_from_rgb
+
+Orientation = Literal["surface", "random", "world"]
+ORIENTATIONS: tuple[Orientation, ...] = get_args(Orientation)
 
 NEIGHBORS = 3
 PLANE_NEIGHBORS = 8
@@ -44,28 +49,38 @@ def local_orientation(points: Tensor) -> Tensor:
     return torch.from_numpy(Rotation.from_matrix(axes).as_quat(scalar_first=True)).to(points)
 
 
+def initial_orientation(points: Tensor, orientation: Orientation, generator: torch.Generator) -> Tensor:
+    """Quaternions [N, 4] (wxyz) of primitives at the points [N, 3].
+
+    "surface": along the surface that the points lie on; "random": uniform over all rotations; "world": along the axes.
+    """
+    if orientation == "surface":
+        return local_orientation(points)
+    if orientation == "random":
+        return torch.randn(len(points), 4, generator=generator).to(points)
+    return torch.tensor([1.0, 0, 0, 0]).to(points).repeat(len(points), 1)
+
+
 def initial_tensors(
     points: Tensor,  # [N, 3]
     colors: Tensor,  # [N, 3] in [0, 1]
+    quaternions: Tensor,  # [N, 4] wxyz
     *,
     axes: int,
     sh_degree: int,
     opacity: float,
     beta: float | None,
     radius: float,
-    generator: torch.Generator | None,
 ) -> dict[str, Tensor]:
     """`GaussianParameters`' tensors for one primitive at each point.
 
     Isotropic, with the neighbor distance as scale on its `axes` (2: surfels, 3: 3D Gaussians), one opacity, the
-    point's color from every side, and, where `beta` is given, that blending weight. Orientations are random with a
-    generator; with None they follow the surface that the points lie on.
+    point's color from every side, and, where `beta` is given, that blending weight.
     """
-    n = len(points)
     dc, rest = sh_from_rgb(colors, sh_degree)
     tensors = {
         "means": points.clone(),
-        "quaternions": torch.randn(n, 4, generator=generator).to(points) if generator else local_orientation(points),
+        "quaternions": quaternions,
         "log_scales": neighbor_distance(points, radius).log()[:, None].repeat(1, axes),
         "opacity_logits": inverse_sigmoid(torch.full_like(points[:, 0], opacity)),
         "sh_dc": dc,

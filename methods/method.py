@@ -46,6 +46,10 @@ class Method(ABC):
         """Whether these settings train with the perceptual loss; most methods do not."""
         return False
 
+    def training_steps(self, steps: int) -> int:
+        """How many steps a run that is given `steps` trains; the harness asks before `initialize`, most take all."""
+        return steps
+
     @property
     def perceptual_loss(self) -> str:
         """Which one `perceptual` is to be, a key of `envgs_bench.metrics.PERCEPTUAL_LOSSES`."""

@@ -24,6 +24,7 @@ class GaussianSettings:
     sh_from: int = 0  # step up to which the base set's color is the same from everywhere, SH degree 0
 
     stretches: bool = True  # a run of more than 30,000 steps stretches the schedule; false: it goes on after its end
+    longest_run: int = 0  # a run that is given more steps ends after so many; 0: every run is as long as it is given
 
     position_lr: float = 1.6e-4  # positions' learning rate × scene radius at the start; log-linear to position_lr_final
     position_lr_final: float = 1.6e-6  # positions' learning rate × scene radius at the end
@@ -34,16 +35,21 @@ class GaussianSettings:
     rotation_lr_final: float = 1e-3  # learning rate of the quaternions at the end
 
     initial_opacity: float = 0.1  # opacity that all primitives start with
+    initial_orientation: str = "surface"  # of the base set: along the surface of the points, random, or world (axes)
     densify_from: int = 500  # step after which the base set is densified
     densify_until: int = 15_000  # step before which densification and opacity resets end
     densify_every: int = 100  # steps between the base set's densifications
     densify_threshold: float = 2e-4  # gradient of the projected center, in half images
+    mean_gradient_over: str = "drawn"  # steps of its mean: that drew the primitive, or had it in_view, hidden or not
+    max_growth: float = 0.1  # most that either way of growing adds to a set at once, × its size; 0: no limit
     min_coverage: float = 1.0  # pixels that a primitive must fill, on average over its views, to be cloned or split
     min_views: float = 3.0  # primitives that fewer steps since the last densification show are not cloned or split
     min_opacity: float = 0.05  # primitives below are pruned
-    max_primitives: int = 1_800_000  # largest base set; beyond, primitives of the least blending weight are pruned
+    oversized: str = "split"  # above a tenth of the radius: split (in five), or prune (from the first opacity reset on)
+    max_primitives: int = 1_800_000  # largest base set; beyond, those of the least blending weight are pruned; 0: any
     pixels_per_primitive: float = 0.0  # the base set has at most a primitive for so many training pixels; 0: no bound
     opacity_reset_every: int = 3_000  # steps between the base set's opacity resets; 0: never
+    reset_on_white: bool = False  # over a white background, opacities are also reset at densify_from
 
     normal_weight: float = 0.04  # weight of L_norm, rendered normals against those of the depth map
     normal_from: int = 0  # step after which L_norm counts
@@ -56,6 +62,24 @@ class GaussianSettings:
     perceptual_weight: float = 0.01  # weight of L_perc, where the harness provides it
     perceptual_loss: str = "features"  # L_perc: features, the L1 distance of VGG-16's (paper), or lpips (released code)
     perceptual_from: int = 0  # step after which L_perc counts
+
+
+@dataclass(frozen=True)
+class PublishedSettings(GaussianSettings):
+    """What 3DGS and 2DGS share of their released code: its adaptive control, its colors and its 30,000 steps."""
+
+    sh_degree: int = 3
+    sh_every: int = 1_000
+
+    longest_run: int = 30_000
+
+    mean_gradient_over: str = "in_view"
+    max_growth: float = 0.0
+    min_coverage: float = 0.0
+    min_views: float = 0.0
+    oversized: str = "prune"
+    max_primitives: int = 0
+    reset_on_white: bool = True
 
 
 def make_settings(settings_type: type, values: Mapping[str, Any], owner: str) -> Any:

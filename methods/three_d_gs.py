@@ -1,4 +1,7 @@
-"""3DGS: 3D Gaussians, rasterized (3D Gaussian Splatting). No normal losses: its primitives have no surface."""
+"""3DGS: 3D Gaussians, rasterized, as its authors' released code trains them (3D Gaussian Splatting).
+
+No normal losses: its primitives have no surface.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from .gaussian_method import GaussianMethod
-from .settings import GaussianSettings
+from .settings import PublishedSettings
 
 
 @dataclass(frozen=True)
-class ThreeDGSSettings(GaussianSettings):
+class ThreeDGSSettings(PublishedSettings):
+    initial_orientation: str = "world"
+
     normal_weight: float = 0.0
     mono_weight: float = 0.0
     perceptual_weight: float = 0.0

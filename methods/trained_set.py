@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from .densification import DensificationRecord, DensificationRule, densify
+from .densification import DensificationRecord, DensificationRule, Oversized, densify
 from .parameters import GaussianParameters
 
 RESET_OPACITY = 0.01
@@ -19,8 +19,9 @@ class TrainedSet:
         self.rule = rule
         self.record = DensificationRecord(len(parameters), parameters.tensors["means"].device)
 
-    def densify(self, radius: float, generator: torch.Generator) -> None:
-        self.record = densify(self.parameters, self.record, self.rule, radius, generator)
+    def densify(self, radius: float, generator: torch.Generator, oversized: Oversized = "split") -> None:
+        """Grow and shrink by the rule and what the last steps recorded, with `densify`'s arguments."""
+        self.record = densify(self.parameters, self.record, self.rule, radius, generator, oversized)
 
     def reset_opacity(self) -> None:
         """Opacities down to at most 0.01 (3DGS), so that what no view needs can be pruned."""

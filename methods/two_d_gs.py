@@ -1,4 +1,4 @@
-"""2DGS: surfels, rasterized (2D Gaussian Splatting; EnvGS paper, Sec. 3)."""
+"""2DGS: surfels, rasterized (2D Gaussian Splatting; EnvGS paper, Sec. 3), as its authors' released code trains it."""
 
 from __future__ import annotations
 
@@ -6,15 +6,18 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from .gaussian_method import GaussianMethod
-from .settings import GaussianSettings
+from .settings import PublishedSettings
 
 
 @dataclass(frozen=True)
-class TwoDGSSettings(GaussianSettings):
-    """As published: normals are held to the depth map alone, and pictures are compared pixel by pixel."""
+class TwoDGSSettings(PublishedSettings):
+    """Normals are held to the depth map alone, and pictures are compared pixel by pixel."""
+
+    initial_orientation: str = "random"
 
     normal_weight: float = 0.05
     normal_from: int = 7_000
+    normal_reference: str = "alpha"
     mono_weight: float = 0.0
     perceptual_weight: float = 0.0
 

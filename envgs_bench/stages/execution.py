@@ -45,7 +45,8 @@ def execute(settings: RunSettings, folder: Path, results: Results, report: Event
     _offer_perceptual_loss(method)
     scene = _load(settings, results, report)
     _check_scene(scene)
-    training = Training(method, scene, settings.steps, settings.seed)
+    results.steps = method.training_steps(settings.steps)
+    training = Training(method, scene, results.steps, settings.seed)
     try:
         training.run(folder / CURVE_NAME, report)
     finally:

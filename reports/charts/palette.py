@@ -13,10 +13,13 @@ class Style:
     symbol: str  # plotly's
 
 
-# After Okabe and Ito for the paper's methods, then Tol's muted ones: safe for every common color blindness.
+# After Okabe and Ito for the paper's methods, lighter for their tuned variants, then Tol's muted ones: safe for every
+# common color blindness.
 METHOD_STYLES = {
     "3dgs": Style("#0072B2", "s", "square"),
+    "3dgs_tuned": Style("#56B4E9", "8", "octagon"),
     "2dgs": Style("#009E73", "D", "diamond"),
+    "2dgs_tuned": Style("#5CC9A7", "H", "hexagon2"),
     "envmap_paper": Style("#B35900", "<", "triangle-left"),
     "envmap": Style("#DB8A00", "^", "triangle-up"),
     "envmap128": Style("#DB8A00", "^", "triangle-up"),

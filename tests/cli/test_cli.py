@@ -58,12 +58,15 @@ def test_wrong_usage_ends_with_status_2(arguments: list[str], capsys: pytest.Cap
 @pytest.mark.parametrize(
     ("overrides", "parts"),
     [
-        (["method=envgz"], ["there is no method 'envgz'", "2dgs, 3dgs", "Did you mean 'envgs'?"]),
+        (["method=envgz"], ["there is no method 'envgz'", "2dgs, 2dgs_tuned, 3dgs", "Did you mean 'envgs'?"]),
         (["dataset=tinny"], ["there is no dataset 'tinny'", "tiny", "Did you mean 'tiny'?"]),
         (["experiment=demmo"], ["there is no experiment 'demmo'", "Did you mean 'demo'?"]),
         (["stepz=3"], ["unknown key 'stepz'", "runs_dir, score_on, seed, steps", "Did you mean 'steps'?"]),
         (["method.settings.rat=1"], ["unknown key 'method.settings.rat'", "crash_at, rate"]),
-        (["method=envgs", "method.settings.rat=1"], ["unknown key 'method.settings.rat'", "ray_offset, rotation_lr"]),
+        (
+            ["method=envgs", "method.settings.rat=1"],
+            ["unknown key 'method.settings.rat'", "reset_on_white, rotation_lr"],
+        ),
         (["method=envgs", "method.settings.sh_degree=two"], ["method.settings.sh_degree", "'two'", "Integer"]),
         (
             ["method=envgs_paper_no_joint", "method.settings.joint=maybe"],
@@ -133,7 +136,16 @@ def test_every_shipped_configuration_composes(capsys: pytest.CaptureFixture[str]
 def test_list_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list"]) == 0
     shown = capsys.readouterr().out
-    for name in ("2dgs, 3dgs", "envgs", "toy/chrome_room", "colmap", "strict", "demo", "torch", "embree"):
+    for name in (
+        "2dgs, 2dgs_tuned, 3dgs, 3dgs_tuned",
+        "envgs",
+        "toy/chrome_room",
+        "colmap",
+        "strict",
+        "demo",
+        "torch",
+        "embree",
+    ):
         assert name in shown
 
 

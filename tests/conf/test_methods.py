@@ -13,6 +13,7 @@ import yaml
 from fakes.runs import CONF, only_folder, set_environment
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
+from tuned_baselines import TUNED_2DGS, TUNED_3DGS
 
 from envgs_bench.cli import composition
 from envgs_bench.cli.composition import config_names, default_settings, register_methods
@@ -27,6 +28,8 @@ from envgs_bench.settings import read_settings
 
 DIFFERENCES = {
     **{kind: {} for kind in BUILT_IN},
+    "2dgs_tuned": TUNED_2DGS,
+    "3dgs_tuned": TUNED_3DGS,
     "envmap128": {"envmap_size": 128},
     "envmap256": {"envmap_size": 256},
 }
@@ -81,7 +84,7 @@ def composed(name: str) -> dict[str, Any]:
 def test_a_configuration_holds_every_setting(name: str) -> None:
     method = composed(name)
     assert method["name"] == name
-    assert method["kind"] in (name, "envgs", "envmap")
+    assert method["kind"] in (name, name.removesuffix("_tuned"), "envgs", "envmap")
     defaults = dataclasses.asdict(create_method(method["kind"]).settings)
     assert method["settings"] == defaults | DIFFERENCES[name]
 
@@ -147,6 +150,14 @@ def test_the_published_configurations_are_what_was_published() -> None:
     ):
         assert expected.items() <= method["settings"].items()
         create_method("envgs", method["settings"])
+
+
+def test_the_tuned_baselines_have_the_growth_and_the_colors_of_the_other_methods() -> None:
+    shared = dataclasses.asdict(ReflectionSettings()) | {"min_coverage": 1.0, "rotation_lr_final": 1e-3}
+    for kind, differences in {"2dgs": TUNED_2DGS, "3dgs": TUNED_3DGS}.items():
+        published, tuned = (composed(name)["settings"] for name in (kind, f"{kind}_tuned"))
+        assert {key for key in published if published[key] != tuned[key]} == set(differences)
+        assert {key: tuned[key] for key in differences} == {key: shared[key] for key in differences}
 
 
 @pytest.mark.parametrize("name", RELEASED)

@@ -11,7 +11,7 @@ SUITES = ("tuning", "tuning_test", "untouched")
 @pytest.mark.parametrize("suite", SUITES)
 def test_every_scene_and_method_of_a_suite_composes(suite: str) -> None:
     choices = swept(suite)
-    assert choices["method"] == ["2dgs", "3dgs", "envmap", "envgs"]
+    assert choices["method"] == ["2dgs", "2dgs_tuned", "3dgs", "3dgs_tuned", "envmap", "envgs"]
     assert [one_run(suite, dataset=name).dataset["name"] for name in choices["dataset"]] == choices["dataset"]
     assert [one_run(suite, method=name).method.name for name in choices["method"]] == choices["method"]
 

@@ -119,6 +119,33 @@ def test_at_most_a_tenth_is_added_at_once_by_the_largest_gradients():
     assert growing([0.5] * 97 + gradients[:3], max_primitives=1000) == [97, 98, 99]
 
 
+def test_without_a_limit_all_grow_that_need_to_and_any_number_stays():
+    gradients = [2.0 + 0.01 * i for i in range(100)]
+    for most, expected in ((0, 200), (1000, 200), (150, 150)):
+        rule = dataclasses.replace(RULE, max_growth=0.0, max_primitives=most)
+        parameters = make_parameters([0.005] * 50 + [0.05] * 50, [0.5] * 100)
+        densify(parameters, make_record(gradients, [1.0] * 100), rule, RADIUS, generator())
+        assert len(parameters) == expected
+
+
+@pytest.mark.parametrize(
+    ("oversized", "expected"), [("prune", [2, 3]), ("keep", [0, 1, 2, 3]), ("split", [1] * 5 + [2, 3])]
+)
+def test_oversized_ones_are_pruned_split_or_kept(oversized, expected):
+    parameters = make_parameters([0.2, 0.2, 0.02, 0.09], [0.5] * 4)
+    record = make_record([0.0] * 4, [0.1, 9.0, 1.0, 1.0])
+    densify(parameters, record, dataclasses.replace(RULE, max_growth=0.0), RADIUS, generator(), oversized)
+    assert colors(parameters) == expected
+
+
+def test_a_step_counts_in_the_mean_where_it_is_told_to():
+    record = DensificationRecord(3, torch.device("cpu"))
+    record.add(torch.tensor([3.0, 0.0, 2.0]), torch.tensor([1.0, 0.0, 1.0]), torch.tensor([True, True, True]))
+    record.add(torch.tensor([1.0, 0.0, 0.0]), torch.tensor([1.0, 0.0, 0.0]), torch.tensor([True, True, False]))
+    assert record.mean_gradient().tolist() == [2.0, 0.0, 2.0]
+    assert record.mean_weight().tolist() == [1.0, 0.0, 1.0]
+
+
 def test_what_fills_less_than_a_pixel_is_not_divided():
     rule = dataclasses.replace(RULE, min_coverage=1.0)
     record = make_record([2.0, 2.0] + [0.0] * 18, [0.9, 1.1] + [1.0] * 18)

@@ -4,10 +4,13 @@ from dataclasses import replace
 
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from envgs_bench.core import Scene
 from envgs_bench.methods.envgs import EnvGSSettings, environment_box
 from envgs_bench.methods.initialization import (
+    ORIENTATIONS,
+    initial_orientation,
     initial_tensors,
     neighbor_distance,
     quantile_box,
@@ -77,18 +80,32 @@ def test_points_on_a_sphere_lie_on_it_in_every_direction():
     assert random_points_on_sphere(center, 4.0, 0, torch.Generator()).shape == (0, 3)
 
 
+def test_initial_orientations():
+    """Points of the plane x = 0: their surface faces along x, the world's third axis is z, at random any way."""
+    generator = torch.Generator().manual_seed(0)
+    points = torch.rand(2000, 3, generator=generator) * torch.tensor([0.0, 1, 1])
+    faced = {}
+    for orientation in ORIENTATIONS:
+        quaternions = initial_orientation(points, orientation, generator).double().numpy()
+        faced[orientation] = torch.from_numpy(Rotation.from_quat(quaternions, scalar_first=True).as_matrix()[:, :, 2])
+    torch.testing.assert_close(faced["surface"][:, 0].abs(), torch.ones(2000, dtype=torch.float64))
+    assert (faced["world"] == torch.tensor([0.0, 0, 1])).all()
+    assert faced["random"].mean(0).abs().max() < 4 / (3 * 2000) ** 0.5
+    torch.testing.assert_close(faced["random"].square().mean(0), torch.full((3,), 1 / 3).double(), atol=0.03, rtol=0)
+
+
 @pytest.mark.parametrize("axes", [2, 3])
 def test_initial_primitives(axes):
     points = torch.rand(20, 3)
     tensors = initial_tensors(
         points,
         torch.rand(20, 3),
+        torch.rand(20, 4),
         axes=axes,
         sh_degree=1,
         opacity=0.1,
         beta=1e-3,
         radius=1.0,
-        generator=torch.Generator().manual_seed(0),
     )
     torch.testing.assert_close(tensors["log_scales"], neighbor_distance(points, 1.0).log()[:, None].repeat(1, axes))
     torch.testing.assert_close(tensors["opacity_logits"].sigmoid(), torch.full((20,), 0.1))

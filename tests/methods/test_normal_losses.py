@@ -6,7 +6,7 @@ import pytest
 import torch
 from reflection_scenes import HEIGHT, WIDTH, make_camera, mirror
 
-from envgs_bench.core import Rendering, Scene, View, depth_normals
+from envgs_bench.core import Camera, Rendering, Scene, View, depth_normals
 from envgs_bench.methods.registry import create_method
 
 NORMAL = torch.tensor([0.0, 0.0, -1.0])
@@ -27,7 +27,8 @@ def shown() -> Rendering:
 
 def terms(step: int = 100, **settings) -> dict[str, float]:
     """The terms of the loss at that step of 100. L_mono counts ten times its weight in so short a run, and so 1."""
-    method = create_method("2dgs", {"normal_weight": 1.0, "normal_from": 0, "mono_weight": 0.1, **settings})
+    plain = {"normal_weight": 1.0, "normal_from": 0, "normal_reference": "unit", "mono_weight": 0.1}
+    method = create_method("2dgs", {**plain, **settings})
     image = torch.zeros(HEIGHT, WIDTH, 3, dtype=torch.uint8)
     view = View("view", make_camera(), image, normal=TILTED.expand(HEIGHT, WIDTH, 3).clone())
     method.initialize(Scene("plane", [view], [], torch.rand(8, 3), torch.rand(8, 3)), 100)
@@ -44,6 +45,32 @@ def test_the_reference_of_l_norm_is_of_unit_length_or_as_long_as_alpha():
     assert terms()["normal"] == pytest.approx(known_share() * 0.5, rel=1e-4)
     reduced = 0.5 * (1 - 0.5 * 0.4) + 0.5 * (1 - 0.5 * 0.9)
     assert terms(normal_reference="alpha")["normal"] == pytest.approx(known_share() * reduced, rel=1e-4)
+
+
+def fog_gradient(reference: str, opacity: float) -> float:
+    """∂L_norm/∂logit of a white surfel that fills the picture before a white background, faced head-on."""
+    method = create_method("2dgs", {"normal_from": 0, "normal_reference": reference, "initial_orientation": "world"})
+    camera = Camera(torch.eye(4), torch.tensor([[20.0, 0, 10], [0, 20, 8], [0, 0, 1]]), WIDTH, HEIGHT)
+    view = View("white", camera, torch.full((HEIGHT, WIDTH, 3), 255, dtype=torch.uint8))
+    white = torch.ones(3)
+    method.initialize(Scene("fog", [view], [], torch.tensor([[0.0, 0, 5]]), white[None], background=white), 100)
+    surfel = method.sets["base"].parameters
+    surfel.replace("opacity_logits", torch.logit(torch.tensor([opacity])))
+    surfel.replace("log_scales", torch.full((1, 2), 5.0))
+    rendering, _ = method.draw(camera, 1)
+    method.losses(rendering, white.expand(HEIGHT, WIDTH, 3), view, 1)["normal"].backward()
+    gradient = surfel.tensors["opacity_logits"].grad
+    assert gradient is not None
+    return float(gradient)
+
+
+@pytest.mark.parametrize("opacity", [0.02, 0.1, 0.5])
+def test_fog_before_the_background_gains_by_l_norm_in_proportion_to_what_it_hides(opacity):
+    """A pixel of the background loses 1 − w without the factor, whatever w is: fog that no view sees would grow."""
+    of_unit, of_alpha = (fog_gradient(reference, opacity) for reference in ("unit", "alpha"))
+    assert of_unit < 0
+    assert of_alpha == pytest.approx(opacity * of_unit, rel=1e-3)
+    assert create_method("2dgs").settings.normal_reference == "alpha"
 
 
 @pytest.mark.parametrize(("loss", "of_unit"), [("cos", 0.0), ("l1_cos", math.sin(0.5) + 1 - math.cos(0.5))])

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from tuned_baselines import TUNED_2DGS
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
@@ -39,7 +40,7 @@ def trained(scene: Scene) -> dict[str, Method]:
 def train(scene: Scene, steps: int, **settings: float) -> dict[str, Method]:
     """Three methods with these settings; the environment map and EnvGS learn from normals, too."""
     methods = {}
-    for kind, prior in {"2dgs": {}, "envmap": PRIOR, "envgs": PRIOR}.items():
+    for kind, prior in {"2dgs": TUNED_2DGS, "envmap": PRIOR, "envgs": PRIOR}.items():
         method = methods[kind] = create_method(kind, {**prior, **settings})
         method.initialize(scene, steps)
         order = torch.Generator().manual_seed(0)

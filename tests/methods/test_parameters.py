@@ -11,12 +11,12 @@ def make_parameters(n: int = 6, beta: float | None = 0.2) -> GaussianParameters:
     tensors = initial_tensors(
         torch.randn(n, 3, generator=generator),
         torch.rand(n, 3, generator=generator),
+        torch.randn(n, 4, generator=generator),
         axes=2,
         sh_degree=2,
         opacity=0.1,
         beta=beta,
         radius=2.0,
-        generator=generator,
     )
     return GaussianParameters(tensors, LearningRates(), radius=2.0)
 

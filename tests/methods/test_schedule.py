@@ -1,19 +1,27 @@
 """The schedule of a reference run, number by number, and that a short run leaves nothing out."""
 
+import dataclasses
 from itertools import pairwise
 
 import pytest
 import torch
 
 from envgs_bench.core import Camera, Scene, View
+from envgs_bench.methods.base_growth import BaseGrowth
 from envgs_bench.methods.reflection import HOLD_FLOOR, PROPAGATE_HOLD
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.schedule import RECOVERY, Schedule, _disturbances
 
+VIEW = View("view", Camera(torch.eye(4), torch.eye(3), 4, 4), torch.zeros(4, 4, 3, dtype=torch.uint8))
+SCENE = Scene(
+    "points", [VIEW], [VIEW], torch.rand(20, 3, generator=torch.Generator().manual_seed(0)), torch.zeros(20, 3)
+)
 
-def events(kind: str, steps: int, **settings) -> dict[str, list[int]]:
-    """For each event the steps of a run in which it happens."""
+
+def events(kind: str, steps: int, on_white: bool = False, **settings) -> dict[str, list[int]]:
+    """For each event the steps of a run in which it happens, over a white background or not."""
     method = create_method(kind, settings)
+    method.initialize(dataclasses.replace(SCENE, background=torch.full((3,), float(on_white))), steps)
     method.schedule = Schedule(steps)
     found: dict[str, list[int]] = {}
     for step in range(1, steps + 1):
@@ -41,6 +49,28 @@ def test_the_baselines_at_30000_steps_are_the_originals(kind):
         "densify_base": list(range(600, 15_000, 100)),
         "reset_base_opacity": [3000, 6000, 9000, 12_000],
     }
+
+
+@pytest.mark.parametrize("kind", ["2dgs", "3dgs"])
+def test_over_white_the_baselines_reset_opacities_where_they_begin_to_grow(kind):
+    at_30000, on_black = (events(kind, 30_000, on_white=on_white) for on_white in (True, False))
+    assert at_30000["reset_base_opacity"] == [500, *on_black["reset_base_opacity"]]
+    assert at_30000["densify_base"] == on_black["densify_base"]  # the first, at step 600, has 100 steps to recover
+    short = events(kind, 6000, on_white=True)
+    assert short["reset_base_opacity"] == [100, 600, 1200, 1800, 2400]
+    assert short["densify_base"][0] == 210  # a multiple of 30, 100 steps after the reset
+    assert "reset_base_opacity" not in events(kind, 800, on_white=True)  # nor has it any other: it is too short
+    assert events(kind, 30_000, on_white=True, reset_on_white=False) == on_black
+
+
+@pytest.mark.parametrize(("steps", "first"), [(30_000, 3000), (6000, 600), (800, 600)])
+def test_the_baselines_prune_what_is_oversized_from_the_first_reset_on(steps, first):
+    growth = BaseGrowth(create_method("3dgs").settings, Schedule(steps), on_white=False)
+    kept = [step for step in range(1, steps + 1) if growth.oversized(step) == "keep"]
+    assert kept == list(range(1, first + 1))
+    assert growth.oversized(steps) == ("prune" if steps > first else "keep")
+    split = BaseGrowth(create_method("envgs").settings, Schedule(steps), on_white=False)
+    assert {split.oversized(step) for step in (1, steps)} == {"split"}
 
 
 def test_twice_the_steps_stretch_the_schedule():
@@ -98,13 +128,10 @@ def test_positions_decay_log_linearly():
 
 def test_rotation_rates_of_reflective_methods_decay_to_a_tenth():
     """A tenth of the rotation rate remains at the end; 2DGS keeps its own."""
-    view = View("view", Camera(torch.eye(4), torch.eye(3), 4, 4), torch.zeros(4, 4, 3, dtype=torch.uint8))
-    points = torch.rand(20, 3, generator=torch.Generator().manual_seed(0))
-    scene = Scene("points", [view], [view], points, torch.full((20, 3), 0.5))
     rates = {}
     for kind in ("2dgs", "envgs"):
         method = create_method(kind)
-        method.initialize(scene, 30_000)
+        method.initialize(SCENE, 30_000)
         method.set_learning_rates(30_000)
         groups = method.sets["base"].parameters.optimizer.param_groups
         rates[kind] = next(group["lr"] for group in groups if group["name"] == "quaternions")

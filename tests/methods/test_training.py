@@ -108,7 +108,8 @@ def test_a_loaded_method_renders_as_the_saved_one(trained, scene, kind, tmp_path
 def test_counts_and_bytes(trained, kind):
     method, _ = trained[kind]
     primitives, size = method.primitives(), method.model_bytes()
-    floats = 37 if kind == "2dgs" else 38  # a third scale, or β, beside a surfel's 37
+    published = {"2dgs": 58, "3dgs": 59}  # of them 48 spherical harmonics, and a third scale
+    floats = published.get(kind, 38)  # of them 27 spherical harmonics, and β
     assert set(primitives) == set(size) == {"base", "env"}
     assert size["base"] == 4 * floats * primitives["base"]
     expected = {"envmap": 4 * 6 * 8 * 8 * 3, "envgs": 4 * 37 * primitives["env"]}
@@ -164,7 +165,7 @@ def test_a_perceptual_loss_counts_once_the_harness_sets_it(scene):
 
 
 def test_sh_degrees_are_added_one_by_one(scene):
-    method = make_method("2dgs", sh_every=1000)
+    method = make_method("2dgs", sh_degree=2)
     method.initialize(scene, 300)
     assert [method.gaussians("base", step).sh_degree for step in (1, 9, 10, 19, 20, 300)] == [0, 0, 1, 1, 2, 2]
 
@@ -242,6 +243,33 @@ def test_the_base_set_has_a_primitive_for_so_many_training_pixels(scene, pixels,
         counts.append(method.primitives()["base"])
     assert max(counts) <= expected
     assert pixels == 10 or max(counts) > 250  # the bound is what holds it, not a lack of growth
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"), [({}, (20_000, 30_000, 30_000)), ({"longest_run": 0}, (20_000, 30_000, 40_000))]
+)
+def test_a_published_baseline_trains_its_30000_steps_and_no_more(settings, expected):
+    method = make_method("3dgs", **settings)
+    assert tuple(method.training_steps(steps) for steps in (20_000, 30_000, 40_000)) == expected
+    assert make_method("envgs").training_steps(40_000) == 40_000
+
+
+def test_the_mean_of_the_criterion_is_over_the_steps_that_its_setting_says(scene):
+    """A surfel too transparent to be drawn is in view all the same; one behind the camera is not."""
+    camera = scene.train[0].camera
+    ahead = torch.nn.functional.normalize(-camera.center, dim=0)
+    points = camera.center + torch.tensor([[1.0], [2.0], [-1.0]]) * ahead
+    counted = {}
+    for over in ("drawn", "in_view"):
+        method = make_method("2dgs", mean_gradient_over=over)
+        method.initialize(dataclasses.replace(scene, points=points, point_colors=torch.rand(3, 3)), 30_000)
+        base = method.sets["base"]
+        base.parameters.replace("opacity_logits", torch.tensor([9.0, -9.0, 9.0]))
+        base.parameters.replace("log_scales", torch.full((3, 2), -2.0))
+        for step in (1, 2):
+            method.training_step(scene.train[0], step)
+        counted[over] = base.record.steps.tolist()
+    assert counted == {"drawn": [2, 0, 0], "in_view": [2, 2, 0]}
 
 
 @pytest.mark.parametrize(("stretches", "first"), [(True, 668), (False, 600)])

@@ -86,21 +86,37 @@ def test_without_normals_methods_say_what_they_train_without(
 
 def test_what_was_trained_without_is_a_result(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("ENVGS_BENCH_VGG16", "off")
-    monkeypatch.setattr(execution, "load_scene", lambda *_: scene_without_normals(5))
-    settings = {
-        "method": {"name": "envgs", "kind": "envgs", "settings": WITH_PERCEPTUAL},
-        "dataset": {"name": "tiny", "kind": "tiny"},
-        "timing": {"frames": 1, "seconds": 0.01},
-        **{"protocol": "envgs", "seed": 0, "steps": 1, "device": "cpu", "timeout_minutes": None},
-        **{"runs_dir": tmp_path, "cache_dir": tmp_path, "force": False, "retry_failed": False},
-    }
-    results = Results("tiny", 1)
-    execution.execute(parse_settings(settings), tmp_path, results, lambda event: None)
+    results = execute("envgs", WITH_PERCEPTUAL, 1, monkeypatch, tmp_path)
     assert results.metrics is not None
     assert results.dropped_losses == {
         "mono": "the data set has no normals for its training views",
         "perceptual": "VGG-16 is switched off by ENVGS_BENCH_VGG16=off",
     }
+
+
+def test_a_run_that_a_method_ends_sooner_has_the_steps_that_it_trained(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    results = execute("3dgs", {"longest_run": 2}, 5, monkeypatch, tmp_path)
+    assert results.steps == 2
+    assert (tmp_path / "curve.csv").read_text().splitlines()[-1].startswith("2,")
+
+
+def execute(
+    kind: str, settings: dict[str, float], steps: int, monkeypatch: pytest.MonkeyPatch, folder: Path
+) -> Results:
+    """What a run on a tiny scene without normals has reached."""
+    monkeypatch.setattr(execution, "load_scene", lambda *_: scene_without_normals(5))
+    run = {
+        "method": {"name": kind, "kind": kind, "settings": settings},
+        "dataset": {"name": "tiny", "kind": "tiny"},
+        "timing": {"frames": 1, "seconds": 0.01},
+        **{"protocol": "envgs", "seed": 0, "steps": steps, "device": "cpu", "timeout_minutes": None},
+        **{"runs_dir": folder, "cache_dir": folder, "force": False, "retry_failed": False},
+    }
+    results = Results("tiny", steps)
+    execution.execute(parse_settings(run), folder, results, lambda event: None)
+    return results
 
 
 def scene_without_normals(bare: int) -> Scene:
