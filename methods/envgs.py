@@ -29,7 +29,7 @@ class EnvGSSettings(TracedSettings):
     env_sh_from: int = 0  # step up to which the environment's color is the same from everywhere, SH degree 0
     env_position_scale: float = 5.0  # × the base set's position rate
     env_radius_power: int = 1  # its position rate grows with this power of the scene radius; released code: 2
-    env_densify_every: int = 500  # steps between the environment's densifications
+    env_densify_every: int = 1_500  # steps between the environment's densifications
     env_densify_threshold: float = 1e-4  # gradient ½·t·∂L/∂mean above which its primitives are cloned or split
     env_max_primitives: int = 630_000  # largest environment; beyond, those of the least blending weight are pruned
     env_densify_until: int = 21_000  # step before which the environment's densification and opacity resets end

@@ -28,14 +28,15 @@ from .settings import GaussianSettings, check_words
 from .trained_set import TrainedSet
 
 WORDS = {  # of settings that choose
+    "normal_reference": ("unit", "alpha"),
+    "normal_rendered": ("unit", "blended"),
+    "mono_loss": ("cos", "l1_cos"),
+    "mono_rendered": ("blended", "unit"),
+    "normal_weighting": ("none", "depth", "alpha"),
+    "perceptual_loss": ("features", "lpips"),
     "initial_orientation": ORIENTATIONS,
     "mean_gradient_over": ("drawn", "in_view"),
     "oversized": ("split", "prune"),
-    "normal_reference": ("unit", "alpha"),
-    "mono_loss": ("cos", "l1_cos"),
-    "mono_normals": ("blended", "unit"),
-    "normal_weighting": ("none", "depth", "alpha"),
-    "perceptual_loss": ("features", "lpips"),
 }
 
 
@@ -204,14 +205,15 @@ class GaussianMethod(Method):
             reference = depth_normals(rendering.depth, view.camera, backend=settings.backend)
             if settings.normal_reference == "alpha":
                 reference = reference * rendering.alpha.detach()[..., None]
-            terms["normal"] = settings.normal_weight * normal_loss(rendering.normal, reference, weight)
+            normal = unit(rendering.normal) if settings.normal_rendered == "unit" else rendering.normal
+            terms["normal"] = settings.normal_weight * normal_loss(normal, reference, weight)
         mono = settings.mono_weight > 0 and step > self.schedule.at(settings.mono_from)
         if mono and view.normal is not None:
             mono_weight = settings.mono_weight * self.schedule.rate_scale
             trusted = self.mono_weights(rendering)
             if weight is not None:
                 trusted = weight if trusted is None else trusted * weight
-            normal = unit(rendering.normal) if settings.mono_normals == "unit" else rendering.normal
+            normal = unit(rendering.normal) if settings.mono_rendered == "unit" else rendering.normal
             error = normal_loss(normal, view.normal, trusted)
             if settings.mono_loss == "l1_cos":
                 error = error + normal_distance(normal, view.normal, trusted)

@@ -44,6 +44,7 @@ class ReflectionSettings(GaussianSettings):
     perceptual_weight: float = 0.0
 
     densify_until: int = 21_000
+    densify_every: int = 300
     min_coverage: float = 1.5
     pixels_per_primitive: float = 14.0
     settling_interval: int = 5  # × densify_every between bootstrap and disturb_until; less in a short run

@@ -53,10 +53,11 @@ class GaussianSettings:
 
     normal_weight: float = 0.04  # weight of L_norm, rendered normals against those of the depth map
     normal_from: int = 0  # step after which L_norm counts
-    mono_weight: float = 0.01  # weight of L_mono, rendered normals against the view's own where it has any
     normal_reference: str = "unit"  # depth map's normals in L_norm: unit, or alpha: × the pixel's alpha (2DGS's code)
+    normal_rendered: str = "unit"  # rendered normals in L_norm: unit, or blended: as they are, which pulls at alpha too
+    mono_weight: float = 0.01  # weight of L_mono, rendered normals against the view's own where it has any
     mono_loss: str = "cos"  # cos: 1 − cos (paper); l1_cos: the L1 distance beside it (released code)
-    mono_normals: str = "blended"  # rendered normals in L_mono: blended, as they are, or unit: normalized
+    mono_rendered: str = "blended"  # rendered normals in L_mono: blended, as they are, or unit: normalized
     mono_from: int = 0  # step after which L_mono counts
     normal_weighting: str = "none"  # weights of pixels in both normal losses: none, depth (near ones more), or alpha
     perceptual_weight: float = 0.01  # weight of L_perc, where the harness provides it

@@ -18,6 +18,7 @@ class TwoDGSSettings(PublishedSettings):
     normal_weight: float = 0.05
     normal_from: int = 7_000
     normal_reference: str = "alpha"
+    normal_rendered: str = "blended"
     mono_weight: float = 0.0
     perceptual_weight: float = 0.0
 

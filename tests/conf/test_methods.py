@@ -60,6 +60,7 @@ RELEASED = {  # as the released code sets scenes apart
         "perceptual_weight": 0.0,
         "reflect_alpha": 0.75,
         "reflect_alpha_from": 30_000,
+        "oversized": "prune",
     },
 }
 RELEASED["envgs_released_ball"] = RELEASED["envgs_released_synthetic"] | {"initial_beta": 0.8}
@@ -140,7 +141,7 @@ def test_the_published_configurations_are_what_was_published() -> None:
                 "ray_offset": 0,
                 "normal_reference": "alpha",
                 "mono_loss": "l1_cos",
-                "mono_normals": "unit",
+                "mono_rendered": "unit",
                 "normal_weighting": "depth",
                 "perceptual_loss": "lpips",
                 "perceptual_from": 21_000,

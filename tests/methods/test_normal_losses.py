@@ -47,9 +47,13 @@ def test_the_reference_of_l_norm_is_of_unit_length_or_as_long_as_alpha():
     assert terms(normal_reference="alpha")["normal"] == pytest.approx(known_share() * reduced, rel=1e-4)
 
 
-def fog_gradient(reference: str, opacity: float) -> float:
+def test_l_norm_takes_normals_as_they_are_or_of_unit_length():
+    assert terms(normal_rendered="unit")["normal"] == pytest.approx(0, abs=1e-5)
+
+
+def fog_gradient(opacity: float, **settings: str) -> float:
     """∂L_norm/∂logit of a white surfel that fills the picture before a white background, faced head-on."""
-    method = create_method("2dgs", {"normal_from": 0, "normal_reference": reference, "initial_orientation": "world"})
+    method = create_method("2dgs", {"normal_from": 0, "initial_orientation": "world", **settings})
     camera = Camera(torch.eye(4), torch.tensor([[20.0, 0, 10], [0, 20, 8], [0, 0, 1]]), WIDTH, HEIGHT)
     view = View("white", camera, torch.full((HEIGHT, WIDTH, 3), 255, dtype=torch.uint8))
     white = torch.ones(3)
@@ -67,23 +71,33 @@ def fog_gradient(reference: str, opacity: float) -> float:
 @pytest.mark.parametrize("opacity", [0.02, 0.1, 0.5])
 def test_fog_before_the_background_gains_by_l_norm_in_proportion_to_what_it_hides(opacity):
     """A pixel of the background loses 1 − w without the factor, whatever w is: fog that no view sees would grow."""
-    of_unit, of_alpha = (fog_gradient(reference, opacity) for reference in ("unit", "alpha"))
+    of_unit, of_alpha = (fog_gradient(opacity, normal_reference=reference) for reference in ("unit", "alpha"))
     assert of_unit < 0
     assert of_alpha == pytest.approx(opacity * of_unit, rel=1e-3)
-    assert create_method("2dgs").settings.normal_reference == "alpha"
+    published, ours = create_method("2dgs").settings, create_method("envgs").settings
+    assert (published.normal_reference, published.normal_rendered) == ("alpha", "blended")
+    assert ours.normal_rendered == "unit"
+
+
+@pytest.mark.parametrize("opacity", [0.02, 0.1, 0.5])
+def test_normals_of_unit_length_leave_fog_alone(opacity):
+    blended, of_unit = (
+        fog_gradient(opacity, normal_reference="unit", normal_rendered=rendered) for rendered in ("blended", "unit")
+    )
+    assert abs(of_unit) < 1e-3 * abs(blended)
 
 
 @pytest.mark.parametrize(("loss", "of_unit"), [("cos", 0.0), ("l1_cos", math.sin(0.5) + 1 - math.cos(0.5))])
 def test_l_mono_takes_normals_as_they_are_or_of_unit_length(loss, of_unit):
     cosine = math.cos(0.5)
-    found = terms(mono_loss=loss, mono_normals="unit")["mono"]
+    found = terms(mono_loss=loss, mono_rendered="unit")["mono"]
     assert found == pytest.approx(1 - cosine + of_unit, rel=1e-4)
     blended = {"cos": 0.0, "l1_cos": math.sin(0.5) + cosine - 0.5}[loss]
     assert terms(mono_loss=loss)["mono"] == pytest.approx(1 - 0.5 * cosine + blended, rel=1e-4)
 
 
 def test_both_losses_are_weighted_by_alpha():
-    found = terms(normal_weighting="alpha", mono_normals="unit")
+    found = terms(normal_weighting="alpha", mono_rendered="unit")
     assert found["mono"] == pytest.approx((1 - math.cos(0.5)) * 0.65, rel=1e-4)
     known = depth_normals(shown().depth, make_camera()).any(-1)
     assert found["normal"] == pytest.approx(float((known * shown().alpha * 0.5).mean()), rel=1e-4)

@@ -30,8 +30,9 @@ def events(kind: str, steps: int, on_white: bool = False, **settings) -> dict[st
     return found
 
 
-def test_envgs_at_30000_steps_is_the_recipe():
-    found = events("envgs", 30_000, beta_reset_from=6_000, disturb_every=1000)
+def test_envgs_with_the_released_intervals_is_the_recipe_at_30000_steps():
+    released = {"densify_every": 100, "env_densify_every": 500, "beta_reset_from": 6_000, "disturb_every": 1000}
+    found = events("envgs", 30_000, **released)
     assert found.pop("densify_base") == [*range(600, 3001, 100), *range(3500, 18_001, 500), *range(18_100, 21_000, 100)]
     assert found.pop("densify_env") == list(range(3500, 21_000, 500))
     thousands = [4, 5, 7, 8, 10, 11, 13, 14, 16, 17]
@@ -92,7 +93,7 @@ def test_a_short_run_has_every_phase_that_it_can_recover_from(steps, missing):
 
 @pytest.mark.parametrize(
     ("steps", "usual", "settling"),
-    [(30_000, 100, 500), (12_000, 40, 200), (7000, 30, 150), (3000, 30, 150), (2000, 30, 90), (800, 30, 30)],
+    [(30_000, 300, 1500), (12_000, 120, 600), (7000, 70, 350), (3000, 30, 150), (2000, 30, 90), (800, 30, 30)],
 )
 def test_the_settling_interval_leaves_the_base_ten_densifications(steps, usual, settling):
     grows = events("envgs", steps, opacity_reset_every=0)["densify_base"]
@@ -100,6 +101,13 @@ def test_the_settling_interval_leaves_the_base_ten_densifications(steps, usual, 
     settles = [step for step in grows if first < step <= last]
     assert settles == [step for step in range(settling, last + 1, settling) if step > first]
     assert all(step % usual == 0 for step in grows if step > last)
+
+
+@pytest.mark.parametrize("steps", [3000, 4500, 10_000, 30_000, 60_000])
+def test_a_longer_run_grows_no_more_often(steps):
+    """The sets of EnvGS grow as often in every run that is long enough, and so converge for longer in between."""
+    found = events("envgs", steps, opacity_reset_every=0, env_opacity_reset_every=0)
+    assert (len(found["densify_base"]), len(found["densify_env"])) == (28, 11)
 
 
 def test_an_interval_below_the_usual_one_is_refused():

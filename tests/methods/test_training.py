@@ -311,7 +311,7 @@ def test_unknown_settings_are_refused_with_the_known_ones():
         ("envgs", {"mono_loss": "l2"}, "mono_loss is 'l2', expected cos or l1_cos"),
         ("2dgs", {"perceptual_loss": "vgg"}, "perceptual_loss is 'vgg', expected features or lpips"),
         ("2dgs", {"normal_reference": "depth"}, "normal_reference is 'depth', expected unit or alpha"),
-        ("2dgs", {"mono_normals": "raw"}, "mono_normals is 'raw', expected blended or unit"),
+        ("2dgs", {"mono_rendered": "raw"}, "mono_rendered is 'raw', expected blended or unit"),
         ("envmap", {"envmap_size": 1}, "envmap_size is 1, expected at least 2"),
         ("envmap", {"initial_beta": 0.0}, "initial_beta is 0, expected a weight between 0 and 1"),
         ("envmap", {"mono_floor": 1.5}, "mono_floor is 1.5, expected a share from 0 to 1"),
