@@ -53,6 +53,7 @@ RELEASED = {  # as the released code sets scenes apart
         "initial_beta": 0.1,
         "beta_reset_from": 9_000,
         "env_densify_until": 42_000,
+        "oversized": "prune",
         "env_opacity_reset_every": 3_000,
         "normal_from": 4_000,
         "mono_from": 4_000,
@@ -60,7 +61,6 @@ RELEASED = {  # as the released code sets scenes apart
         "perceptual_weight": 0.0,
         "reflect_alpha": 0.75,
         "reflect_alpha_from": 30_000,
-        "oversized": "prune",
     },
 }
 RELEASED["envgs_released_ball"] = RELEASED["envgs_released_synthetic"] | {"initial_beta": 0.8}
@@ -125,6 +125,10 @@ def test_the_published_configurations_are_what_was_published() -> None:
                 "perceptual_from": 0,
                 "beta_threshold": 0,
                 "traced_sh_direction": "ray",
+                "initial_orientation": "random",
+                "mean_gradient_over": "in_view",
+                "max_growth": 0,
+                "oversized": "split",
             },
             paper,
         ),

@@ -20,15 +20,14 @@ def facing_a_wall(z: float = 3.0, background: tuple[float, ...] = (0.0, 0.0, 0.0
     tensors = initial_tensors(
         torch.tensor([[0.0, 0.0, z]]),
         torch.full((1, 3), 0.5),
+        torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
         axes=2,
         sh_degree=1,
         opacity=0.9,
         beta=None,
         radius=1.0,
-        generator=None,
     )
     tensors["log_scales"] = torch.full((1, 2), 2.0)
-    tensors["quaternions"] = torch.tensor([[1.0, 0.0, 0.0, 0.0]])
     tensors["sh_rest"][0, 0, 0] = 0.5
     method.restore({**method.state(), "sets": {**method.state()["sets"], "env": tensors}})
     method.prepare()
