@@ -10,11 +10,16 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from envgs_bench.regular_file import require_regular
+
 from ..errors import DatasetError
+from .colmap_binary import check_sizes
 from .names import path_below
-from .photograph import Photograph
+from .photograph import LONGEST_EDGE, Photograph
 from .point_clouds import PointCloud, point_cloud
 from .siblings import Siblings
+
+PARTS = ("cameras", "images", "points3D")
 
 
 @dataclass(frozen=True)
@@ -59,7 +64,8 @@ class Model:
         """The images with a pose, in the order of their names, and the names of those that are not in `images`.
 
         Raises:
-            DatasetError: no image has a pose, a number is not finite, or a name leaves the folder.
+            DatasetError: no image has a pose, a number is not finite, a camera has no pixels, or a name leaves the
+                folder.
         """
         registered = sorted((image for image in self.content.images.values() if image.has_pose), key=lambda i: i.name)
         if not registered:
@@ -74,6 +80,7 @@ class Model:
                 missing.append(image.name)
                 continue
             camera = cameras[image.camera_id]
+            self._check_size(camera, image.name)
             self._check_finite(f"camera {image.camera_id}", camera.params, image.name)
             found.append(Photograph(image.name, path, camera, str(image.camera_id), self._pose(image)))
         return found, missing
@@ -88,6 +95,13 @@ class Model:
         self._check_finite("pose", pose, image.name)
         return pose
 
+    def _check_size(self, camera: pycolmap.Camera, name: str) -> None:
+        if not (1 <= camera.width <= LONGEST_EDGE and 1 <= camera.height <= LONGEST_EDGE):
+            raise DatasetError(
+                f"{self.folder}: camera {camera.camera_id} of image {name} is {camera.width}×{camera.height} pixels, "
+                f"expected 1 to {LONGEST_EDGE:,} along each edge; repair it"
+            )
+
     def _check_finite(self, what: str, values: np.ndarray, name: str) -> None:
         if not np.isfinite(values).all():
             raise DatasetError(f"{self.folder}: the {what} of image {name} is not finite; repair or remove it")
@@ -101,12 +115,23 @@ def _observations(image: pycolmap.Image) -> Observations:
 
 def _read(folder: Path) -> pycolmap.Reconstruction:
     try:
+        for path in (*folder.glob("*.txt"), *folder.glob("*.bin")):
+            require_regular(path)
+        if all((folder / f"{part}.bin").exists() for part in PARTS):  # else pycolmap reads the text
+            check_sizes(folder)
+    except (OSError, ValueError) as error:
+        raise _unreadable(folder, error) from error
+    try:
         return pycolmap.Reconstruction(str(folder))
     except Exception as error:  # pycolmap raises whatever its C++ does
         odd = _not_finite(folder)
         if odd:
             raise DatasetError(f"{odd}: this line holds a number that is not finite; repair or remove it") from error
-        raise DatasetError(f"{folder}: cannot be read as a COLMAP model ({error}); export it again") from error
+        raise _unreadable(folder, error) from error
+
+
+def _unreadable(folder: Path, error: Exception) -> DatasetError:
+    return DatasetError(f"{folder}: cannot be read as a COLMAP model ({error}); export it again")
 
 
 def _not_finite(folder: Path) -> str | None:

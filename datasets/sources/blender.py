@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -93,6 +94,8 @@ def _with_normal(photograph: Photograph) -> Photograph:
     """The photograph with the normals that lie beside its picture, where they do."""
     stem = photograph.path.with_suffix("").name
     candidates = [photograph.path.with_name(f"{stem}_normal{extension}") for extension in (".npy", ".png")]
-    candidates += sorted(photograph.path.parent.glob(f"{stem}_normal_*.png"))  # with Blender's number of the frame
+    candidates += sorted(
+        photograph.path.parent.glob(f"{glob.escape(stem)}_normal_*.png")
+    )  # with Blender's number of the frame
     path = next((candidate for candidate in candidates if candidate.is_file()), None)
     return replace(photograph, normal=NormalMap(path, rendered=True) if path else None)

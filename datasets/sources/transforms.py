@@ -23,6 +23,7 @@ from .capture import Missing, PhotographSettings, cached_capture, files_of, make
 
 VERSION = 3  # raise it with every change that alters a scene
 NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # instant-ngp's defaults; aabb_scale enlarges its box [0, 1]³ around the middle
+NGP_RANGE = 1e-6, 1e6  # of its scales
 
 
 class TransformsSettings(PhotographSettings):
@@ -84,13 +85,15 @@ def _photographs(file: FrameFile, choice: TransformsSettings) -> tuple[list[Phot
 def _random_points(choice: TransformsSettings, file: FrameFile) -> PointCloud:
     if choice.random_box is not None:
         return random_points(choice.random_points, (0.0, 0.0, 0.0), choice.random_box)
-    aabb = file.number("aabb_scale", {})
+    aabb = file.within("aabb_scale", {}, *NGP_RANGE)
     if aabb is None:
         raise DatasetError(
             f"{file.path}: names no points to start from (ply_file_path) and no box (aabb_scale); give the half edge "
             "of a box for random ones, in the file's units: dataset.random_box=…"
         )
-    scale = file.number("scale", {}) or NGP_SCALE
+    scale = file.within("scale", {}, *NGP_RANGE) or NGP_SCALE
     offset = file.shared.get("offset") or [NGP_OFFSET] * 3
-    x, y, z = ((0.5 - float(shift)) / scale for shift in offset)
+    if not isinstance(offset, list) or len(offset) != 3:
+        raise DatasetError(f"{file.path}: offset={str(offset)[:60]!r}, expected three numbers")
+    x, y, z = ((0.5 - (file.number("offset", {"offset": shift}) or 0)) / scale for shift in offset)
     return random_points(choice.random_points, (x, y, z), aabb / 2 / scale)
