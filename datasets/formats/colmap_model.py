@@ -122,7 +122,10 @@ def _read(folder: Path) -> pycolmap.Reconstruction:
     except (OSError, ValueError) as error:
         raise _unreadable(folder, error) from error
     try:
-        return pycolmap.Reconstruction(str(folder))
+        model = pycolmap.Reconstruction(str(folder))
+        for image in model.images.values():
+            image.name.encode()  # pycolmap decodes names when they are asked for
+        return model
     except Exception as error:  # pycolmap raises whatever its C++ does
         odd = _not_finite(folder)
         if odd:

@@ -443,6 +443,15 @@ def test_a_model_in_a_pipe_is_not_waited_for(tmp_path: Path, form: str) -> None:
         load_capture(root)
 
 
+@pytest.mark.parametrize("form", ["text", "binary"])
+def test_an_image_whose_name_is_no_text(tmp_path: Path, form: str) -> None:
+    root = capture(tmp_path / "data", form)
+    (path,) = (root / "sparse/0").glob("images.*")
+    path.write_bytes(path.read_bytes().replace(b"1.png", b"\xff.png"))
+    with pytest.raises(DatasetError, match="sparse/0: cannot be read as a COLMAP model"):
+        load_capture(root)
+
+
 WORDS = ["0", "-1", "1e308", "nan", "x", "", "99999999999999999999", "4294967295", "1e-320", "../a", "PINHOLE", "#"]
 
 
