@@ -36,28 +36,44 @@ def check_sizes(folder: Path) -> None:
         ValueError: one is cut short, or too long; the message names it.
     """
     for name, step in STEPS.items():
-        path = folder / name
-        if path.exists():
-            size = require_regular(path)
-            if size < COUNT.size:
-                raise ValueError(f"{name} has {size} bytes, too few for its count")
-            with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
-                _walk(content, name, step)
+        if (folder / name).exists():
+            _walk(folder / name, step)
 
 
-def _walk(content: Content, name: str, step: Step) -> None:
-    (count,), at = COUNT.unpack_from(content), COUNT.size
-    if count > len(content):
-        raise ValueError(f"{name} promises {count} entries and has {len(content):,} bytes")
-    for number in range(count):
-        try:
-            at = step(content, at)
-        except StructError:
-            at = len(content) + 1
-        if at > len(content):
-            raise ValueError(f"{name} is cut short: it ends within entry {number + 1} of {count}")
-    if at < len(content):
-        raise ValueError(f"{name} holds {len(content) - at:,} bytes behind its {count} entries")
+def image_names(path: Path) -> list[str]:
+    """The names in an images.bin; the points that the images show are stepped over.
+
+    Raises:
+        OSError, ValueError: it is no such file, or not a whole one.
+    """
+    names: list[str] = []
+
+    def named(content: Content, at: int) -> int:
+        end = _image(content, at)
+        names.append(content[at + IMAGE.size : content.find(b"\0", at + IMAGE.size)].decode())
+        return end
+
+    _walk(path, named)
+    return names
+
+
+def _walk(path: Path, step: Step) -> None:
+    size = require_regular(path)
+    if size < COUNT.size:
+        raise ValueError(f"{path.name} has {size} bytes, too few for its count")
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        (count,), at = COUNT.unpack_from(content), COUNT.size
+        if count > size:
+            raise ValueError(f"{path.name} promises {count} entries and has {size:,} bytes")
+        for number in range(count):
+            try:
+                at = step(content, at)
+            except StructError:
+                at = size + 1
+            if at > size:
+                raise ValueError(f"{path.name} is cut short: it ends within entry {number + 1} of {count}")
+        if at < size:
+            raise ValueError(f"{path.name} holds {size - at:,} bytes behind its {count} entries")
 
 
 def _camera(content: Content, at: int) -> int:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from envgs_bench.regular_file import require_regular
 
 from ..errors import DatasetError
-from .colmap_binary import check_sizes
+from .colmap_binary import check_sizes, image_names
 from .names import path_below
 from .photograph import LONGEST_EDGE, Photograph
 from .point_clouds import PointCloud, point_cloud
@@ -48,6 +48,29 @@ class Model:
             DatasetError: it cannot be read.
         """
         return _read(self.folder)
+
+    @property
+    def files(self) -> list[Path]:
+        """The files that pycolmap reads of it."""
+        parts = (*PARTS, "rigs", "frames")
+        return [path for part in parts if (path := self.folder / f"{part}{self._suffix}").is_file()]
+
+    def listed_images(self) -> list[str]:
+        """The names of all images, also of those without a pose; points and observations are not read.
+
+        Raises:
+            DatasetError: it cannot be read.
+        """
+        path = self.folder / f"images{self._suffix}"
+        try:
+            return image_names(path) if path.suffix == ".bin" else _names_in_text(path)
+        except (OSError, ValueError, IndexError):
+            return [image.name for image in self.content.images.values()]  # or pycolmap says what is wrong
+
+    @property
+    def _suffix(self) -> str:
+        """What pycolmap reads: text where a binary file is missing."""
+        return ".bin" if all((self.folder / f"{part}.bin").exists() for part in PARTS) else ".txt"
 
     @property
     def image_names(self) -> list[str]:
@@ -117,7 +140,7 @@ def _read(folder: Path) -> pycolmap.Reconstruction:
     try:
         for path in (*folder.glob("*.txt"), *folder.glob("*.bin")):
             require_regular(path)
-        if all((folder / f"{part}.bin").exists() for part in PARTS):  # else pycolmap reads the text
+        if Model(folder)._suffix == ".bin":
             check_sizes(folder)
     except (OSError, ValueError) as error:
         raise _unreadable(folder, error) from error
@@ -135,6 +158,18 @@ def _read(folder: Path) -> pycolmap.Reconstruction:
 
 def _unreadable(folder: Path, error: Exception) -> DatasetError:
     return DatasetError(f"{folder}: cannot be read as a COLMAP model ({error}); export it again")
+
+
+def _names_in_text(path: Path) -> list[str]:
+    """The names in an images.txt: the tenth word of a line; the line after it, which may be empty, lists points."""
+    require_regular(path)
+    names = []
+    with path.open(encoding="utf-8") as lines:
+        for line in lines:
+            if line.strip() and not line.startswith("#"):
+                names.append(line.split()[9])
+                next(lines, None)
+    return names
 
 
 def _not_finite(folder: Path) -> str | None:

@@ -83,7 +83,7 @@ def match_renders(folder: Path, match: str, views: Sequence[View]) -> dict[str, 
         raise RendersError(f"match={match}: expected name or order")
     if not folder.is_dir():
         raise RendersError(f"{folder}: there is no such folder; give that of the renders as path=…")
-    files = sorted((path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES), key=_natural)
+    files = sorted(rendered_files(folder), key=_natural)
     names = [view.name for view in views]
     problems: dict[str, list[str]] = {}
     if match == "order":
@@ -113,6 +113,11 @@ def match_renders(folder: Path, match: str, views: Sequence[View]) -> dict[str, 
             + ("; method.settings.match=order takes numbered files in the views' order" if match == "name" else "")
         )
     return found
+
+
+def rendered_files(folder: Path) -> list[Path]:
+    """The files below the folder that are taken for renders; whatever else lies there is left alone."""
+    return [path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES]
 
 
 def read_render(path: Path, background: Tensor) -> Tensor:
