@@ -18,6 +18,7 @@ CHECKPOINT = "checkpoint"  # the folder with what it learned
 PICTURES = ("renders", "targets", "masks", "layers")  # the folders with its test views
 
 
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 LONGEST_NAME = 200  # bytes of a view's name that is to begin a file's: file systems end a name at 255
 
 
@@ -49,7 +50,7 @@ def layers_of(run: Path, view: str) -> dict[str, Path]:
     """The layers that the run left of the view, by name."""
     prefix = layer_path(run, view, "").stem
     files = sorted((run / "layers").glob("*.png"))
-    return {p.stem.removeprefix(prefix): p for p in files if p.stem.startswith(prefix) and p.is_file()}
+    return {p.stem.removeprefix(prefix): p for p in files if p.stem.startswith(prefix)}
 
 
 def is_file_name(view: str) -> bool:
@@ -60,6 +61,16 @@ def is_file_name(view: str) -> bool:
 def has_renders(run: Path) -> bool:
     """Whether the run came as far as to draw test views."""
     return (run / "renders").is_dir()
+
+
+def is_png(path: Path) -> bool:
+    """Whether the file begins as a PNG does: a link in a run's folder may lead to any file of the reader's."""
+    try:
+        require_regular(path)
+        with path.open("rb") as stream:
+            return stream.read(len(PNG_SIGNATURE)) == PNG_SIGNATURE
+    except OSError:
+        return False
 
 
 def read_png(path: Path) -> NDArray[np.uint8]:

@@ -113,6 +113,29 @@ def test_pictures_that_promise_gigabytes_are_shown_as_unreadable(tmp_path: Path)
     assert list((tmp_path / "out/pictures").rglob("*worst*.png"))
 
 
+def test_a_link_in_a_runs_folder_brings_no_other_file_into_the_report(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text("secret")
+    write_runs(tmp_path / "runs", methods=("envgs",), seeds=(0,))
+    linked = [*(tmp_path / "runs").rglob("layers/*-beta.png"), *(tmp_path / "runs").rglob("renders/001.png")]
+    for path in linked:
+        path.unlink()
+        path.symlink_to(tmp_path / "secret")
+    build_report(tmp_path / "runs", tmp_path / "out")
+    copied = [path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()]
+    assert len(linked) == 6
+    assert b"secret" not in copied
+
+
+@pytest.mark.parametrize("listed", ["[" * 50_000, '["' + "x" * 5000 + '", "a\\u0000b", "../../keep", 5]'])
+def test_a_list_of_files_that_no_report_wrote_deletes_nothing(tmp_path: Path, listed: str) -> None:
+    write_runs(tmp_path / "runs", methods=("envgs",), seeds=(0,), pictures=False)
+    (tmp_path / "keep").touch()
+    (tmp_path / "runs/report/assets").mkdir(parents=True)
+    (tmp_path / "runs/report/assets/files.json").write_text(listed)
+    build_report(tmp_path / "runs", tmp_path / "runs/report")
+    assert (tmp_path / "keep").exists()
+
+
 def test_a_curve_beyond_all_numbers_leaves_its_points_out(tmp_path: Path) -> None:
     write_runs(tmp_path / "runs", methods=("envgs",), seeds=(0, 1), pictures=False)
     for path in (tmp_path / "runs").rglob("curve.csv"):
