@@ -58,6 +58,21 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     return replace(scene, free_space=free_space, bounds=bounds)
 
 
+def files_read(settings: Mapping[str, Any]) -> list[Path] | None:
+    """The files that `load_scene` makes the scene of these settings from; None where only their source knows.
+
+    That is so for sources of somebody else's, and for data that cannot be used, as loading them will say.
+    """
+    path = BUILT_IN.get(settings["kind"])
+    if path is None or not settings.get("root"):
+        return None
+    try:
+        found = load_import_path(f"{path.partition(':')[0]}:files_read")(own_settings(settings))
+        return [path for path in found if path.is_file()]
+    except (DatasetError, OSError):
+        return None
+
+
 def own_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Those of a data set's settings that its source is given: without what `load_scene` itself uses."""
     return {key: value for key, value in settings.items() if key not in ("obtain", *SceneSettings.model_fields)}

@@ -8,16 +8,20 @@ import tempfile
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from .regular_file import read_regular_text
 from .run_folder import CONFIG_NAME, LOG_NAME, RECORD_NAME
 
 SCHEMA_VERSION = 1
+MOST_BYTES = 100_000_000  # of a record; thousands of views with their times take one of them
+LARGEST = 1e18  # no measurement is larger, and sums and squares of such numbers are finite
 RENDERS = "renders"  # the kind of a run that draws nothing itself
 
 Status = Literal["ok", "failed", "diverged", "out_of_memory", "timeout", "interrupted"]
 ScoredOn = Literal["test", "validation"]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
+Count = Annotated[int, Field(ge=0, le=int(LARGEST))]
 Scores = dict[str, Finite | None]  # metric -> value; None where it could not be computed
 
 
@@ -91,21 +95,21 @@ class Timing(_Part):
     frame_ms_p95: Finite
     fps: Finite  # 1000 / frame_ms
     prepare_ms: Finite  # once a model: acceleration structures
-    height: int
-    width: int
+    height: Count
+    width: Count
     per_view: list[ViewTimes]
     contract: str  # what was timed and how, in words
 
 
 class Cost(_Part):
-    primitives: dict[str, int]  # set, one of parts.SETS -> count at the end
-    bytes: dict[str, int]  # set -> size of what rendering needs
-    model_bytes: int  # the sum of `bytes`
+    primitives: dict[str, Count]  # set, one of parts.SETS -> count at the end
+    bytes: dict[str, Count]  # set -> size of what rendering needs
+    model_bytes: Count  # the sum of `bytes`
     train_seconds: Finite  # without evaluation
-    peak_host_bytes: int
-    peak_device_bytes: int | None  # None on a CPU
-    skipped_steps: int  # steps whose loss or gradient was not finite
-    peak_primitives: int  # the most of all sets together, at any step
+    peak_host_bytes: Count
+    peak_device_bytes: Count | None  # None on a CPU
+    skipped_steps: Count  # steps whose loss or gradient was not finite
+    peak_primitives: Count  # the most of all sets together, at any step
 
 
 class Provenance(BaseModel):
@@ -120,7 +124,7 @@ class Provenance(BaseModel):
     packages: dict[str, str]
     machine: dict[str, Any]
     device: dict[str, Any] | str
-    threads: int
+    threads: Count
     started: str  # ISO 8601, UTC
     finished: str
     command: str
@@ -138,8 +142,8 @@ class Record(_Part):
     method: str
     kind: str
     dataset: str
-    seed: int
-    steps: int
+    seed: Annotated[int, Field(ge=0, lt=2**32)]
+    steps: Count
     run_id: str
     overrides: list[str]
     config: dict[str, Any]
@@ -151,6 +155,15 @@ class Record(_Part):
     timing: Timing | None = None
     cost: Cost | None = None
     provenance: Provenance
+
+    @field_validator("config", mode="after")
+    @classmethod
+    def _with_parts(cls, config: dict[str, Any]) -> dict[str, Any]:
+        """Reports look into these two."""
+        for key in ("method", "dataset"):
+            if key in config and not isinstance(config[key], dict):
+                raise ValueError(f"{key} is no JSON object")
+        return config
 
     @model_validator(mode="after")
     def _complete(self) -> Record:
@@ -172,7 +185,7 @@ def read_record(path: Path) -> Record:
     """
     path = path / RECORD_NAME if path.is_dir() else path
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_regular_text(path, MOST_BYTES)
     except (OSError, UnicodeDecodeError) as error:
         raise RecordError(f"{path}: cannot be read: {error}") from error
     remedy = "Delete the file, or run the job again with force=true."
@@ -180,12 +193,14 @@ def read_record(path: Path) -> Record:
         content = json.loads(text)
     except json.JSONDecodeError as error:
         raise RecordError(f"{path}: not valid JSON (truncated?): {error}. {remedy}") from error
+    except (ValueError, RecursionError) as error:  # an integer of thousands of digits, lists in lists in lists
+        raise RecordError(f"{path}: not a record: {error}. {remedy}") from error
     if not isinstance(content, dict):
         raise RecordError(f"{path}: expected a JSON object, found {type(content).__name__}. {remedy}")
     version = content.get("schema_version")
     if version != SCHEMA_VERSION:
         raise RecordError(
-            f"{path}: schema_version is {version!r}, this version of envgs-bench reads {SCHEMA_VERSION}. "
+            f"{path}: schema_version is {_shown(repr(version))}, this version of envgs-bench reads {SCHEMA_VERSION}. "
             "Read it with the version that wrote it, or run the job again with force=true."
         )
     try:
@@ -249,6 +264,12 @@ def write_atomically(path: Path, text: str) -> None:
 
 
 def _problems(error: ValidationError, most: int = 5) -> str:
-    problems = [f"{'.'.join(map(str, item['loc'])) or 'record'}: {item['msg']}" for item in error.errors()]
+    problems = [f"{_shown('.'.join(map(str, item['loc'])) or 'record')}: {item['msg']}" for item in error.errors()]
     more = f" and {len(problems) - most} more" if len(problems) > most else ""
     return "; ".join(problems[:most]) + more
+
+
+def _shown(text: str, most: int = 100) -> str:
+    """Text of a file for a message: short, and nothing that a terminal would obey."""
+    plain = "".join(character if character.isprintable() else "?" for character in text[:most])
+    return plain + ("…" if len(text) > most else "")

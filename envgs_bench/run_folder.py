@@ -8,12 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from .regular_file import require_regular
+
 CONFIG_NAME = "config.yaml"  # the run's settings
 LOG_NAME = "log.txt"  # what the run printed
 RECORD_NAME = "record.json"  # what it was and how it ended
 CURVE_NAME = "curve.csv"  # how its training went
 CHECKPOINT = "checkpoint"  # the folder with what it learned
 PICTURES = ("renders", "targets", "masks", "layers")  # the folders with its test views
+
+
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+LONGEST_NAME = 200  # bytes of a view's name that is to begin a file's: file systems end a name at 255
 
 
 class PictureError(ValueError):
@@ -44,7 +50,12 @@ def layers_of(run: Path, view: str) -> dict[str, Path]:
     """The layers that the run left of the view, by name."""
     prefix = layer_path(run, view, "").stem
     files = sorted((run / "layers").glob("*.png"))
-    return {path.stem.removeprefix(prefix): path for path in files if path.stem.startswith(prefix)}
+    return {p.stem.removeprefix(prefix): p for p in files if p.stem.startswith(prefix)}
+
+
+def is_file_name(view: str) -> bool:
+    """Whether files can be called after the view: one that leads out of its folder, or is too long, names none."""
+    return Path(view).name == view and len(view.encode(errors="replace")) <= LONGEST_NAME and "\0" not in view
 
 
 def has_renders(run: Path) -> bool:
@@ -52,16 +63,27 @@ def has_renders(run: Path) -> bool:
     return (run / "renders").is_dir()
 
 
+def is_png(path: Path) -> bool:
+    """Whether the file begins as a PNG does: a link in a run's folder may lead to any file of the reader's."""
+    try:
+        require_regular(path)
+        with path.open("rb") as stream:
+            return stream.read(len(PNG_SIGNATURE)) == PNG_SIGNATURE
+    except OSError:
+        return False
+
+
 def read_png(path: Path) -> NDArray[np.uint8]:
     """[H, W, 3] bytes, sRGB; a gray picture three times the same.
 
     Raises:
-        PictureError: it is missing, truncated or no picture.
+        PictureError: it is missing, truncated, too large or no PNG.
     """
     try:
-        with Image.open(path) as image:
+        require_regular(path)
+        with Image.open(path, formats=["PNG"]) as image:
             return np.array(image.convert("RGB"))
-    except (OSError, SyntaxError, ValueError) as error:
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise PictureError(f"{path}: cannot be read ({error}); run its run again with force=true") from error
 
 

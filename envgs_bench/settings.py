@@ -11,7 +11,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationIn
 
 from envgs_bench.records import ScoredOn
 
+from .regular_file import read_regular_text
 from .run_folder import CONFIG_NAME
+
+MOST_BYTES = 1_000_000  # of a config.yaml; the settings of a run take a few thousand
 
 # Keys of a method or a data set that name files; made absolute, so that a run does not depend on where it was started.
 PATH_KEYS = ("root", "path")
@@ -110,7 +113,27 @@ def parse_settings(content: Any) -> RunSettings:
 
 
 def read_settings(folder: Path) -> RunSettings:
-    return parse_settings(yaml.safe_load((folder / CONFIG_NAME).read_text(encoding="utf-8")))
+    """The settings that the run in `folder` was given.
+
+    Raises:
+        SettingsError: its config.yaml cannot be read, or holds something else.
+    """
+    path = folder / CONFIG_NAME
+    try:
+        return parse_settings(yaml.load(read_regular_text(path, MOST_BYTES), _Loader))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
+        raise SettingsError(f"{path}: cannot be read as YAML ({error}); run the job again") from error
+    except ValueError as error:  # settings that are none, and dates that are no days
+        raise SettingsError(f"{path}: {error}") from error
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML without aliases, which a few lines can make gigabytes of; `yaml.safe_dump` writes none for settings."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.composer.ComposerError(None, None, "an alias, which no run writes", self.peek_event().start_mark)
+        return super().compose_node(parent, index)
 
 
 def default_cache_dir() -> Path:

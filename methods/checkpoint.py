@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from pathlib import Path
 
 import torch
@@ -31,7 +30,9 @@ def read_checkpoint(folder: Path, method: str, device: torch.device) -> dict:
     try:
         state = torch.load(path, map_location=device, weights_only=True)
         written_by = state["method"]
-    except (RuntimeError, EOFError, KeyError, TypeError, pickle.UnpicklingError) as error:
+    except torch.OutOfMemoryError:
+        raise
+    except Exception as error:  # PyTorch raises whatever foreign bytes lead it to
         raise ValueError(f"{path} is not a readable checkpoint ({error}); train again or delete it") from error
     if written_by != method:
         raise ValueError(f"{path} holds a model of {written_by}, expected one of {method}")

@@ -151,7 +151,13 @@ class GaussianMethod(Method):
         write_checkpoint(folder, type(self).__name__, self.state())
 
     def load(self, folder: Path) -> None:
-        self.restore(read_checkpoint(folder, type(self).__name__, self.device))
+        state = read_checkpoint(folder, type(self).__name__, self.device)
+        try:
+            self.restore(state)
+        except (AttributeError, KeyError, RuntimeError, TypeError) as error:
+            raise ValueError(
+                f"{folder}: its checkpoint lacks what the method needs ({error!r}); train again"
+            ) from error
         self.prepared.clear()
 
     @property

@@ -22,10 +22,11 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement, PlyParseError
+from plyfile import PlyData, PlyElement
 from torch import Tensor
 
 from envgs_bench.core import GaussianSet
+from envgs_bench.ply_file import number_names, read_elements
 
 from .parameters import GaussianParameters, LearningRates
 
@@ -68,7 +69,7 @@ def read_ply(path: Path) -> dict[str, Tensor]:
             Gaussian has; the message names the file and the properties.
     """
     vertices = _vertices(path)
-    present = [item.name for item in vertices.properties]
+    present = number_names(vertices)
     rest, scales = (sorted(n for n in present if n.startswith(prefix)) for prefix in ("f_rest_", "scale_"))
     axes = 3 if "scale_2" in scales else 2
     needed = (*MEAN, *DC, *OPACITY, *_numbered("scale", axes), *ROTATION)
@@ -110,13 +111,7 @@ def read_gaussians(path: Path) -> GaussianSet:
 
 
 def _vertices(path: Path) -> PlyElement:
-    try:
-        content = PlyData.read(path)
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (PlyParseError, ValueError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: is no readable PLY ({error}); export it again") from error
-    elements = {element.name: element for element in content.elements}
+    elements = read_elements(path)
     if "chunk" in elements or ("vertex" in elements and "packed_position" in elements["vertex"].data.dtype.names):
         raise ValueError(
             f"{path}: is in a compressed layout of splats (packed_position …), which is not read; "

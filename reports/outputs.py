@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
+from envgs_bench.regular_file import read_regular_text
+
 LIST = "assets/files.json"
+MOST_BYTES = 10_000_000  # of the list
 FOLDERS = ("assets", "charts", "pictures")  # what a report has below its own folder
 
 
 def delete_last_report(out: Path) -> None:
     """Delete what the last report wrote into `out`, and nothing else: the folder may hold other things too."""
     try:
-        listed = json.loads((out / LIST).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        listed = json.loads(read_regular_text(out / LIST, MOST_BYTES))
+    except (OSError, ValueError, RecursionError):
         return
     root = out.resolve()
     for name in listed if isinstance(listed, list) else []:
         path = out / str(name)
-        if path.parent.resolve().is_relative_to(root) and path.is_file():
+        if os.path.isfile(path) and path.parent.resolve().is_relative_to(root):  # for too long a name False, no error
             path.unlink()
             for folder in path.relative_to(out).parents[:-1]:
                 if not any((out / folder).iterdir()):

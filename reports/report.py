@@ -15,6 +15,7 @@ from .pictures.gallery import Gallery, copy_pictures, galleries, slug
 from .pictures.sheets import draw_sheets
 from .tables.latex import latex
 from .tables.markdown import markdown
+from .tables.plain import no_formula
 from .tables.sections import Section, split_sections
 from .tables.structured import structured
 
@@ -63,7 +64,8 @@ def build_report(runs: Path, out: Path) -> Report:
     delete_last_report(out)
     before = files_below(out)
     for index, section in enumerate(sections):
-        section.tidy.to_csv(out / section.csv_name(index), index=False)
+        words = section.tidy.select_dtypes(exclude="number").map(no_formula)
+        section.tidy.assign(**words).to_csv(out / section.csv_name(index), index=False)
     (out / "table.md").write_text(markdown(sections, broken), encoding="utf-8")
     (out / "table.tex").write_text(latex(sections), encoding="utf-8")
     (out / "table.json").write_text(json.dumps(structured(sections, broken)), encoding="utf-8")

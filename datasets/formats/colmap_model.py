@@ -10,11 +10,16 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from envgs_bench.regular_file import require_regular
+
 from ..errors import DatasetError
+from .colmap_binary import check_sizes, image_names
 from .names import path_below
-from .photograph import Photograph
+from .photograph import LONGEST_EDGE, Photograph
 from .point_clouds import PointCloud, point_cloud
 from .siblings import Siblings
+
+PARTS = ("cameras", "images", "points3D")
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,29 @@ class Model:
         return _read(self.folder)
 
     @property
+    def files(self) -> list[Path]:
+        """The files that pycolmap reads of it."""
+        parts = (*PARTS, "rigs", "frames")
+        return [path for part in parts if (path := self.folder / f"{part}{self._suffix}").is_file()]
+
+    def listed_images(self) -> list[str]:
+        """The names of all images, also of those without a pose; points and observations are not read.
+
+        Raises:
+            DatasetError: it cannot be read.
+        """
+        path = self.folder / f"images{self._suffix}"
+        try:
+            return image_names(path) if path.suffix == ".bin" else _names_in_text(path)
+        except (OSError, ValueError, IndexError):
+            return [image.name for image in self.content.images.values()]  # or pycolmap says what is wrong
+
+    @property
+    def _suffix(self) -> str:
+        """What pycolmap reads: text where a binary file is missing."""
+        return ".bin" if all((self.folder / f"{part}.bin").exists() for part in PARTS) else ".txt"
+
+    @property
     def image_names(self) -> list[str]:
         """The images that have a pose, sorted: paths below the images' folder."""
         return sorted(image.name for image in self.content.images.values() if image.has_pose)
@@ -59,7 +87,8 @@ class Model:
         """The images with a pose, in the order of their names, and the names of those that are not in `images`.
 
         Raises:
-            DatasetError: no image has a pose, a number is not finite, or a name leaves the folder.
+            DatasetError: no image has a pose, a number is not finite, a camera has no pixels, or a name leaves the
+                folder.
         """
         registered = sorted((image for image in self.content.images.values() if image.has_pose), key=lambda i: i.name)
         if not registered:
@@ -74,6 +103,7 @@ class Model:
                 missing.append(image.name)
                 continue
             camera = cameras[image.camera_id]
+            self._check_size(camera, image.name)
             self._check_finite(f"camera {image.camera_id}", camera.params, image.name)
             found.append(Photograph(image.name, path, camera, str(image.camera_id), self._pose(image)))
         return found, missing
@@ -88,6 +118,13 @@ class Model:
         self._check_finite("pose", pose, image.name)
         return pose
 
+    def _check_size(self, camera: pycolmap.Camera, name: str) -> None:
+        if not (1 <= camera.width <= LONGEST_EDGE and 1 <= camera.height <= LONGEST_EDGE):
+            raise DatasetError(
+                f"{self.folder}: camera {camera.camera_id} of image {name} is {camera.width}×{camera.height} pixels, "
+                f"expected 1 to {LONGEST_EDGE:,} along each edge; repair it"
+            )
+
     def _check_finite(self, what: str, values: np.ndarray, name: str) -> None:
         if not np.isfinite(values).all():
             raise DatasetError(f"{self.folder}: the {what} of image {name} is not finite; repair or remove it")
@@ -101,12 +138,38 @@ def _observations(image: pycolmap.Image) -> Observations:
 
 def _read(folder: Path) -> pycolmap.Reconstruction:
     try:
-        return pycolmap.Reconstruction(str(folder))
+        for path in (*folder.glob("*.txt"), *folder.glob("*.bin")):
+            require_regular(path)
+        if Model(folder)._suffix == ".bin":
+            check_sizes(folder)
+    except (OSError, ValueError) as error:
+        raise _unreadable(folder, error) from error
+    try:
+        model = pycolmap.Reconstruction(str(folder))
+        for image in model.images.values():
+            image.name.encode()  # pycolmap decodes names when they are asked for
+        return model
     except Exception as error:  # pycolmap raises whatever its C++ does
         odd = _not_finite(folder)
         if odd:
             raise DatasetError(f"{odd}: this line holds a number that is not finite; repair or remove it") from error
-        raise DatasetError(f"{folder}: cannot be read as a COLMAP model ({error}); export it again") from error
+        raise _unreadable(folder, error) from error
+
+
+def _unreadable(folder: Path, error: Exception) -> DatasetError:
+    return DatasetError(f"{folder}: cannot be read as a COLMAP model ({error}); export it again")
+
+
+def _names_in_text(path: Path) -> list[str]:
+    """The names in an images.txt: the tenth word of a line; the line after it, which may be empty, lists points."""
+    require_regular(path)
+    names = []
+    with path.open(encoding="utf-8") as lines:
+        for line in lines:
+            if line.strip() and not line.startswith("#"):
+                names.append(line.split()[9])
+                next(lines, None)
+    return names
 
 
 def _not_finite(folder: Path) -> str | None:

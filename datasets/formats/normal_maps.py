@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from envgs_bench.core import Camera
 
 from ..errors import DatasetError
+from .arrays import open_array
 from .pictures import read_header, read_picture
 from .srgb import to_linear
 
@@ -40,7 +41,7 @@ class NormalMap:
     def size(self) -> tuple[int, int]:
         """Width and height, without reading it all."""
         if self.path.suffix == ".npy":
-            height, width = _array(self.path, mapped=True).shape[:2]
+            height, width = _array(self.path).shape[:2]
             return width, height
         header = read_header(self.path)
         return header.width, header.height
@@ -58,7 +59,9 @@ class NormalMap:
             DatasetError: the file cannot be read, or holds no normals.
         """
         if self.path.suffix == ".npy":
-            return _known(np.nan_to_num(_array(self.path, mapped=False).astype(np.float32), posinf=0, neginf=0), opaque)
+            with np.errstate(over="ignore"):
+                vectors = _array(self.path).astype(np.float32)
+            return _known(np.nan_to_num(vectors, posinf=0, neginf=0), opaque)
         rgb: Floats = read_picture(self.path, (0.5, 0.5, 0.5))[0].astype(np.float32) / np.float32(255)
         signed = 2 * rgb - 1
         if not self.rendered or _share(_is_unit(signed), opaque) >= MIN_SHARE:
@@ -87,11 +90,8 @@ def world_normals(normals: torch.Tensor, camera: Camera, frame: Frame) -> torch.
     return torch.where(length < MIN_LENGTH, torch.zeros_like(unit), torch.where(away, -unit, unit))
 
 
-def _array(path: Path, mapped: bool) -> NDArray:
-    try:
-        array = np.load(path, mmap_mode="r" if mapped else None, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise DatasetError(f"{path}: cannot be read as an array ({error}); write it again with numpy.save") from error
+def _array(path: Path) -> NDArray:
+    array = open_array(path)
     if array.ndim != 3 or array.shape[2] != 3 or array.dtype.kind != "f":
         raise DatasetError(f"{path}: holds {array.dtype} {list(array.shape)}, expected floats [H, W, 3]")
     return array

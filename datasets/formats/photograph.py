@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from .normal_maps import NormalMap
 
+LONGEST_EDGE = 100_000  # pixels of a picture; a camera that has more is a mistake
+
 
 @dataclass(frozen=True)
 class Photograph:

@@ -4,6 +4,8 @@ sRGB, turned where asked for, on a background where transparent. What is wrong w
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,12 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, ImageOps
 
+from envgs_bench.regular_file import require_regular
+
 from ..errors import DatasetError
 
 Bytes = NDArray[np.uint8]
 Color = tuple[float, float, float]
 
 PICTURE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".bmp", ".tif", ".tiff")
+FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "PPM", "GIF")  # by content; Pillow knows some that start programs
 EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "YCbCr")  # modes of 8 bits a channel or fewer
 SIXTEEN_BITS = ("I;16", "I;16L", "I;16B", "I;16N", "I")
 TURNED = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
@@ -29,6 +34,7 @@ class Header:
     width: int  # pixels as they lie in the file
     height: int
     turned: bool  # its EXIF orientation asks viewers to exchange width and height
+    mode: str  # Pillow's name of what a pixel holds
 
 
 def read_header(path: Path) -> Header:
@@ -37,11 +43,8 @@ def read_header(path: Path) -> Header:
     Raises:
         DatasetError: the file is no picture.
     """
-    try:
-        with Image.open(path) as image:
-            return Header(*image.size, image.getexif().get(ExifTags.Base.Orientation) in TURNED)
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise _undecodable(path, error) from error
+    with _opened(path) as image:
+        return Header(*image.size, image.getexif().get(ExifTags.Base.Orientation) in TURNED, image.mode)
 
 
 def read_picture(path: Path, background: Color, turn: bool = False) -> tuple[Bytes, NDArray[np.bool_] | None]:
@@ -77,12 +80,9 @@ def read_mask(path: Path) -> NDArray[np.bool_]:
 
 
 def _decoded(path: Path, turn: bool) -> Image.Image:
-    try:
-        with Image.open(path) as image:
-            image.load()
-            picture = ImageOps.exif_transpose(image) if turn else image
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise _undecodable(path, error) from error
+    with _opened(path) as image:
+        image.load()
+        picture = ImageOps.exif_transpose(image) if turn else image
     if picture.mode in SIXTEEN_BITS:
         return _eight_bits(picture, path)
     if picture.mode == "CMYK":
@@ -101,5 +101,13 @@ def _eight_bits(image: Image.Image, path: Path) -> Image.Image:
     return Image.fromarray(((values + 128) // 257).astype(np.uint8))
 
 
-def _undecodable(path: Path, error: Exception) -> DatasetError:
-    return DatasetError(f"{path}: cannot be decoded ({error}); replace it by an intact image")
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    try:
+        require_regular(path)
+        with Image.open(path, formats=FORMATS) as image:
+            yield image
+    except MemoryError:
+        raise
+    except Exception as error:  # Pillow raises whatever foreign bytes lead it to
+        raise DatasetError(f"{path}: cannot be decoded ({error}); replace it by an intact image") from error

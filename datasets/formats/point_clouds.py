@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
-from plyfile import PlyData, PlyParseError
+
+from envgs_bench.ply_file import number_names, read_elements
 
 from ..errors import DatasetError
 
@@ -33,7 +34,7 @@ def point_cloud(points: ArrayLike, colors: ArrayLike, source: Path) -> PointClou
     """The cloud of these points [P, 3] and colors [P, 3] in [0, 1]; `source` names them in errors.
 
     Raises:
-        DatasetError: there is no point, or one at infinity: where float32 does not reach.
+        DatasetError: there is no point, one at infinity, where float32 does not reach, or one of another color.
     """
     places = torch.as_tensor(np.asarray(points, dtype=np.float64)).float()
     if not len(places):
@@ -46,7 +47,11 @@ def point_cloud(points: ArrayLike, colors: ArrayLike, source: Path) -> PointClou
             f"{source}: {infinite} of {len(places)} points lie at infinity (no finite numbers); remove them, as colmap "
             "point_filtering does"
         )
-    return PointCloud(places, torch.as_tensor(np.asarray(colors, dtype=np.float64)).float())
+    shades = np.asarray(colors, dtype=np.float64)
+    odd = int((~((shades >= 0) & (shades <= 1)).all(axis=1)).sum())
+    if odd:
+        raise DatasetError(f"{source}: {odd} of {len(places)} points have colors outside of 0 to 255; export it again")
+    return PointCloud(places, torch.as_tensor(shades).float())
 
 
 def read_point_cloud(path: Path) -> PointCloud:
@@ -56,10 +61,10 @@ def read_point_cloud(path: Path) -> PointCloud:
         DatasetError: it cannot be read, has no such properties, or `point_cloud` refuses it.
     """
     try:
-        vertices = PlyData.read(str(path))["vertex"].data
-    except (OSError, PlyParseError, KeyError, ValueError) as error:
+        vertices = read_elements(path)["vertex"]
+    except (ValueError, KeyError) as error:
         raise DatasetError(f"{path}: cannot be read as a point cloud ({error}); export it again as PLY") from error
-    names = vertices.dtype.names
+    names = number_names(vertices)
     if not {"x", "y", "z"} <= set(names):
         raise DatasetError(f"{path}: its vertices have {', '.join(names)}, expected x, y, z; export it again")
     points = np.stack([vertices[axis] for axis in "xyz"], axis=-1)

@@ -13,14 +13,18 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from envgs_bench.regular_file import read_regular_text
+
 from ..errors import DatasetError, listed
 from .names import clean_name, path_below
-from .photograph import Photograph
+from .photograph import LONGEST_EDGE, Photograph
 from .pictures import PICTURE_EXTENSIONS, read_header
 
 FLAT_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 FISHEYE_MODELS = ("OPENCV_FISHEYE", "FISHEYE")
 INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y")
+MOST_BYTES = 500_000_000  # of such a file; a frame takes a thousand
+LARGEST = 1e15  # no number in such a file is meant to be larger
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -68,9 +72,16 @@ class FrameFile:
         value = frame.get(key, self.shared.get(key))
         if value is None:
             return None
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise DatasetError(f"{self.path}: {key}={value!r}, expected a finite number")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
+            raise DatasetError(f"{self.path}: {key}={repr(value)[:60]}, expected a finite number")
         return float(value)
+
+    def within(self, key: str, frame: dict[str, Any], least: float, most: float) -> float | None:
+        """As `number`, from `least` to `most`."""
+        value = self.number(key, frame)
+        if value is not None and not least <= value <= most:
+            raise DatasetError(f"{self.path}: {key}={value:g}, expected a number from {least:g} to {most:,g}")
+        return value
 
     def _name(self, frame: dict[str, Any], index: int) -> str:
         if not isinstance(frame.get("file_path"), str):
@@ -97,18 +108,18 @@ class FrameFile:
         """World to camera, OpenCV axes, of the frame's camera to world, OpenGL axes."""
         try:
             matrix = np.asarray(frame.get("transform_matrix"), dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             matrix = np.empty(0)
         if matrix.shape == (3, 4):
             matrix = np.concatenate([matrix, [[0, 0, 0, 1]]])
-        if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or np.linalg.det(matrix) == 0:
+        if matrix.shape != (4, 4) or not (np.abs(matrix) <= LARGEST).all() or np.linalg.det(matrix) == 0:
             raise DatasetError(
                 f"{self.path}: the transform_matrix of {name} is no camera-to-world matrix of 4×4 finite numbers"
             )
         return np.asarray(np.linalg.inv(matrix @ OPENGL_TO_OPENCV), dtype=np.float64)
 
     def _camera(self, frame: dict[str, Any], path: Path) -> pycolmap.Camera:
-        width, height = self.number("w", frame), self.number("h", frame)
+        width, height = (self.within(edge, frame, 1, LONGEST_EDGE) for edge in ("w", "h"))
         if width is None or height is None:
             header = read_header(path)
             width, height = header.width, header.height
@@ -130,6 +141,8 @@ class FrameFile:
         focal, angle = self.number(f"fl_{axis}", frame), self.number(f"camera_angle_{axis}", frame)
         own_angle = f"camera_angle_{axis}" in frame and f"fl_{axis}" not in frame
         if angle is not None and (focal is None or own_angle):
+            if not 0 < angle < math.pi:
+                raise DatasetError(f"{self.path}: camera_angle_{axis}={angle:g}, expected radians between 0 and π")
             focal = length / 2 / math.tan(angle / 2)
         if focal is not None and focal <= 0:
             raise DatasetError(
@@ -144,7 +157,9 @@ class FrameFile:
         if named in FISHEYE_MODELS or frame.get("is_fisheye", self.shared.get("is_fisheye")):
             return "OPENCV_FISHEYE", [k1, k2, k3, k4]
         if named not in FLAT_MODELS or k4:
-            what = f"camera_model={named!r}" if named not in FLAT_MODELS else f"k4={k4:g} without a fisheye model"
+            what = (
+                f"camera_model={repr(named)[:60]}" if named not in FLAT_MODELS else f"k4={k4:g} without a fisheye model"
+            )
             known = ", ".join(FLAT_MODELS + FISHEYE_MODELS)
             raise DatasetError(
                 f"{self.path}: {what} is not supported; the models are {known}; undistort the images first"
@@ -161,10 +176,10 @@ def read_frames(path: Path) -> FrameFile:
         DatasetError: there is no such file, it is no JSON, or it lists no frames.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_regular_text(path, MOST_BYTES))
     except FileNotFoundError as error:
         raise DatasetError(f"{path}: there is no such file") from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(f"{path}: cannot be read as JSON ({error}); export it again") from error
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):

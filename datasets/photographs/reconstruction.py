@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import uuid
+import warnings
+import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pycolmap
 
@@ -25,6 +28,7 @@ IMAGES_A_BATCH, PAIRS_A_BATCH = 8, 64  # between two reports of progress
 NEIGHBORS = 10  # each image is matched with this many after it, and with those 2, 4, 8 … away
 MIN_IMAGES = 3  # images that a model must place
 SEED = 0
+CHECKSUMS = "checksums.json"  # of the model's files, beside them
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class Reconstructor:
     feature_size: int
 
     def model_of(self, names: Sequence[str], images: Path, folder: Path) -> Model:
-        """The model of the images `images/<name>`, in `folder`, made unless it is there.
+        """The model of the images `images/<name>`, in `folder`, made unless it is there as it was written.
 
         Of several models, which share no points, the one that places the most images.
 
@@ -50,7 +54,10 @@ class Reconstructor:
             DatasetError: no two images could be placed.
         """
         if folder.is_dir():
-            return Model(folder)
+            if _checksums(folder) == _remembered(folder):
+                return Model(folder)
+            warnings.warn(f"{folder} is damaged: it is not what was written; it is made again", stacklevel=2)
+            shutil.rmtree(folder)
         work = folder.with_name(f"{folder.name}-{uuid.uuid4().hex}.part")
         try:
             (work / "images").mkdir(parents=True)
@@ -62,6 +69,7 @@ class Reconstructor:
                 model = self._map(names, images, work)
             (work / "model").mkdir()
             model.write_binary(str(work / "model"))
+            (work / "model" / CHECKSUMS).write_text(json.dumps(_checksums(work / "model")), encoding="utf-8")
             try:
                 (work / "model").rename(folder)
             except OSError:
@@ -135,6 +143,18 @@ class Reconstructor:
         for image in best.images.values():
             image.name = original[image.name]
         return best
+
+
+def _checksums(folder: Path) -> dict[str, int]:
+    """The CRC-32 of each of the model's files."""
+    return {path.name: zlib.crc32(path.read_bytes()) for path in sorted(folder.glob("*.bin")) if path.is_file()}
+
+
+def _remembered(folder: Path) -> Any:
+    try:
+        return json.loads((folder / CHECKSUMS).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
 
 
 def _plain(index: int, name: str) -> str:

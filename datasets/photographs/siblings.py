@@ -34,3 +34,9 @@ def with_masks(photographs: Sequence[Photograph], root: Path) -> list[Photograph
         paths = Siblings(folder).find_all(photograph.name for photograph in photographs)
         result = [replace(p, masks={region: path, **p.masks}) for p, path in zip(result, paths, strict=True)]
     return result
+
+
+def sibling_files(names: Sequence[str], root: Path) -> list[Path]:
+    """The files of masks and normals below `root` that belong to the photographs of these names."""
+    folders = [Siblings(folder) for folder in (*region_folders(root).values(), root / "normals")]
+    return [path for folder in folders for name in names if (path := folder.find(name)) is not None]

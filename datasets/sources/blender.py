@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import glob
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -56,13 +57,10 @@ def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     choice = parse_dataset_settings(BlenderSettings, settings)
     root = choice.root
     require_folder(root)
-    paths = [root / name for name in TRANSFORMS]
-    files = [read_frames(path) for path in paths]
+    files = [read_frames(root / name) for name in TRANSFORMS]
     found = [file.photographs() for file in files]
-    learned, tested = (photographs for photographs, _ in found)
-    scored = {photograph.name for photograph in validation_of(learned)}
-    learned = [_with_normal(p) if choice.train_normals or p.name in scored else p for p in learned]
-    photographs = with_masks([*learned, *map(_with_normal, tested)], root)
+    learned = found[0][0]
+    photographs = _with_siblings(choice, *(photographs for photographs, _ in found))
 
     def make() -> Scene:
         for file, (_, missing) in zip(files, found, strict=True):
@@ -76,13 +74,34 @@ def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         train = on_disk(with_estimated_normals(train, choice.normal_estimator))
         return Scene(choice.scene_name, train, test, *cloud, torch.tensor(choice.background), val)
 
-    return cached_capture(choice, VERSION, [*paths, root / POINTS, *files_of(photographs)], cache_dir, make)
+    return cached_capture(choice, VERSION, _files(choice, photographs), cache_dir, make)
+
+
+def files_read(settings: Mapping[str, Any]) -> list[Path]:
+    """What `load_blender` makes the scene from."""
+    choice = parse_dataset_settings(BlenderSettings, settings)
+    return _files(
+        choice, _with_siblings(choice, *(read_frames(choice.root / name).photographs()[0] for name in TRANSFORMS))
+    )
 
 
 def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photograph]:
     """What `load_blender` makes its views from."""
     root = parse_dataset_settings(BlenderSettings, settings).root
     return [photograph for name in TRANSFORMS for photograph in read_frames(root / name).photographs()[0]]
+
+
+def _with_siblings(
+    choice: BlenderSettings, learned: Sequence[Photograph], tested: Sequence[Photograph]
+) -> list[Photograph]:
+    """All photographs with their masks, and with normals where they are scored or learned from."""
+    scored = {photograph.name for photograph in validation_of(learned)}
+    learned = [_with_normal(p) if choice.train_normals or p.name in scored else p for p in learned]
+    return with_masks([*learned, *map(_with_normal, tested)], choice.root)
+
+
+def _files(choice: BlenderSettings, photographs: Sequence[Photograph]) -> list[Path]:
+    return [*(choice.root / name for name in (*TRANSFORMS, POINTS)), *files_of(photographs)]
 
 
 def _random_points(choice: BlenderSettings) -> PointCloud:
@@ -93,6 +112,8 @@ def _with_normal(photograph: Photograph) -> Photograph:
     """The photograph with the normals that lie beside its picture, where they do."""
     stem = photograph.path.with_suffix("").name
     candidates = [photograph.path.with_name(f"{stem}_normal{extension}") for extension in (".npy", ".png")]
-    candidates += sorted(photograph.path.parent.glob(f"{stem}_normal_*.png"))  # with Blender's number of the frame
+    candidates += sorted(
+        photograph.path.parent.glob(f"{glob.escape(stem)}_normal_*.png")
+    )  # with Blender's number of the frame
     path = next((candidate for candidate in candidates if candidate.is_file()), None)
     return replace(photograph, normal=NormalMap(path, rendered=True) if path else None)

@@ -10,15 +10,15 @@ from envgs_bench.core import Scene
 
 from ..errors import DatasetError, listed
 from ..formats.colmap_model import Model
+from ..formats.names import path_below
 from ..formats.normal_maps import Frame
 from ..formats.photograph import Photograph
 from ..formats.pictures import PICTURE_EXTENSIONS
-from ..formats.siblings import Siblings, region_folders
+from ..formats.siblings import Siblings
 from ..notes import note
 from ..photographs.exposure import with_equal_exposure
-from ..photographs.siblings import with_siblings
+from ..photographs.siblings import sibling_files, with_siblings
 from ..settings import parse_dataset_settings
-from ..store.contents import files_in
 from .capture import Missing, PhotographSettings, cached_capture, make_scene, refuse_missing, require_folder
 
 VERSION = 4  # raise it with every change that alters a scene
@@ -56,7 +56,6 @@ def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     if not images.is_dir():
         raise DatasetError(f"{root}: has no folder {choice.images}/; name the images' folder with dataset.images=…")
     model = _model(choice)
-    files = files_in([model.folder, images, *region_folders(root).values(), root / "normals"])
 
     def make() -> Scene:
         found, missing = model.photographs(images)
@@ -66,13 +65,28 @@ def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
             found = with_equal_exposure(found, model.observations(), choice.background)
         return make_scene(choice, with_siblings(found, root, choice.normals_frame), model.points(), images)
 
-    return cached_capture(choice, VERSION, files, cache_dir, make)
+    return cached_capture(choice, VERSION, _files(choice, model), cache_dir, make)
+
+
+def files_read(settings: Mapping[str, Any]) -> list[Path]:
+    """What `load_colmap` makes the scene from: the model, the images that it names, their masks and normals."""
+    choice = parse_dataset_settings(ColmapSettings, settings)
+    return _files(choice, _model(choice))
 
 
 def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photograph]:
     """What `load_colmap` makes its views from, as they were taken."""
     choice = parse_dataset_settings(ColmapSettings, settings)
     return _model(choice).photographs(choice.root / choice.images)[0]
+
+
+def _files(choice: ColmapSettings, model: Model) -> list[Path]:
+    names, images = model.listed_images(), choice.root / choice.images
+    by_stem = Siblings(images)
+    found = [
+        path if (path := path_below(images, name, model.folder)).is_file() else by_stem.find(name) for name in names
+    ]
+    return [*model.files, *filter(None, found), *sibling_files(names, choice.root)]
 
 
 def _model(choice: ColmapSettings) -> Model:

@@ -15,14 +15,13 @@ from ..formats.colmap_model import Model
 from ..formats.normal_maps import Frame
 from ..formats.photograph import Photograph
 from ..formats.pictures import PICTURE_EXTENSIONS, read_picture
-from ..formats.siblings import region_folders
 from ..notes import note
 from ..photographs.exposure import with_equal_exposure
 from ..photographs.reconstruction import MIN_IMAGES, Matching, Reconstructor
-from ..photographs.siblings import with_siblings
+from ..photographs.siblings import sibling_files, with_siblings
 from ..progress import mapped
 from ..settings import parse_dataset_settings
-from ..store.contents import digest_of, files_in
+from ..store.contents import digest_of
 from .capture import PhotographSettings, cached_capture, make_scene, require_folder
 
 VERSION = 3  # raise it with every change that alters a scene
@@ -63,8 +62,14 @@ def load_photos(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         photographs = with_siblings(found, choice.root, choice.normals_frame)
         return make_scene(choice, photographs, model.points(), images)
 
-    siblings = files_in([*region_folders(choice.root).values(), choice.root / "normals"])
-    return cached_capture(choice, VERSION, [*(images / name for name in names), *siblings], cache_dir, make)
+    return cached_capture(choice, VERSION, files_read(settings), cache_dir, make)
+
+
+def files_read(settings: Mapping[str, Any]) -> list[Path]:
+    """What `load_photos` makes the scene from: the images, their masks and normals."""
+    choice = parse_dataset_settings(PhotosSettings, settings)
+    images, names = _images(choice)
+    return [*(images / name for name in names), *sibling_files(names, choice.root)]
 
 
 def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photograph]:

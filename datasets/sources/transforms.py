@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -23,6 +23,7 @@ from .capture import Missing, PhotographSettings, cached_capture, files_of, make
 
 VERSION = 3  # raise it with every change that alters a scene
 NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # instant-ngp's defaults; aabb_scale enlarges its box [0, 1]³ around the middle
+NGP_RANGE = 1e-6, 1e6  # of its scales
 
 
 class TransformsSettings(PhotographSettings):
@@ -57,21 +58,36 @@ def load_transforms(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     file = read_frames(path_below(root, choice.file, root))
     found, missing = _photographs(file, choice)
     photographs = with_siblings(found, root, choice.normals_frame)
-    ply = path_below(root, str(file.shared["ply_file_path"]), file.path) if file.shared.get("ply_file_path") else None
+    ply = _cloud_file(file)
 
     def make() -> Scene:
         refuse_missing(choice.missing, len(file.frames), missing, file.path)
         cloud = read_point_cloud(ply) if ply else _random_points(choice, file)
         return make_scene(choice, photographs, cloud, file.path)
 
-    files = [file.path, *([ply] if ply else []), *files_of(photographs)]
-    return cached_capture(choice, VERSION, files, cache_dir, make)
+    return cached_capture(choice, VERSION, _files(file, photographs), cache_dir, make)
+
+
+def files_read(settings: Mapping[str, Any]) -> list[Path]:
+    """What `load_transforms` makes the scene from."""
+    choice = parse_dataset_settings(TransformsSettings, settings)
+    file = read_frames(path_below(choice.root, choice.file, choice.root))
+    return _files(file, with_siblings(_photographs(file, choice)[0], choice.root, choice.normals_frame))
 
 
 def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photograph]:
     """What `load_transforms` makes its views from."""
     choice = parse_dataset_settings(TransformsSettings, settings)
     return _photographs(read_frames(path_below(choice.root, choice.file, choice.root)), choice)[0]
+
+
+def _files(file: FrameFile, photographs: Sequence[Photograph]) -> list[Path]:
+    return [file.path, *filter(None, [_cloud_file(file)]), *files_of(photographs)]
+
+
+def _cloud_file(file: FrameFile) -> Path | None:
+    named = file.shared.get("ply_file_path")
+    return path_below(file.root, str(named), file.path) if named else None
 
 
 def _photographs(file: FrameFile, choice: TransformsSettings) -> tuple[list[Photograph], list[str]]:
@@ -84,13 +100,15 @@ def _photographs(file: FrameFile, choice: TransformsSettings) -> tuple[list[Phot
 def _random_points(choice: TransformsSettings, file: FrameFile) -> PointCloud:
     if choice.random_box is not None:
         return random_points(choice.random_points, (0.0, 0.0, 0.0), choice.random_box)
-    aabb = file.number("aabb_scale", {})
+    aabb = file.within("aabb_scale", {}, *NGP_RANGE)
     if aabb is None:
         raise DatasetError(
             f"{file.path}: names no points to start from (ply_file_path) and no box (aabb_scale); give the half edge "
             "of a box for random ones, in the file's units: dataset.random_box=…"
         )
-    scale = file.number("scale", {}) or NGP_SCALE
+    scale = file.within("scale", {}, *NGP_RANGE) or NGP_SCALE
     offset = file.shared.get("offset") or [NGP_OFFSET] * 3
-    x, y, z = ((0.5 - float(shift)) / scale for shift in offset)
+    if not isinstance(offset, list) or len(offset) != 3:
+        raise DatasetError(f"{file.path}: offset={str(offset)[:60]!r}, expected three numbers")
+    x, y, z = ((0.5 - (file.number("offset", {"offset": shift}) or 0)) / scale for shift in offset)
     return random_points(choice.random_points, (x, y, z), aabb / 2 / scale)

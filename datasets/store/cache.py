@@ -19,7 +19,8 @@ from .scene_file import LAYOUT, GrowingFile, read_scene
 def cached_scene(cache_dir: Path, name: str, key: Mapping[str, Any], make: Callable[[], Scene]) -> Scene:
     """The scene stored under `key`, or else `make()`'s, which is then stored.
 
-    Several processes may do this at once. A file that cannot be read is made again. Where nothing can be written the
+    Several processes may do this at once. A file that cannot be read, or is not as it was
+    written, is made again. Where nothing can be written the
     scene is returned nevertheless, with a warning. What `make` notes is said again whenever the scene is read. It may
     put views into the file while others are still to be made: see `on_disk`.
 
@@ -44,7 +45,7 @@ def cached_scene(cache_dir: Path, name: str, key: Mapping[str, Any], make: Calla
         scene = make()
         try:
             file.finish(scene, notes)
-            return read_scene(path)[0]
+            return read_scene(path, check=False)[0]
         except OSError as error:
             warnings.warn(f"the scene could not be cached in {path.parent}: {error}", stacklevel=2)
             return scene

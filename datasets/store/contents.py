@@ -51,11 +51,13 @@ def _hash(path: Path) -> str:
 
 
 def _remembered(memory: Path) -> dict[str, list[Any]]:
+    """Path -> stamp and digest; without what else a damaged file may hold."""
     try:
         content = json.loads(memory.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
-    return content if isinstance(content, dict) else {}
+    pairs = content.items() if isinstance(content, dict) else ()
+    return {name: pair for name, pair in pairs if isinstance(pair, list) and len(pair) == 2}
 
 
 def _remember(memory: Path, known: dict[str, list[Any]]) -> None:

@@ -5,35 +5,35 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import json
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from envgs_bench.datasets.registry import files_read
 from envgs_bench.datasets.store.contents import digest_of, files_in
 from envgs_bench.methods.registry import installed_methods
 from envgs_bench.metrics import WeightsUnavailable, find_weights
 from envgs_bench.records import RENDERS
 from envgs_bench.settings import PATH_KEYS, RunSettings
+from envgs_bench.stages.renders import rendered_files
 
 # The rooms whose code can change a result: all that `stages.execution.execute` does lies in them.
 RESULT_CODE = ("core", "datasets", "methods", "metrics", "stages")
 SOURCES = {".py", ".h", ".cpp", ".cu", ".cuh"}
-COMPRESSED = (".png", ".jpg", ".jpeg", ".webp")  # files that other pixels make another size
 
 
 def run_id(settings: RunSettings, device: str) -> str:
     """`seed<seed>-<hash8>`: equal where method, data, steps, seed, protocol, views, timing, device and code are equal.
 
-    Where data lie does not count, what lies there does (names and contents of the files, of photographs and masks names
-    and sizes, which tell as much where pixels are compressed; of renders the content): a corrected data set is a new
-    run, a moved one is not. VGG-16's weights count, which both a loss and a metric need: a run without them is run
-    again once they are there. What changes no result does not count: folders, force, retry_failed, timeout_minutes.
+    Where data lie does not count, what is read there does, names and contents of the files: a corrected data set is a
+    new run, a moved one or one with a README beside its photographs is not. VGG-16's weights count, which both a loss
+    and a metric need: a run without them is run again once they are there. What changes no result does not count:
+    folders, force, retry_failed, timeout_minutes.
     """
-    cache_dir = settings.cache_dir
-    dataset = {key: value for key, value in settings.dataset.items() if key != "obtain"}
     determining = {
-        "method": [settings.method.name, settings.method.kind, _with_fingerprints(settings.method.settings, cache_dir)],
-        "dataset": _with_fingerprints(dataset, cache_dir),
+        "method": [settings.method.name, settings.method.kind, _method(settings)],
+        "dataset": _dataset(settings),
         "steps": settings.steps,
         "seed": settings.seed,
         "protocol": settings.protocol,
@@ -42,7 +42,6 @@ def run_id(settings: RunSettings, device: str) -> str:
         "device": device,
         "vgg16": _has_vgg16(),
         "code": code_version(),
-        "renders": _content(settings.method.settings.get("path")) if settings.method.kind == RENDERS else None,
         "extensions": [_extension_hash(path) for path in _extensions(settings)],
     }
     digest = hashlib.sha256(json.dumps(determining, sort_keys=True, default=str).encode()).hexdigest()
@@ -113,28 +112,32 @@ def _with_fingerprints(node: dict[str, Any], cache_dir: Path) -> dict[str, Any]:
     }
 
 
-def _fingerprint(root: Path, cache_dir: Path) -> list[Any] | str:
-    """What lies at `root`, or the path itself where there is nothing.
+def _fingerprint(root: Path, cache_dir: Path, files: Sequence[Path] | None = None) -> str:
+    """A hash of these files' names and contents, or else of all that lies at `root`; the path where nothing does.
 
-    Names and sizes of compressed pictures, and a hash of all else, as of cameras and arrays of normals, whose size says
-    nothing. Hashes are remembered in the cache.
+    Contents are read once: see `digest_of`.
     """
     if root.is_file():
-        return [(root.name, root.stat().st_size)]
+        return digest_of([root], root.parent, cache_dir)
     if not root.is_dir():
         return str(root)
-    files = sorted(files_in([root]))
-    pictures = [path for path in files if path.suffix.lower() in COMPRESSED]
-    sizes = [(str(path.relative_to(root)), path.stat().st_size) for path in pictures]
-    return [*sizes, digest_of(set(files) - set(pictures), root, cache_dir)]
+    found = files_in([root]) if files is None else [path for path in files if path.is_file()]
+    return digest_of(found, root, cache_dir)
 
 
-def _content(root: str | None) -> str | None:
-    """A hash of all files below `root`: pictures drawn again have the names, and may have the sizes, that they had."""
-    if root is None or not Path(root).is_dir():
-        return root
-    digest = hashlib.sha256()
-    for path in sorted(path for path in Path(root).rglob("*") if path.is_file()):
-        digest.update(f"{path.relative_to(root)}\0".encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+def _dataset(settings: RunSettings) -> dict[str, Any]:
+    """The data set's settings, with the contents of the files that are read in place of where they lie."""
+    node = {key: value for key, value in settings.dataset.items() if key != "obtain"}
+    given = _with_fingerprints({key: value for key, value in node.items() if key != "root"}, settings.cache_dir)
+    if node.get("root"):
+        given["root"] = _fingerprint(Path(node["root"]), settings.cache_dir, files_read(node))
+    return given
+
+
+def _method(settings: RunSettings) -> dict[str, Any]:
+    """The method's settings; of a folder of renders, the pictures that are scored count."""
+    given = settings.method.settings
+    if settings.method.kind != RENDERS or not given.get("path"):
+        return _with_fingerprints(given, settings.cache_dir)
+    root = Path(given["path"])
+    return {**given, "path": _fingerprint(root, settings.cache_dir, rendered_files(root))}

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image
 from torch import Tensor
 
 from envgs_bench.core import View
 from envgs_bench.datasets import DatasetError
-from envgs_bench.datasets.formats.pictures import read_picture
+from envgs_bench.datasets.formats.arrays import open_array
+from envgs_bench.datasets.formats.pictures import read_header, read_picture
 from envgs_bench.methods.settings import make_settings
 from envgs_bench.metrics import Protocol
 from envgs_bench.records import MaskedScores, Metrics
@@ -83,7 +83,7 @@ def match_renders(folder: Path, match: str, views: Sequence[View]) -> dict[str, 
         raise RendersError(f"match={match}: expected name or order")
     if not folder.is_dir():
         raise RendersError(f"{folder}: there is no such folder; give that of the renders as path=…")
-    files = sorted((path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES), key=_natural)
+    files = sorted(rendered_files(folder), key=_natural)
     names = [view.name for view in views]
     problems: dict[str, list[str]] = {}
     if match == "order":
@@ -115,6 +115,11 @@ def match_renders(folder: Path, match: str, views: Sequence[View]) -> dict[str, 
     return found
 
 
+def rendered_files(folder: Path) -> list[Path]:
+    """The files below the folder that are taken for renders; whatever else lies there is left alone."""
+    return [path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES]
+
+
 def read_render(path: Path, background: Tensor) -> Tensor:
     """The picture as floats [H, W, 3], sRGB: bytes / 255, laid on `background` where transparent; an array as it is.
 
@@ -123,15 +128,13 @@ def read_render(path: Path, background: Tensor) -> Tensor:
     """
     try:
         if path.suffix.lower() == ".npy":
-            values: NDArray[Any] = np.load(path, allow_pickle=False)
+            values: NDArray[Any] = open_array(path)
             scale = 255 if values.dtype == np.uint8 else 1
         else:
             red, green, blue = background.tolist()
             values, scale = read_picture(path, (red, green, blue))[0], 255
     except DatasetError as error:
         raise RendersError(str(error)) from error
-    except (OSError, ValueError) as error:
-        raise RendersError(f"{path}: cannot be read ({error}); write it again") from error
     image = torch.from_numpy(np.array(values, np.float32)) / scale
     if not torch.isfinite(image).all():
         raise RendersError(f"{path}: {float((~torch.isfinite(image)).float().mean()):.1%} of its values are not finite")
@@ -147,18 +150,18 @@ def _misfit(path: Path, view: View) -> str | None:
     expected = (view.camera.height, view.camera.width, 3)
     try:
         if path.suffix.lower() == ".npy":
-            array = np.load(path, mmap_mode="r", allow_pickle=False)
+            array = open_array(path)
             if array.dtype != np.uint8 and not np.issubdtype(array.dtype, np.floating):
                 return f"holds {array.dtype}, expected floats in [0, 1] or bytes"
             shape: tuple[int, ...] = array.shape
             if len(shape) != 3 or shape[2] != 3:
                 return f"has shape {shape}, expected {expected}"
         else:
-            with Image.open(path) as image:
-                if image.mode not in MODES:
-                    return f"has pixels of mode {image.mode}, expected 8 bits a channel"
-                shape = (image.height, image.width, 3)
-    except (OSError, SyntaxError, ValueError, EOFError) as error:
+            header = read_header(path)
+            if header.mode not in MODES:
+                return f"has pixels of mode {header.mode}, expected 8 bits a channel"
+            shape = (header.height, header.width, 3)
+    except DatasetError as error:
         return f"cannot be read ({error})"
     return None if shape == expected else f"is {shape[1]}×{shape[0]} pixels, its view {expected[1]}×{expected[0]}"
 

@@ -28,7 +28,17 @@ from envgs_bench.records import (
     read_record,
     write_record,
 )
-from envgs_bench.run_folder import CURVE_NAME, PICTURES, mask_path, read_png, render_path, target_path
+from envgs_bench.run_folder import (
+    CURVE_NAME,
+    PICTURES,
+    RECORD_NAME,
+    PictureError,
+    is_file_name,
+    mask_path,
+    read_png,
+    render_path,
+    target_path,
+)
 from envgs_bench.runs.draft import now
 from envgs_bench.settings import read_settings
 from envgs_bench.stages.evaluation import evaluate, scored_views
@@ -46,7 +56,7 @@ def rescore(run: Path, protocol: Protocol, out: Path) -> Record:
 
     Raises:
         RecordError: the run's record cannot be read.
-        PictureError: a picture is missing or unreadable.
+        PictureError: a picture is missing or unreadable, or the record names a view or a region that names no file.
     """
     record, protocol = read_record(run), protocol.of_pictures()
     scores = None if record.metrics is None else score_pairs(_pairs(run, record), protocol)
@@ -112,6 +122,9 @@ def _silent(event: dict) -> None:
 def _pairs(run: Path, record: Record) -> Iterator[Pair]:
     assert record.metrics is not None
     regions = {region: {row.view: row for row in scores.per_view} for region, scores in record.masked.items()}
+    for name in (*regions, *(row.view for row in record.metrics.per_view)):
+        if not is_file_name(name):
+            raise PictureError(f"{run / RECORD_NAME}: names a view or region {name[:60]!r}, which no picture is called")
     for row in record.metrics.per_view:
         shown = {region: rows[row.view] for region, rows in regions.items() if row.view in rows}
         yield Pair(

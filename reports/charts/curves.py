@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 
 from envgs_bench.parts import BASE, ENV
+from envgs_bench.records import LARGEST
+from envgs_bench.regular_file import read_regular_text
 from envgs_bench.run_folder import CURVE_NAME
 
 from ..numbers.runs import Run
 from ..tables.sections import Section
 
+MOST_BYTES = 100_000_000  # of a curve.csv; a row a step of a million steps takes half
 MAX_POINTS = 80  # points drawn of a curve, evenly chosen
 QUANTITIES = {
     "psnr": "training PSNR, dB",
@@ -47,7 +50,7 @@ def read_curve(run: Run) -> Curve | None:
     Steps increase; a run that was cut off within a line is read up to that line.
     """
     try:
-        head, *lines = (run.folder / CURVE_NAME).read_text(encoding="utf-8").splitlines()
+        head, *lines = read_regular_text(run.folder / CURVE_NAME, MOST_BYTES).splitlines()
         names = head.split(",")
         rows = [line for line in lines if line.count(",") == len(names) - 1]
         values = np.loadtxt(rows, delimiter=",", ndmin=2) if rows else np.empty((0, len(names)))
@@ -55,7 +58,7 @@ def read_curve(run: Run) -> Curve | None:
         steps, first = np.unique(curve["step"], return_index=True)
     except (OSError, ValueError, KeyError):
         return None
-    first = first[np.isfinite(steps)]
+    first = first[np.abs(steps) <= LARGEST]
     if not len(first):
         return None
     curve = {name: column[first] for name, column in curve.items()}
@@ -81,7 +84,7 @@ def _band(curves: list[Curve], steps: np.ndarray, name: str) -> dict[str, list[f
             places = np.searchsorted(curve["step"], steps).clip(max=len(curve["step"]) - 1)
             there = curve["step"][places] == steps
             row[there] = curve[name][places[there]]
-    finite = np.isfinite(values)
+    finite = np.abs(values) <= LARGEST
     count = finite.sum(axis=0)
     mean = np.where(finite, values, 0).sum(axis=0) / np.maximum(count, 1)
     low, high = np.where(finite, values, np.inf).min(axis=0), np.where(finite, values, -np.inf).max(axis=0)

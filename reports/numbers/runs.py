@@ -69,7 +69,7 @@ def read_runs(folder: Path) -> tuple[list[Run], list[BrokenRecord]]:
 
 def read_run(folder: Path) -> Run:
     """The run in `folder`. Raises RecordError saying what is wrong with its record."""
-    if not (folder / RECORD_NAME).is_file():
+    if not (folder / RECORD_NAME).exists():
         raise RecordError(f"{folder}: no {RECORD_NAME}: the run goes on, or its process was killed; see its {LOG_NAME}")
     record = read_record(folder)
     if record.timing is not None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from envgs_bench.parts import LAYERS
-from envgs_bench.run_folder import has_renders, layers_of, mask_path, render_path, target_path
+from envgs_bench.run_folder import has_renders, is_file_name, is_png, layers_of, mask_path, render_path, target_path
 
 from ..numbers.runs import Run
 from ..tables.sections import Section
@@ -107,7 +107,7 @@ def _gallery(section: Section, dataset: str, most: int) -> Gallery:
 
 def _views(difficulty: dict[str, list[float]], most: int) -> Iterable[tuple[str, tuple[str, ...]]]:
     """The views to show, worst first by the mean PSNR over all finished runs, and the roles that they play."""
-    ordered = sorted((float(np.mean(psnr)), view) for view, psnr in difficulty.items() if _safe(view))
+    ordered = sorted((float(np.mean(psnr)), view) for view, psnr in difficulty.items() if is_file_name(view))
     views = [view for _, view in ordered]
     if not views:
         return []
@@ -119,9 +119,9 @@ def _views(difficulty: dict[str, list[float]], most: int) -> Iterable[tuple[str,
 
 
 def _shot(view: str, roles: tuple[str, ...], chosen: dict[str, Run]) -> Shot | None:
-    renders = {m: path for m, run in chosen.items() if (path := render_path(run.folder, view)).is_file()}
-    targets = [path for m in renders if (path := target_path(chosen[m].folder, view)).is_file()]
-    masks = [path for m in renders if (path := mask_path(chosen[m].folder, view, REGION)).is_file()]
+    renders = {m: path for m, run in chosen.items() if is_png(path := render_path(run.folder, view))}
+    targets = [path for m in renders if is_png(path := target_path(chosen[m].folder, view))]
+    masks = [path for m in renders if is_png(path := mask_path(chosen[m].folder, view, REGION))]
     if not targets:
         return None
     return Shot(
@@ -137,9 +137,4 @@ def _shot(view: str, roles: tuple[str, ...], chosen: dict[str, Run]) -> Shot | N
 
 def _layers(run: Path, view: str) -> dict[str, Path]:
     found = layers_of(run, view)
-    return {name: found[name] for name in ordered_layers(found)}
-
-
-def _safe(view: str) -> bool:
-    """A view's name is a file's stem; one that could lead out of the run's folder is not shown."""
-    return Path(view).name == view
+    return {name: found[name] for name in ordered_layers(found) if is_png(found[name])}

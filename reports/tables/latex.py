@@ -7,6 +7,7 @@ from itertools import groupby
 
 from .entries import DAGGER, Entry, Heading, entries, headings
 from .notes import dropped_losses
+from .plain import plain_line
 from .sections import Section
 from .table import Table
 
@@ -41,7 +42,7 @@ def latex(sections: Sequence[Section]) -> str:
     parts = [PREAMBLE]
     for section in sections:
         for table in section.tables:
-            parts += [f"% {_comment(table.title)}. {_comment(section.title)}", _tabular(table), ""]
+            parts += [f"% {plain_line(table.title)}. {plain_line(section.title)}", _tabular(table), ""]
     return "\n".join(parts)
 
 
@@ -76,7 +77,3 @@ def _marked(entry: Entry) -> str:
 def _escaped(text: str) -> str:
     """Any text as LaTeX that pdflatex sets; what it has no glyph for becomes a question mark."""
     return "".join(SPECIAL.get(c, c if c.isascii() and c.isprintable() else "?") for c in " ".join(text.split()))
-
-
-def _comment(text: str) -> str:
-    return " ".join(text.split())

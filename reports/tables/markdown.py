@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from ..numbers.runs import BrokenRecord
 from .entries import LEGEND, Entry, entries, headings
 from .notes import caption, notes
+from .plain import plain_line
 from .sections import Section
 from .table import Table
 
@@ -54,8 +55,8 @@ def _emphasized(entry: Entry) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Text of a record, harmless in a table's cell: no markup, no line breaks."""
-    plain = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    """Text of a record, harmless in a table's cell: no markup, no line breaks, nothing that a terminal obeys."""
+    plain = plain_line(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     for markup, harmless in (("\\", "\\\\"), ("|", r"\|"), ("`", r"\`"), ("*", r"\*"), ("](", r"]\(")):
         plain = plain.replace(markup, harmless)
     return plain

@@ -23,6 +23,7 @@ from .layouts import Contents, layouts
 from .table import DroppedLoss, Row, Table
 
 ALL = "all data sets"
+LONGEST_SLUG = 120  # characters
 
 
 @dataclass(frozen=True)
@@ -47,9 +48,9 @@ class Section:
 
     @property
     def slug(self) -> str:
-        """A name for files, of letters, digits and dashes."""
+        """A short name for files, of letters, digits and dashes."""
         words = f"{self.protocol.name} {self.protocol.hash[:8]}{self._views} {self.device}"
-        return re.sub(r"[^a-z0-9]+", "-", words.lower()).strip("-")
+        return re.sub(r"[^a-z0-9]+", "-", words.lower())[:LONGEST_SLUG].strip("-")
 
     @property
     def short(self) -> str:

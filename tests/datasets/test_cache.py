@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import time
+import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from captures import NAMES_OF_TEN, gradient, write_capture
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from PIL import Image
 
 from envgs_bench.core import Scene
@@ -22,7 +28,7 @@ from envgs_bench.datasets.sources import colmap
 from envgs_bench.datasets.store import contents
 from envgs_bench.datasets.store.cache import cached_scene
 from envgs_bench.datasets.store.contents import digest_of
-from envgs_bench.datasets.store.scene_file import GrowingFile, on_disk
+from envgs_bench.datasets.store.scene_file import GrowingFile, on_disk, read_scene
 from envgs_bench.testing import tiny_scene
 
 
@@ -91,7 +97,8 @@ def test_a_damaged_file_of_digests_is_made_again(root: Path) -> None:
     files = sorted((root / "images").iterdir())
     first = digest_of(files, root, cache)
     (memory,) = (cache / "digests").iterdir()
-    for damaged in ("{", "[]"):
+    names = [path.relative_to(root).as_posix() for path in files]
+    for damaged in ("{", "[]", "[" * 50_000, *(json.dumps(dict.fromkeys(names, odd)) for odd in (1, [], [[1]], None))):
         memory.write_text(damaged)
         assert digest_of(files, root, cache) == first
 
@@ -172,3 +179,71 @@ def test_every_kind_of_tensor_survives(tmp_path: Path) -> None:
         assert read.train[0].normal is None
         assert torch.equal(read.train[0].masks["none"], bare.train[0].masks["none"])
         assert read.points.shape == (0, 3)
+
+
+def zero_half(content: bytearray) -> None:
+    content[len(content) // 4 : len(content) * 3 // 4] = bytes(len(content) * 3 // 4 - len(content) // 4)
+
+
+def flip_first(content: bytearray) -> None:
+    content[0] ^= 1
+
+
+def flip_last_pixel(content: bytearray) -> None:
+    """The JSON behind the tensors begins with this."""
+    content[content.index(b'{"scene"') - 1] ^= 128
+
+
+def flip_index(content: bytearray) -> None:
+    """A digit of a camera: the JSON still is one."""
+    content[content.index(b'"camera": [[[1') + 13] ^= 2
+
+
+def flip_footer(content: bytearray) -> None:
+    content[-20] ^= 1
+
+
+def lose_a_page(content: bytearray) -> None:
+    del content[4096:8192]
+
+
+@pytest.mark.parametrize(
+    "damage", [zero_half, flip_first, flip_last_pixel, flip_index, flip_footer, lose_a_page], ids=lambda f: f.__name__
+)
+def test_a_scene_that_the_disk_changed_is_noticed_and_made_again(root: Path, damage: Callable) -> None:
+    before = load(root)
+    (path,) = scenes(root)
+    content = bytearray(path.read_bytes())
+    damage(content)
+    path.unlink()  # which `before` is mapped from
+    path.write_bytes(content)
+    with pytest.warns(UserWarning, match=r"bench-.*\.scene cannot be read .*; it is made again"):
+        again = load(root)
+    for ours, theirs in zip([*before.train, *before.test], [*again.train, *again.test], strict=True):
+        assert torch.equal(ours.image, theirs.image)
+        assert torch.equal(ours.camera.intrinsics, theirs.camera.intrinsics)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load(root)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(data=st.data())
+def test_any_bit_of_a_scene_that_counts_is_checked(data: st.DataObject) -> None:
+    """Between the tensors lie bytes that nothing reads; a flip anywhere else is noticed."""
+    with TemporaryDirectory() as name:
+        scene = tiny_scene()
+        cached_scene(Path(name), "a", {}, lambda: scene)
+        (path,) = (Path(name) / "scenes").iterdir()
+        content = bytearray(path.read_bytes())
+        bit = data.draw(st.integers(0, 8 * len(content) - 1))
+        content[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(content)
+        try:
+            read, _ = read_scene(path)
+        except (OSError, KeyError, ValueError, TypeError):
+            return
+        for ours, theirs in zip([*scene.train, *scene.test], [*read.train, *read.test], strict=True):
+            assert torch.equal(ours.image, theirs.image)
+            assert torch.equal(ours.camera.world_to_camera, theirs.camera.world_to_camera)
+        assert torch.equal(scene.points, read.points)

@@ -15,6 +15,7 @@ from PIL import Image
 
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.datasets import load_scene
+from envgs_bench.datasets.formats.colmap_model import Model
 from envgs_bench.datasets.sources import colmap
 
 NAMES = [f"{index:03d}.png" for index in range(10)]
@@ -293,3 +294,14 @@ def test_far_points_surround_the_cameras(root: Path) -> None:
     assert nearest.min() > 0.7 * nearest.mean()
     assert (scene.point_colors[30:] == 0.5).all()
     assert scene.radius == load(root).radius
+
+
+@needs_captures
+def test_the_images_of_real_captures_are_listed_without_reading_their_points() -> None:
+    """Models of several programs, in both forms."""
+    files = sorted(Path(os.environ["ENVGS_BENCH_DATA"]).rglob("images.bin"))
+    files += sorted(Path(os.environ["ENVGS_BENCH_DATA"]).rglob("images.txt"))
+    for path in files:
+        model = Model(path.parent)
+        assert sorted(model.listed_images()) == sorted(image.name for image in model.content.images.values())
+    assert len(files) >= 5

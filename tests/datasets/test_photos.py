@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +112,21 @@ def test_the_model_is_made_once(corner: Path, monkeypatch: pytest.MonkeyPatch) -
     second = load(corner, downsample=2)
     assert torch.equal(first.points, second.points)
     assert second.train[0].image.shape == (HEIGHT // 2, WIDTH // 2, 3)
+
+
+def test_a_model_that_the_disk_changed_is_made_again(corner: Path) -> None:
+    load(corner)
+    (model,) = (corner.parent / "cache/models").iterdir()
+    content = bytearray((model / "points3D.bin").read_bytes())
+    content[30] ^= 64  # of the first point's place
+    (model / "points3D.bin").write_bytes(content)
+    with pytest.warns(UserWarning, match="is damaged: it is not what was written; it is made again"):
+        again = load(corner, name="another scene, of the same model")
+    assert len(again.points) > 200
+    assert (model / "points3D.bin").read_bytes() != bytes(content)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load(corner, name="a third scene of it")
 
 
 def test_too_few_images_that_can_be_placed(tmp_path: Path) -> None:

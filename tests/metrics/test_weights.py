@@ -167,6 +167,19 @@ def test_nothing_is_downloaded_unasked_and_the_message_says_what_to_do(monkeypat
             load_vgg16()
 
 
+def test_hashes_are_compared_whole(tmp_path, monkeypatch):
+    """torch.hub compares the eight digits in a file's name; these agree in all digits but the last."""
+    path = tmp_path / "vgg16-397923af.pth"
+    path.write_bytes(b"other weights")
+    monkeypatch.setenv("ENVGS_BENCH_VGG16", str(path))
+    found = hashlib.sha256(path.read_bytes()).hexdigest()
+    monkeypatch.setattr(weights, "TORCHVISION_SHA256", found[:-1] + ("0" if found[-1] != "0" else "1"))
+    with pytest.raises(WeightsUnavailable, match=r"is not VGG-16"):
+        find_weights()
+    monkeypatch.setattr(weights, "TORCHVISION_SHA256", found)
+    assert find_weights().path == path
+
+
 def test_a_missing_or_foreign_file_is_refused(convolutions, monkeypatch, tmp_path):
     path = tmp_path / "vgg16.pth"
     monkeypatch.setenv("ENVGS_BENCH_VGG16", str(path))

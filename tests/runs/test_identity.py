@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pycolmap
 import pytest
+from captures import HEIGHT, WIDTH, gradient, write_capture
+from PIL import Image
 
 from envgs_bench.methods import registry
 from envgs_bench.records import Failure
@@ -181,3 +188,110 @@ def test_a_record_names_the_commit_that_its_run_began_with(tmp_path: Path, monke
     failure = Failure(type="Error", message="", log_tail="")
     record = draft.write("failed", failure)
     assert (record.provenance.commit, record.provenance.dirty) == ("a" * 40, False)
+
+
+def write_frames(root: Path, names: list[str]) -> None:
+    (root / "images").mkdir(parents=True)
+    for name in names:
+        Image.fromarray(gradient()).save(root / "images" / name)
+    frames = [{"file_path": f"images/{name}", "transform_matrix": np.eye(4).tolist()} for name in names]
+    content = {"fl_x": 60.0, "w": WIDTH, "h": HEIGHT, "aabb_scale": 1, "frames": frames}
+    (root / "transforms.json").write_text(json.dumps(content))
+
+
+def write_photos(root: Path, names: list[str]) -> None:
+    write_frames(root, names)
+    (root / "transforms.json").unlink()
+
+
+def write_blender(root: Path, names: list[str]) -> None:
+    write_frames(root, names)
+    content = json.loads((root / "transforms.json").read_text())
+    for split in ("train", "test"):
+        (root / f"transforms_{split}.json").write_text(json.dumps(content))
+    (root / "transforms.json").unlink()
+
+
+def write_binary(root: Path, names: list[str]) -> None:
+    model = pycolmap.Reconstruction(str(write_capture(root, names) / "sparse/0"))
+    model.write_binary(str(root / "sparse/0"))
+    for path in (root / "sparse/0").glob("*.txt"):
+        path.unlink()
+
+
+WRITERS = {
+    "colmap": write_capture,
+    "colmap, binary": write_binary,
+    "transforms": write_frames,
+    "blender": write_blender,
+    "photos": write_photos,
+}
+
+
+@pytest.mark.parametrize("source", WRITERS)
+def test_a_data_set_counts_by_the_files_that_are_read(tmp_path: Path, source: str) -> None:
+    root = tmp_path / "capture"
+    WRITERS[source](root, ["0.png", "1.png", "2.png", "3.png"])
+    masks = root / "masks/images" if source == "blender" else root / "masks"
+    masks.mkdir(parents=True)
+    for name in ("0.png", "1.png", "2.png", "3.png"):
+        Image.fromarray(gradient()).save(masks / name)
+    kind = source.partition(",")[0]
+
+    def identity_of(root: Path) -> str:
+        given = {"kind": kind, "root": str(root)}
+        return run_id(settings(dataset=given, cache_dir=str(tmp_path / "cache")), "cpu")
+
+    before = identity_of(root)
+    unrelated = [
+        "README.md",
+        "images/README.md",
+        "images/.DS_Store",
+        "masks/README.md",
+        "notes/plan.pdf",
+        "images_4/0.png",
+    ]
+    unrelated += ["sparse/0/project.ini", "sparse/1/images.txt"]
+    for name in unrelated:
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text("unrelated")
+    assert identity_of(root) == before
+    shutil.copytree(root, tmp_path / "moved")
+    assert identity_of(tmp_path / "moved") == before
+    read = [path for path in root.rglob("*") if path.is_file() and path.relative_to(root).as_posix() not in unrelated]
+    assert len(read) >= 8
+    for path in read:
+        content = path.read_bytes()
+        if path.suffix == ".png":
+            path.write_bytes(content[:-20] + bytes([content[-20] ^ 1]) + content[-19:])  # of the same size
+        elif path.suffix == ".bin":
+            path.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+        else:
+            path.write_bytes(content + b"\n")
+        assert identity_of(root) != before, path
+        path.write_bytes(content)
+        assert identity_of(root) == before, path
+
+
+def test_a_folder_of_renders_counts_by_its_pictures(tmp_path: Path) -> None:
+    def identity() -> str:
+        method = {"name": "mine", "kind": "renders", "settings": {"path": str(tmp_path / "renders")}}
+        return run_id(settings(method=method, cache_dir=str(tmp_path / "cache")), "cpu")
+
+    (tmp_path / "renders").mkdir()
+    (tmp_path / "renders/a.png").write_bytes(b"1234")
+    before = identity()
+    (tmp_path / "renders/README.md").write_text("how they were drawn")
+    os.mkfifo(tmp_path / "renders/b.png")
+    assert identity() == before
+    (tmp_path / "renders/a.png").write_bytes(b"4321")
+    assert identity() != before
+
+
+def test_a_damaged_capture_counts_by_all_that_lies_there(tmp_path: Path) -> None:
+    root = write_capture(tmp_path / "capture", ["0.png", "1.png"])
+    (root / "sparse/0/images.txt").write_text("no images\n")
+    given = settings(dataset={"kind": "colmap", "root": str(root)}, cache_dir=str(tmp_path / "cache"))
+    before = run_id(given, "cpu")
+    (root / "README.md").write_text("why")
+    assert run_id(given, "cpu") != before

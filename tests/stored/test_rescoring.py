@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import os
 import shutil
 from pathlib import Path
 
 import pytest
 import torch
+from damaged_files import EPS, write_promising_png
 from fakes.runs import only_folder, records, run, set_environment
 
 from envgs_bench.cli.main import main
@@ -141,3 +144,38 @@ def test_missing_pictures_and_wrong_arguments_are_named(
     shutil.rmtree(only_folder(tmp_path / "runs") / "targets")
     assert main(["rescore", str(tmp_path / "runs"), "--protocol", "strict"]) == 1
     assert "view0.png: cannot be read" in capsys.readouterr().err
+
+
+def test_a_run_that_cannot_be_scored_leaves_the_others_scored(
+    tmp_path: Path, finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Pictures that promise gigabytes or are none, a pipe, a view that leads out of the folder, a record of lists."""
+    names = ("whole", "bomb", "eps", "pipe", "outside", "region", "nested")
+    folders = {name: tmp_path / "runs" / name for name in names}
+    for folder in folders.values():
+        shutil.copytree(only_folder(finished), folder)
+    write_promising_png(folders["bomb"] / "renders/view0.png")
+    (folders["eps"] / "renders/view0.png").write_bytes(EPS)
+    (folders["pipe"] / "targets/view0.png").unlink()
+    os.mkfifo(folders["pipe"] / "targets/view0.png")
+    content = json.loads((folders["outside"] / "record.json").read_text())
+    content["metrics"]["per_view"][0]["view"] = "../../whole/renders/view0"
+    (folders["outside"] / "record.json").write_text(json.dumps(content))
+    content = json.loads((folders["region"] / "record.json").read_text())
+    content["masked"]["../x"] = content["masked"].pop("reflective")
+    (folders["region"] / "record.json").write_text(json.dumps(content))
+    (folders["nested"] / "record.json").write_text("[" * 50_000)
+    assert main(["rescore", str(tmp_path / "runs"), "--protocol", "strict", "--out", str(tmp_path / "again")]) == 1
+    said = capsys.readouterr()
+    assert said.out.startswith("1 records under protocol strict")
+    assert [record.protocol.name for record in records(tmp_path / "again")] == ["strict"]
+    reasons = {
+        "bomb": "renders/view0.png: cannot be read (Image size (3600000000 pixels) exceeds limit",
+        "eps": "renders/view0.png: cannot be read (cannot identify image file",
+        "pipe": "targets/view0.png: cannot be read (it is a named pipe, expected a file)",
+        "outside": "record.json: names a view or region '../../whole/renders/view0', which no picture is called",
+        "region": "record.json: names a view or region '../x', which no picture is called",
+        "nested": "record.json: not a record: maximum recursion depth",
+    }
+    for name, reason in reasons.items():
+        assert f"{folders[name]}/{reason}" in said.err
