@@ -22,18 +22,20 @@ COMPRESSED = (".png", ".jpg", ".jpeg", ".webp")  # files that other pixels make 
 
 
 def run_id(settings: RunSettings, device: str) -> str:
-    """`seed<seed>-<hash8>`: equal where method, data, steps, seed, protocol, views, timing, device and code are equal.
+    """`seed<seed>-<hash8>`: equal where all that determines the result is.
 
-    Where data lie does not count, what lies there does (names and contents of the files, of photographs and masks names
-    and sizes, which tell as much where pixels are compressed; of renders the content): a corrected data set is a new
-    run, a moved one is not. VGG-16's weights count, which both a loss and a metric need: a run without them is run
-    again once they are there. What changes no result does not count: folders, force, retry_failed, timeout_minutes.
+    That is method, data, perturbation, steps, seed, protocol, views, timing, device and code. Where data lie does not
+    count, what lies there does (names and contents of the files, of photographs and masks names and sizes, which tell
+    as much where pixels are compressed; of renders the content): a corrected data set is a new run, a moved one is not.
+    VGG-16's weights count, which both a loss and a metric need: a run without them is run again once they are there.
+    What changes no result does not count: folders, gates, force, retry_failed, timeout_minutes.
     """
     cache_dir = settings.cache_dir
     dataset = {key: value for key, value in settings.dataset.items() if key != "obtain"}
     determining = {
         "method": [settings.method.name, settings.method.kind, _with_fingerprints(settings.method.settings, cache_dir)],
         "dataset": _with_fingerprints(dataset, cache_dir),
+        "perturb": settings.perturb.model_dump() if settings.perturb else None,
         "steps": settings.steps,
         "seed": settings.seed,
         "protocol": settings.protocol,
