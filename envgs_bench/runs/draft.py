@@ -49,6 +49,7 @@ class Draft:
             protocol=ProtocolName(name=protocol.name, hash=protocol.hash, description=protocol.description),
             scored_on=settings.score_on,
             perturbation=perturbation_of(settings),
+            warnings=results.warnings,
             dropped_losses=results.dropped_losses,
             metrics=results.metrics,
             masked=results.masked,

@@ -33,7 +33,8 @@ def execute(settings: RunSettings, folder: Path, results: Results, report: Event
     """Train, draw, score and time as `settings` say; pictures, curve and checkpoint go into `folder`.
 
     Raises:
-        Diverged: the loss or a render is not finite.
+        Diverged: nothing more can be learned, or a render is not finite.
+        MemoryError: hardly any memory is left.
         ValueError, OSError: settings or data that cannot be used.
     """
     _seed(settings.seed)
@@ -52,6 +53,7 @@ def execute(settings: RunSettings, folder: Path, results: Results, report: Event
         training.run(folder / CURVE_NAME, report)
     finally:
         results.dropped_losses = dict(method.dropped_losses)
+        results.warnings = list(training.health.warnings)
         if training.step:  # however it ends, what was learned is kept
             results.cost = cost_of(method, training)
             method.save(folder / CHECKPOINT)
