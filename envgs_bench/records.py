@@ -48,6 +48,7 @@ class Perturbed(_Part):
 WarningKind = Literal[
     "non_finite",  # a loss or gradient: the step was skipped
     "loss_climbs",
+    "learns_nothing",  # the views in one color would be as good
     "alpha_vanishes",  # the pictures are mostly empty
     "beta_saturates",  # nearly all of the picture reflects
     "beta_vanishes",  # nothing reflects any more, after something did

@@ -23,7 +23,9 @@ from envgs_bench.records import TrainingWarning, WarningKind
 
 NON_FINITE_STEPS = 20  # in a row without a finite loss, or skipped, and the run has diverged
 LOOK_EVERY = 50  # steps between two looks at pictures and memory
-LASTING = 8  # looks in a row that make a collapse: longer than opacities take to come back after a reset
+LASTING = (
+    8  # looks in a row that make a collapse: longer than opacities take to come back after a reset; or half a short run
+)
 HOPELESS = 40  # looks in a row that end the run
 PSNR_STEPS = 50  # whose median says how well the method does
 PSNR_DROP = 6.0  # dB below the best median so far
@@ -47,9 +49,11 @@ class Health:
     def __init__(self, method: Method, steps: int) -> None:
         self.warnings: list[TrainingWarning] = []
         self._method, self._steps = method, steps
+        self._enough = max(3, min(LASTING, steps // (2 * LOOK_EVERY)))
         self._counts: dict[str, int] = {}
         self._non_finite = self._skipped = self._skipped_in_row = 0
         self._psnr: deque[float] = deque(maxlen=PSNR_STEPS)
+        self._one_color: deque[float] = deque(maxlen=LASTING)
         self._best_psnr = self._best_alpha = -math.inf
         self._lasting: dict[str, int] = {}
         self._memory = MEMORY_SHARE * machine_memory()
@@ -117,7 +121,7 @@ class Health:
             Diverged: the pictures have been empty, or far worse than they were, for HOPELESS looks.
             MemoryError: hardly any memory is left.
         """
-        self._look_at_psnr(step)
+        self._look_at_psnr(step, view)
         maps = self._method.last_maps()
         if ALPHA in maps:
             self._look_at_alpha(step, float(maps[ALPHA].float().mean()))
@@ -125,10 +129,14 @@ class Health:
             self._look_at_beta(step, maps[BETA], view)
         self._look_at_memory(step)
 
-    def _look_at_psnr(self, step: int) -> None:
+    def _look_at_psnr(self, step: int, view: View) -> None:
         if len(self._psnr) < PSNR_STEPS:
             return
         psnr = statistics.median(self._psnr)
+        self._one_color.append(one_color_psnr(view))
+        least = statistics.median(self._one_color)
+        text = f"a median PSNR of {psnr:.1f} dB over {PSNR_STEPS} steps, where views in one color have {least:.1f} dB"
+        self._collapses("learns_nothing", psnr < least, step, text)
         self._best_psnr = max(self._best_psnr, psnr)
         text = f"a median PSNR of {psnr:.1f} dB over {PSNR_STEPS} steps, {self._best_psnr:.1f} dB before"
         self._collapses("loss_climbs", psnr < self._best_psnr - PSNR_DROP, step, text)
@@ -166,8 +174,8 @@ class Health:
 
     def _lasts(self, kind: WarningKind, wrong: bool, step: int, text: str) -> None:
         self._lasting[kind] = self._lasting.get(kind, 0) + 1 if wrong else 0
-        if self._lasting[kind] == LASTING:
-            self._warn(kind, step, "", f"{text}, for {LASTING * LOOK_EVERY} steps")
+        if self._lasting[kind] == self._enough:
+            self._warn(kind, step, "", f"{text}, for {self._enough * LOOK_EVERY} steps")
 
     def _warn(self, kind: WarningKind, step: int, part: str, message: str) -> None:
         for index, warning in enumerate(self.warnings):
@@ -175,6 +183,12 @@ class Health:
                 self.warnings[index] = warning.model_copy(update={"times": warning.times + 1})
                 return
         self.warnings.append(TrainingWarning(kind=kind, step=step, part=part, message=message))
+
+
+def one_color_psnr(view: View) -> float:
+    """The PSNR of the view in its own mean color, dB: a picture that shows nothing. At most 100 dB."""
+    variance = float(view.rgb().var(dim=(0, 1), correction=0).mean())
+    return -10 * math.log10(max(variance, 1e-10))
 
 
 def machine_memory() -> int:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from fakes.methods import MeanColor, Settings
@@ -40,7 +41,7 @@ class Scripted(MeanColor):
 
     def training_step(self, view: View, step: int) -> dict[str, float]:
         self.now = self.script(step)
-        return {"loss": 1.0, "psnr": self.now.get("psnr", 20.0)}
+        return {"loss": 1.0, "psnr": self.now.get("psnr", 60.0)}
 
     def primitives(self) -> dict[str, int]:
         return {"base": self.now.get("base", 1000), "env": self.now.get("env", 0)}
@@ -97,17 +98,34 @@ def test_a_run_without_any_primitive_left_ends_and_says_when(room: Scene, tmp_pa
 
 
 def test_a_psnr_that_falls_and_stays_low_is_noticed_and_in_the_end_hopeless(tmp_path: Path) -> None:
-    (warning,) = scripted(lambda step: {"psnr": 30.0 if step <= 1000 else 20.0}, tmp_path)
+    (warning,) = scripted(lambda step: {"psnr": 60.0 if step <= 1000 else 50.0}, tmp_path)
     assert (warning.kind, warning.step) == ("loss_climbs", 1400)
-    assert warning.message == "a median PSNR of 20.0 dB over 50 steps, 30.0 dB before, for 400 steps"
+    assert warning.message == "a median PSNR of 50.0 dB over 50 steps, 60.0 dB before, for 400 steps"
     with pytest.raises(Diverged, match="it has been so for 2000 steps, up to step 3000"):
-        scripted(lambda step: {"psnr": 30.0 if step <= 1000 else 20.0}, tmp_path, 4000)
+        scripted(lambda step: {"psnr": 60.0 if step <= 1000 else 50.0}, tmp_path, 4000)
+
+
+def test_pictures_worse_than_one_color_are_noticed_and_in_the_end_hopeless(tmp_path: Path) -> None:
+    scene = tiny_scene()
+    colors = np.concatenate([view.image.numpy().reshape(1, -1, 3) for view in scene.train])
+    deviations = colors.std(axis=1, keepdims=True) / 255
+    psnr = np.median([-10 * np.log10((d**2).mean()) for d in deviations])
+    assert scripted(lambda step: {"psnr": psnr + 2}, tmp_path) == []
+    (warning,) = scripted(lambda step: {"psnr": psnr - 2}, tmp_path, 1900)
+    assert (warning.kind, warning.step) == ("learns_nothing", 400)
+    with pytest.raises(Diverged, match="where views in one color have"):
+        scripted(lambda step: {"psnr": psnr - 2}, tmp_path)
+
+
+def test_a_short_run_is_judged_by_half_of_it(tmp_path: Path) -> None:
+    (warning,) = scripted(lambda step: {"psnr": 60.0 if step <= 100 else 50.0}, tmp_path, 300)
+    assert (warning.kind, warning.step, warning.message[-9:]) == ("loss_climbs", 250, "150 steps")
 
 
 def test_what_an_opacity_reset_does_is_healthy(tmp_path: Path) -> None:
     def script(step: int) -> dict[str, float]:
         after = step % 600
-        return {"psnr": 12.0 if after < 250 else 28.0, "alpha": 0.01 if after < 250 else 0.9}
+        return {"psnr": 12.0 if after < 250 else 60.0, "alpha": 0.01 if after < 250 else 0.9}
 
     assert scripted(script, tmp_path) == []
 
