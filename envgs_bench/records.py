@@ -52,7 +52,7 @@ WarningKind = Literal[
     "alpha_vanishes",  # the pictures are mostly empty
     "beta_saturates",  # nearly all of the picture reflects
     "beta_vanishes",  # nothing reflects any more, after something did
-    "set_shrinks",  # to less than half in one step
+    "set_shrinks",  # in one step: the base to less than a half, the environment to less than a tenth
     "set_doubles",  # to more than twice in one step
     "budget",  # of primitives or memory
 ]

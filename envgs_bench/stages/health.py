@@ -18,7 +18,7 @@ from torch import Tensor
 
 from envgs_bench.core import View
 from envgs_bench.methods.method import Method
-from envgs_bench.parts import ALPHA, BASE, BETA, REFLECTIVE
+from envgs_bench.parts import ALPHA, BASE, BETA, ENV, REFLECTIVE
 from envgs_bench.records import TrainingWarning, WarningKind
 
 NON_FINITE_STEPS = 20  # in a row without a finite loss, or skipped, and the run has diverged
@@ -31,6 +31,9 @@ PSNR_STEPS = 50  # whose median says how well the method does
 PSNR_DROP = 6.0  # dB below the best median so far
 EMPTY = 0.05  # share of the largest coverage so far below which a picture is empty
 SATURATED, ABSENT = 0.8, 0.005  # mean β where nothing reflects that is too much, and where mirrors are that is none
+# The share of a set that must outlive a step. An environment starts as primitives at random: the first densification
+# prunes more than half of them.
+KEPT = {BASE: 0.5, ENV: 0.1}
 MIN_SET = 100  # primitives of a set below which its changes say nothing
 MEMORY_SHARE = 0.95  # of the machine's memory that a run may take before it ends by itself
 
@@ -69,7 +72,7 @@ class Health:
             earlier = before.get(name, 0)
             if count == earlier or earlier < MIN_SET:
                 continue
-            if 2 * count < earlier:
+            if count < KEPT.get(name, KEPT[BASE]) * earlier:
                 self._warn("set_shrinks", step, name, f"from {earlier:,} to {count:,} primitives in one step")
             if count > 2 * earlier:
                 self._warn("set_doubles", step, name, f"from {earlier:,} to {count:,} primitives in one step")

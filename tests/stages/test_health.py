@@ -85,6 +85,12 @@ def test_a_set_that_shrinks_or_doubles_in_one_step_is_noticed_with_the_step(tmp_
     assert found[0].message == "from 1,000 to 400 primitives in one step"
 
 
+def test_an_environment_may_lose_most_of_its_random_start_and_not_all_of_it(tmp_path: Path) -> None:
+    assert scripted(lambda step: {"env": 22_000 if step < 7 else 9_000}, tmp_path, 20) == []
+    (warning,) = scripted(lambda step: {"env": 22_000 if step < 7 else 2_000}, tmp_path, 20)
+    assert (warning.kind, warning.part) == ("set_shrinks", "env")
+
+
 def test_growth_as_densification_allows_it_and_small_sets_are_no_news(tmp_path: Path) -> None:
     assert scripted(lambda step: {"base": int(1000 * 1.1**step), "env": 10 + 40 * (step % 2)}, tmp_path, 30) == []
 
