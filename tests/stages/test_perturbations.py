@@ -137,7 +137,7 @@ def test_a_sweep_leaves_one_partner_and_records_that_differ_in_the_perturbation_
     configs = [{k: v for k, v in r.config.items() if k not in ("perturb", "overrides")} for r in found]
     assert len(found) == 5
     assert all(config == configs[0] for config in configs)
-    assert configs[0]["gates"]["baseline"] == "2dgs"
+    assert configs[0]["gates"]["baseline"] == "2dgs_tuned"
 
 
 def test_cases_of_any_list_are_one_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
