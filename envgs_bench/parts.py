@@ -6,7 +6,10 @@ SETS = (BASE, ENV)  # the keys of every method's `primitives` and `model_bytes`
 
 REFLECTION = "reflection"  # the layer of the reflected color
 BETA = "beta"  # the layer of the blending weight β
+ALPHA = "alpha"  # how much of a pixel's light the base set stops
 LAYERS = (BASE, REFLECTION, BETA)  # in the order of reports; a method without reflections draws none of them
+
+REFLECTIVE = "reflective"  # the region of what reflects, where a data set knows it
 
 MONO = "mono"  # the loss against the views' own normals
 PERCEPTUAL = "perceptual"  # the loss between VGG-16's features

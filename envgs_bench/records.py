@@ -41,6 +41,37 @@ class Failure(_Part):
     log_tail: str  # the last lines of log.txt
 
 
+class Perturbed(_Part):
+    """In what the run differs from its unperturbed partner, whose `config` is the same but for this."""
+
+    kind: str  # as in perturb.kind
+    severity: Annotated[int, Field(ge=1)]
+    level: str  # what this severity does, in words
+
+
+WarningKind = Literal[
+    "non_finite",  # a loss or gradient: the step was skipped
+    "loss_climbs",
+    "learns_nothing",  # the views in one color would be as good
+    "alpha_vanishes",  # the pictures are mostly empty
+    "beta_saturates",  # nearly all of the picture reflects
+    "beta_vanishes",  # nothing reflects any more, after something did
+    "set_shrinks",  # in one step: the base to less than a half, the environment to less than a tenth
+    "set_doubles",  # to more than twice in one step
+    "budget",  # of primitives or memory
+]
+
+
+class TrainingWarning(_Part):
+    """What was noticed while training that a healthy run does not show; one of a kind and part, the first."""
+
+    kind: WarningKind
+    step: int
+    part: str  # the set or loss that it happened to, "" for the whole
+    message: str  # what was seen, with numbers
+    times: Annotated[int, Field(ge=1)] = 1  # how often, where it was noticed again
+
+
 class ProtocolName(_Part):
     name: str
     hash: str
@@ -149,6 +180,8 @@ class Record(_Part):
     config: dict[str, Any]
     protocol: ProtocolName
     scored_on: ScoredOn = "test"  # which views' scores and times these are
+    perturbation: Perturbed | None = None
+    warnings: list[TrainingWarning] = []  # in the order of their steps
     dropped_losses: dict[str, str] = {}  # a loss that the settings ask for -> why it could not be computed
     metrics: Metrics | None = None
     masked: dict[str, MaskedScores] = {}

@@ -33,6 +33,32 @@ class TimingSettings(BaseModel):
     seconds: Annotated[float, Field(gt=0)]
 
 
+class PerturbationChoice(BaseModel):
+    """What is wrong with the run on purpose, and how severely; see `stages.perturbations`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    kind: str
+    severity: Annotated[int, Field(ge=0)]
+
+
+class Gates(BaseModel):
+    """What counts as survived, beside status ok: fixed before the runs and stored with each, for reports to judge by.
+
+    All but the last two compare a perturbed run with its unperturbed partner of the same seed.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    psnr_drop_db: Annotated[float, Field(gt=0)]  # a larger drop, of the full image, is a collapse
+    region_drop_db: Annotated[float, Field(gt=0)]  # as is a larger one inside the reflective region
+    count_factor: Annotated[float, Field(gt=1)]  # more primitives at the peak than so many times are an explosion
+    memory_factor: Annotated[float, Field(gt=1)]  # as is more memory at the peak
+    time_factor: Annotated[float, Field(gt=1)]  # as is a longer training
+    baseline: str  # the method that others have to be as good as, under the same perturbation and of the same seed
+    behind_db: Annotated[float, Field(ge=0)]  # a method further behind it has lost its reason
+
+
 class MethodChoice(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -54,6 +80,8 @@ class RunSettings(BaseModel):
     method: MethodChoice
     score_on: ScoredOn = "test"  # the views that are drawn, scored and timed
     dataset: dict[str, Any]  # name, kind and the data source's own settings: what `load_scene` takes
+    perturb: PerturbationChoice | None = None
+    gates: Gates | None = None  # None in runs from before there were any
     protocol: str
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     steps: Annotated[int, Field(ge=1)]
@@ -65,6 +93,12 @@ class RunSettings(BaseModel):
     force: bool
     retry_failed: bool
     overrides: list[str] = []  # what was given on the command line, for the record
+
+    @field_validator("perturb", mode="after")
+    @classmethod
+    def _if_any(cls, choice: PerturbationChoice | None) -> PerturbationChoice | None:
+        """None where nothing is perturbed: partners of all kinds are one run."""
+        return None if choice is None or choice.kind == "none" or choice.severity == 0 else choice
 
     @field_validator("runs_dir", mode="after")
     @classmethod

@@ -67,7 +67,7 @@ class EnvMap(ReflectiveMethod):
         self.texels = texels.detach().to(self.device).requires_grad_()
         self._layout = layout_of(texels.shape[1], self.device)
         self._texel_optimizer = torch.optim.Adam(
-            [self.texels], lr=self.settings.envmap_lr, eps=ADAM_EPSILON, fused=True
+            [{"params": [self.texels], "name": "texels"}], lr=self.settings.envmap_lr, eps=ADAM_EPSILON, fused=True
         )
 
     def optimizers(self) -> list[torch.optim.Optimizer]:

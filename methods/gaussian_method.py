@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from fractions import Fraction
 from pathlib import Path
 from typing import ClassVar, cast
@@ -12,7 +13,7 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, View, depth_normals, rasterize
 from envgs_bench.core.vectors import unit
-from envgs_bench.parts import BASE, MONO, PERCEPTUAL, SETS
+from envgs_bench.parts import ALPHA, BASE, BETA, MONO, PERCEPTUAL, SETS
 
 from .base_growth import BaseGrowth, max_base_primitives
 from .checkpoint import read_checkpoint, write_checkpoint
@@ -38,6 +39,7 @@ WORDS = {  # of settings that choose
     "mean_gradient_over": ("drawn", "in_view"),
     "oversized": ("split", "prune"),
 }
+REMEMBERED_STEPS = 32  # whose gradients' magnitudes are kept, to say which were not finite
 
 
 class GaussianMethod(Method):
@@ -75,6 +77,8 @@ class GaussianMethod(Method):
         self._max_primitives = settings.max_primitives
         self._on_white = False
         self.prepared: dict[str, GaussianSet] = {}
+        self._maps: dict[str, Tensor] = {}
+        self._norms: deque[tuple[list[str], Tensor]] = deque(maxlen=REMEMBERED_STEPS)
         self._views = ResidentViews(self.device, room=0)
 
     def initialize(self, scene: Scene, steps: int) -> None:
@@ -123,6 +127,9 @@ class GaussianMethod(Method):
             optimizer.zero_grad(set_to_none=True)
         with torch.no_grad():
             self.after_step(step, self.events(step))
+        self._maps = {ALPHA: rendering.alpha.detach()}
+        if rendering.extras.shape[-1]:
+            self._maps[BETA] = rendering.extras.detach()[..., 0]
         shown = {"loss": loss, "psnr": training_psnr(rendering.color, target), **terms}
         return {name: value.detach() for name, value in shown.items()}
 
@@ -139,6 +146,19 @@ class GaussianMethod(Method):
     @torch.no_grad()
     def prepare(self) -> None:
         self.prepared = {name: trained.parameters.gaussians() for name, trained in self.sets.items()}
+
+    def last_maps(self) -> dict[str, Tensor]:
+        return self._maps
+
+    def non_finite_gradients(self) -> list[str]:
+        found = [
+            name
+            for names, norms in self._norms
+            for name, norm in zip(names, norms.tolist(), strict=True)
+            if not math.isfinite(norm)
+        ]
+        self._norms.clear()
+        return list(dict.fromkeys(found))
 
     def primitives(self) -> dict[str, int]:
         return {name: len(self.sets[name].parameters) if name in self.sets else 0 for name in SETS}
@@ -361,10 +381,21 @@ class GaussianMethod(Method):
         return None
 
     def _finite(self, loss: Tensor) -> Tensor:
-        """Whether the loss and all gradients are finite, a scalar tensor; judged by their largest magnitude."""
-        gradients = [p.grad for o in self.optimizers() for g in o.param_groups for p in g["params"]]
-        present = [gradient for gradient in gradients if gradient is not None and gradient.numel()]
-        return torch.nn.utils.get_total_norm([loss, *present], math.inf).isfinite()
+        """Whether the loss and all gradients are finite, a scalar tensor; judged by their largest magnitudes.
+
+        These are remembered on the device: `non_finite_gradients` says which gradient it was.
+        """
+        names, gradients = [], []
+        owners = {id(trained.parameters.optimizer): f"{name}." for name, trained in self.sets.items()}
+        for optimizer in self.optimizers():
+            for group in optimizer.param_groups:
+                for parameter in group["params"]:
+                    if parameter.grad is not None and parameter.grad.numel():
+                        names.append(owners.get(id(optimizer), "") + group.get("name", "parameters"))
+                        gradients.append(parameter.grad)
+        norms = torch.stack(torch._foreach_norm([loss, *gradients], math.inf))
+        self._norms.append((names, norms[1:]))
+        return norms.isfinite().all()
 
 
 def _without_normals(scene: Scene) -> str:

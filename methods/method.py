@@ -67,6 +67,21 @@ class Method(ABC):
         for the device. A step whose loss or gradient is not finite is not applied, and counted in `skipped_steps`.
         """
 
+    def last_maps(self) -> Mapping[str, Tensor]:
+        """What the last training step drew that shows whether the model is sound, [H, W] by name, without gradients.
+
+        `envgs_bench.parts.ALPHA` and, of a method that blends reflections, BETA; the harness looks at them now and
+        then. Empty for a method that does not say.
+        """
+        return {}
+
+    def non_finite_gradients(self) -> list[str]:
+        """Parameters whose gradients were not finite in any of the last steps, by name, each call's since the last.
+
+        The harness asks where steps were skipped. Empty for a method that does not know.
+        """
+        return []
+
     @abstractmethod
     def render(self, camera: Camera) -> Rendering:
         """The scene as `camera` sees it, [H, W, …] float32 without gradients.

@@ -17,6 +17,7 @@ from envgs_bench.metrics import get_protocol
 from envgs_bench.runs.display import make_display
 from envgs_bench.runs.job import run_job
 from envgs_bench.settings import SettingsError
+from envgs_bench.stages.perturbations import perturbation_of, perturbed_settings
 
 from .composition import CONF, explain, register_methods, settings_of
 from .ledger import close_ledger, enter, print_outcomes
@@ -68,6 +69,8 @@ def _application(config: DictConfig) -> None:
         get_protocol(settings.protocol)
     except ValueError as error:
         raise SettingsError(f"protocol={settings.protocol}: {error}") from error
+    perturbation_of(settings)  # refuses a kind or a severity that there is not,
+    perturbed_settings(settings)  # and one that changes what the method does not have
     alone = HydraConfig.get().launcher._target_.endswith("BasicLauncher")
     outcome = run_job(settings, make_display(alone))
     enter(outcome)

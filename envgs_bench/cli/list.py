@@ -32,6 +32,7 @@ def _list_names() -> int:
     from envgs_bench.core import available_backends
     from envgs_bench.datasets.registry import BUILT_IN
     from envgs_bench.metrics import PROTOCOLS
+    from envgs_bench.stages.perturbations import OF_SCENES, OF_SETTINGS
 
     from .composition import config_names
 
@@ -40,6 +41,7 @@ def _list_names() -> int:
     table.add_row("method=", ", ".join(config_names("method")))
     table.add_row("dataset=", ", ".join(config_names("dataset")))
     table.add_row("dataset.kind=", ", ".join(BUILT_IN))
+    table.add_row("perturb.kind=", ", ".join(["none", *OF_SCENES, *OF_SETTINGS]))
     table.add_row("protocol=", ", ".join(PROTOCOLS))
     table.add_row("experiment=", ", ".join(config_names("experiment")))
     table.add_row("backends", ", ".join(backends))

@@ -19,6 +19,7 @@ Train, render, score and time methods on data sets; one folder and one record.js
 Keys of every run:
   method, dataset     see `envgs-bench list`; their settings are method.settings.<key>=, dataset.<key>=
                       (`envgs-bench list method NAME` lists a method's)
+  perturb.kind, perturb.severity      what is wrong on purpose: docs/stability.md
   protocol, seed, steps, device=auto|cpu|cuda
   runs_dir=runs, cache_dir, timeout_minutes, timing.frames, timing.seconds
   force=true          run again what is already there, replacing it

@@ -54,7 +54,7 @@ class Bar:
     def update(self, event: Event) -> None:
         if self._progress is None:
             return
-        for text in missing(event):
+        for text in notices(event):
             self._console.print(f"{self._title}: {text}", markup=False, highlight=False, soft_wrap=True)
         if event["stage"] != self._stage:
             self._stage = event["stage"]
@@ -69,7 +69,7 @@ class Bar:
 
 
 class Lines:
-    """A line for each stage, LINES_A_STAGE while it trains, and one for each loss that it trains without."""
+    """A line for each stage, LINES_A_STAGE while it trains, and one for each loss that is dropped and each warning."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -84,7 +84,7 @@ class Lines:
             self._stage, self._share, self._began, self._first = stage, -1, time.monotonic(), step
             if stage != "training":
                 self._print(stage)
-        for text in missing(event):
+        for text in notices(event):
             self._print(text)
         share = LINES_A_STAGE * step // steps if steps else 0
         if "loss" in event and share != self._share:
@@ -104,9 +104,12 @@ class Lines:
         print(f"{self._title}: {text}", file=self._stream, flush=True)
 
 
-def missing(event: Event) -> list[str]:
-    """What the run trains without, and why, a line a loss."""
-    return [f"trains without {LOSSES.get(loss, loss)}: {why}" for loss, why in event.get("dropped_losses", {}).items()]
+def notices(event: Event) -> list[str]:
+    """What the run trains without, and why, a line a loss; and what it warns of."""
+    dropped = event.get("dropped_losses", {}).items()
+    lines = [f"trains without {LOSSES.get(loss, loss)}: {why}" for loss, why in dropped]
+    warning = event.get("warning")
+    return [*lines, f"warning at step {warning['step']}: {warning['message']}"] if warning else lines
 
 
 def numbers(event: Event) -> str:

@@ -11,6 +11,7 @@ from envgs_bench.metrics import get_protocol
 from envgs_bench.records import Failure, ProtocolName, Provenance, Record, Status, write_record
 from envgs_bench.run_folder import LOG_NAME
 from envgs_bench.settings import RunSettings
+from envgs_bench.stages.perturbations import perturbation_of
 from envgs_bench.stages.results import Results
 
 from . import provenance
@@ -47,6 +48,8 @@ class Draft:
             config=settings.model_dump(mode="json"),
             protocol=ProtocolName(name=protocol.name, hash=protocol.hash, description=protocol.description),
             scored_on=settings.score_on,
+            perturbation=perturbation_of(settings),
+            warnings=results.warnings,
             dropped_losses=results.dropped_losses,
             metrics=results.metrics,
             masked=results.masked,

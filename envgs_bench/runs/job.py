@@ -18,7 +18,7 @@ import torch
 import yaml
 
 from envgs_bench.core import available_backends
-from envgs_bench.records import Failure, Record, RecordError, Status, read_record, write_atomically
+from envgs_bench.records import Failure, Record, RecordError, Status, TrainingWarning, read_record, write_atomically
 from envgs_bench.run_folder import CONFIG_NAME, LOG_NAME, RECORD_NAME
 from envgs_bench.settings import RunSettings, SettingsError
 
@@ -148,7 +148,7 @@ def _run_process(folder: Path, settings: RunSettings, display: Display) -> None:
 
 
 def _show(process: subprocess.Popen[bytes], display: Display, draft: Draft) -> None:
-    """Show the process's events; what it trains without goes into `draft` too, lest the process leave no record."""
+    """Show the process's events; what it trains without and warns of goes into `draft`: it may leave no record."""
     assert process.stdout is not None
     for line in process.stdout:
         try:
@@ -156,6 +156,8 @@ def _show(process: subprocess.Popen[bytes], display: Display, draft: Draft) -> N
         except ValueError:
             continue  # the process died in the middle of a line
         draft.results.dropped_losses |= event.get("dropped_losses", {})
+        if "warning" in event:
+            draft.results.warnings.append(TrainingWarning.model_validate(event["warning"]))
         display.update(event)
 
 

@@ -22,7 +22,7 @@ from envgs_bench.records import Failure, Status
 from envgs_bench.settings import read_settings
 from envgs_bench.stages.events import Event, EventListener
 from envgs_bench.stages.execution import execute
-from envgs_bench.stages.training import Diverged
+from envgs_bench.stages.health import Diverged
 
 from .draft import Draft, log_tail
 

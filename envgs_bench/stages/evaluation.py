@@ -15,9 +15,9 @@ from envgs_bench.metrics import Protocol
 from envgs_bench.records import MaskedScores, Metrics, ScoredOn, Scores
 
 from .events import EventListener
+from .health import Diverged
 from .pictures import depth_unit, save_view
 from .scoring import FULL, Pair, score_pairs
-from .training import Diverged
 
 NORMAL_METRIC = "normal_degrees"
 

@@ -11,7 +11,6 @@ import torch
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets.progress import listening
-from envgs_bench.datasets.registry import load_scene
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
 from envgs_bench.metrics import Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
@@ -23,6 +22,7 @@ from envgs_bench.settings import RunSettings
 from .cost import cost_of
 from .evaluation import evaluate, scored_views
 from .events import EventListener
+from .perturbations import load_run_scene, perturbed_settings
 from .renders import score_renders
 from .results import Results
 from .timing import time_frames
@@ -33,7 +33,8 @@ def execute(settings: RunSettings, folder: Path, results: Results, report: Event
     """Train, draw, score and time as `settings` say; pictures, curve and checkpoint go into `folder`.
 
     Raises:
-        Diverged: the loss or a render is not finite.
+        Diverged: nothing more can be learned, or a render is not finite.
+        MemoryError: hardly any memory is left.
         ValueError, OSError: settings or data that cannot be used.
     """
     _seed(settings.seed)
@@ -41,16 +42,18 @@ def execute(settings: RunSettings, folder: Path, results: Results, report: Event
     if settings.method.kind == RENDERS:
         _score_renders(settings, folder, results, protocol, report)
         return
-    method = create_method(settings.method.kind, settings.method.settings, settings.device, settings.seed)
+    actual = perturbed_settings(settings)
+    method = create_method(actual.method.kind, actual.method.settings, settings.device, settings.seed)
     _offer_perceptual_loss(method)
     scene = _load(settings, results, report)
     _check_scene(scene)
-    results.steps = method.training_steps(settings.steps)
+    results.steps = method.training_steps(actual.steps)
     training = Training(method, scene, results.steps, settings.seed)
     try:
         training.run(folder / CURVE_NAME, report)
     finally:
         results.dropped_losses = dict(method.dropped_losses)
+        results.warnings = list(training.health.warnings)
         if training.step:  # however it ends, what was learned is kept
             results.cost = cost_of(method, training)
             method.save(folder / CHECKPOINT)
@@ -78,7 +81,7 @@ def _load(settings: RunSettings, results: Results, report: EventListener) -> Sce
     """The run's scene; making one for the first time may take minutes, and its source says how far it has come."""
     report({"stage": "loading"})
     with listening(lambda stage, done, total: report({"stage": stage, "step": done, "steps": total})):
-        scene = load_scene(settings.dataset, settings.cache_dir)
+        scene = load_run_scene(settings)
     results.dataset = scene.name
     return scene
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from envgs_bench.records import Cost, MaskedScores, Metrics, Timing
+from envgs_bench.records import Cost, MaskedScores, Metrics, Timing, TrainingWarning
 
 
 @dataclass
@@ -14,6 +14,7 @@ class Results:
     dataset: str  # the configured name; once the data are loaded, the scene's own
     steps: int
     dropped_losses: dict[str, str] = field(default_factory=dict)
+    warnings: list[TrainingWarning] = field(default_factory=list)
     metrics: Metrics | None = None
     masked: dict[str, MaskedScores] = field(default_factory=dict)
     timing: Timing | None = None

@@ -17,16 +17,11 @@ from envgs_bench.core import Scene, View
 from envgs_bench.methods.method import Method
 
 from .events import EventListener
+from .health import Health
 
-# This many steps in a row without a finite loss, and the run has diverged.
-NON_FINITE_STEPS = 20
 READ_EVERY = 10  # steps whose losses are read at once: reading waits for the device
 CURVE_ROWS = 500
 REPORT_SECONDS = 0.2
-
-
-class Diverged(RuntimeError):
-    """The model's loss or renders are not finite any more."""
 
 
 class Training:
@@ -36,6 +31,7 @@ class Training:
         step: steps done.
         seconds: wall-clock time of `Method.initialize` and of all steps, work on the device included.
         peak_primitives: the most primitives of all sets together, after any step.
+        health: what was noticed that a healthy run does not show.
     """
 
     def __init__(self, method: Method, scene: Scene, steps: int, seed: int) -> None:
@@ -43,8 +39,9 @@ class Training:
         self.step = 0
         self.seconds = 0.0
         self.peak_primitives = 0
+        self._told = 0
         self._psnr: deque[float] = deque(maxlen=len(scene.train))
-        self._non_finite = 0
+        self.health = Health(method, steps)
 
     def run(self, curve: Path, report: EventListener) -> None:
         """Train; `curve` becomes a CSV table of step, seconds, loss, psnr, skipped_steps and primitives_<set>.
@@ -52,7 +49,8 @@ class Training:
         `psnr` is the mean over the last steps, as many as there are training views, of what the method saw in dB.
 
         Raises:
-            Diverged: NON_FINITE_STEPS steps in a row (or all there are) had a loss that is not finite.
+            Diverged: nothing more can be learned, see `Health`.
+            MemoryError: hardly any memory is left.
         """
         started = time.perf_counter()
         try:
@@ -76,12 +74,17 @@ class Training:
             self.step += 1
             counts = self.method.primitives()
             self.peak_primitives = max(self.peak_primitives, sum(counts.values()))
+            self.health.count(self.step, counts)
             last = self.step == self.steps
             wanted = self.step % every == 0 or last
-            if not wanted and len(unread) < READ_EVERY:
+            looks = self.health.due(self.step)
+            if not wanted and not looks and len(unread) < READ_EVERY:
                 continue
             loss, psnr = self._judge(unread)
             unread.clear()
+            if looks:
+                self.health.look(self.step, view)
+            self._tell_warnings(report)
             now = time.perf_counter()
             if wanted:
                 skipped = int(self.method.skipped_steps)
@@ -92,16 +95,19 @@ class Training:
                 report({"stage": "training", **state})
 
     def _judge(self, unread: Sequence[Mapping[str, float | Tensor]]) -> tuple[float, float]:
-        """The last step's loss and the running PSNR; raises Diverged where losses have not been finite for too long."""
+        """The last step's loss and the running PSNR."""
         loss = math.nan
         for step, losses in enumerate(unread, self.step - len(unread) + 1):
-            loss, psnr = float(losses["loss"]), float(losses.get("psnr", math.nan))
-            self._non_finite = 0 if math.isfinite(loss) else self._non_finite + 1
-            if self._non_finite >= min(NON_FINITE_STEPS, self.steps):
-                raise Diverged(f"the loss was not finite in {self._non_finite} steps in a row, up to step {step}")
+            loss, psnr = self.health.read(step, losses)
             if math.isfinite(psnr):
                 self._psnr.append(psnr)
+        self.health.count_skips(self.step, len(unread))
         return loss, sum(self._psnr) / len(self._psnr) if self._psnr else math.nan
+
+    def _tell_warnings(self, report: EventListener) -> None:
+        for warning in self.health.warnings[self._told :]:
+            report({"stage": "training", "step": self.step, "steps": self.steps, "warning": warning.model_dump()})
+        self._told = len(self.health.warnings)
 
     def _synchronize(self) -> None:
         if self.method.device.type == "cuda":

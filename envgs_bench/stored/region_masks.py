@@ -14,7 +14,6 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Scene, build_bvh
 from envgs_bench.datasets.export.masks import write_masks
-from envgs_bench.datasets.registry import load_scene
 from envgs_bench.methods.initialization import quantile_box
 from envgs_bench.methods.reflection import ReflectiveMethod
 from envgs_bench.methods.regions import Ball, foreground_ball, in_box, near_field_mask, reflecting, reflective_mask
@@ -22,6 +21,7 @@ from envgs_bench.parts import BASE
 from envgs_bench.records import write_atomically
 from envgs_bench.runs.draft import now
 from envgs_bench.settings import RunSettings
+from envgs_bench.stages.perturbations import load_run_scene
 
 from .reopening import reopen
 
@@ -54,7 +54,7 @@ def make_masks(run: Path, choice: MaskChoice, out: Path, device: str = "auto") -
     settings, method = reopen(run, device)
     if not isinstance(method, ReflectiveMethod):
         raise ValueError(f"{run}: method {settings.method.name} knows no β; take a run of method=envgs")
-    scene = load_scene(settings.dataset, settings.cache_dir)
+    scene = load_run_scene(settings)
     views = sorted([*scene.train, *scene.val, *scene.test], key=lambda view: view.name)
     base = method.sets[BASE].parameters.gaussians().map(Tensor.detach)
     ball = choice.ball or foreground_ball([view.camera for view in scene.train])

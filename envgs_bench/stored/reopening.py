@@ -9,6 +9,7 @@ from envgs_bench.methods.registry import create_method
 from envgs_bench.run_folder import CHECKPOINT, CONFIG_NAME
 from envgs_bench.runs.job import resolve_device
 from envgs_bench.settings import RunSettings, SettingsError, read_settings
+from envgs_bench.stages.perturbations import perturbed_settings
 
 
 def reopen(folder: Path, device: str = "auto") -> tuple[RunSettings, Method]:
@@ -21,7 +22,7 @@ def reopen(folder: Path, device: str = "auto") -> tuple[RunSettings, Method]:
     """
     if not (folder / CONFIG_NAME).is_file():
         raise SettingsError(f"{folder}: holds no {CONFIG_NAME}; expected the folder of one run")
-    settings = read_settings(folder)
+    settings = perturbed_settings(read_settings(folder))
     method = create_method(settings.method.kind, settings.method.settings, resolve_device(device), settings.seed)
     method.load(folder / CHECKPOINT)
     return settings, method

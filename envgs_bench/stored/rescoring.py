@@ -15,7 +15,6 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from envgs_bench.datasets.registry import load_scene
 from envgs_bench.metrics import METRICS, Protocol
 from envgs_bench.records import (
     RENDERS,
@@ -42,6 +41,7 @@ from envgs_bench.run_folder import (
 from envgs_bench.runs.draft import now
 from envgs_bench.settings import read_settings
 from envgs_bench.stages.evaluation import evaluate, scored_views
+from envgs_bench.stages.perturbations import load_run_scene
 from envgs_bench.stages.renders import score_renders
 from envgs_bench.stages.scoring import FULL, Pair, score_pairs
 
@@ -76,7 +76,7 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
             (out / name).unlink()
     if record.metrics is not None:
         settings = read_settings(run)
-        scene = load_scene(settings.dataset, settings.cache_dir)
+        scene = load_run_scene(settings)
         views = scored_views(scene, settings.score_on)
         if record.kind == RENDERS:
             scores = score_renders(settings.method.settings, views, scene.background, protocol, out, _silent)

@@ -46,6 +46,8 @@ CONTENT = {
     "config": {"steps": 10},
     "protocol": {"name": "envgs", "hash": "12345678", "description": "in words"},
     "scored_on": "test",
+    "perturbation": {"kind": "noise", "severity": 2, "level": "much of it"},
+    "warnings": [{"kind": "set_shrinks", "step": 7, "part": "base", "message": "from 10 to 4", "times": 1}],
     "dropped_losses": {"mono": "no normals"},
     "metrics": {
         "mean": SCORES,
@@ -76,6 +78,7 @@ CONTENT = {
     },
     "provenance": PROVENANCE,
 }
+LATER = ("scored_on", "dropped_losses", "perturbation", "warnings")  # keys that older records lack
 FAILURE = {"type": "RuntimeError", "message": "why", "log_tail": "…"}
 
 
@@ -90,9 +93,10 @@ def without(key: str) -> dict:
 def test_what_is_written_is_read(tmp_path: Path) -> None:
     path = write_record(tmp_path, Record.model_validate(CONTENT))
     assert json.loads(path.read_text()) == CONTENT
-    older = {key: value for key, value in CONTENT.items() if key not in ("scored_on", "dropped_losses")}
+    older = {key: value for key, value in CONTENT.items() if key not in LATER}
     assert Record.model_validate(older).scored_on == "test"
     assert Record.model_validate(older).dropped_losses == {}
+    assert (Record.model_validate(older).perturbation, Record.model_validate(older).warnings) == (None, [])
     record = read_record(tmp_path)
     assert record == read_record(path)
     assert record.metrics.per_view[0].scores["normal_degrees"] == 3.5

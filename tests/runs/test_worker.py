@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from envgs_bench.runs import worker
-from envgs_bench.stages.training import Diverged
+from envgs_bench.stages.health import Diverged
 
 
 @pytest.mark.parametrize(

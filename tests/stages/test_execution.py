@@ -106,7 +106,7 @@ def execute(
     kind: str, settings: dict[str, float], steps: int, monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> Results:
     """What a run on a tiny scene without normals has reached."""
-    monkeypatch.setattr(execution, "load_scene", lambda *_: scene_without_normals(5))
+    monkeypatch.setattr(execution, "load_run_scene", lambda *_: scene_without_normals(5))
     run = {
         "method": {"name": kind, "kind": kind, "settings": settings},
         "dataset": {"name": "tiny", "kind": "tiny"},

@@ -15,8 +15,9 @@ from PIL import Image
 
 from envgs_bench.metrics import get_protocol
 from envgs_bench.stages.evaluation import evaluate, normal_error
+from envgs_bench.stages.health import Diverged
 from envgs_bench.stages.pictures import depth_picture, depth_unit, error_picture, save_png
-from envgs_bench.stages.training import Diverged, Training, shuffled
+from envgs_bench.stages.training import Training, shuffled
 from envgs_bench.testing import tiny_scene
 
 

@@ -1,0 +1,211 @@
+"""Health: what a training shows when it goes wrong, noticed while it goes on, and the end of one that is hopeless.
+
+Everything is judged when losses are read anyway, every few steps, so that no step waits for the device. What happens
+for good reasons must not be taken for a failure: an opacity reset empties the pictures for some hundred steps, a
+photograph may be darker than all others, an environment comes out of nothing. So a collapse counts once it has lasted.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import deque
+from collections.abc import Mapping
+from pathlib import Path
+
+import psutil
+from torch import Tensor
+
+from envgs_bench.core import View
+from envgs_bench.methods.method import Method
+from envgs_bench.parts import ALPHA, BASE, BETA, ENV, REFLECTIVE
+from envgs_bench.records import TrainingWarning, WarningKind
+
+NON_FINITE_STEPS = 20  # in a row without a finite loss, or skipped, and the run has diverged
+LOOK_EVERY = 50  # steps between two looks at pictures and memory
+LASTING = (
+    8  # looks in a row that make a collapse: longer than opacities take to come back after a reset; or half a short run
+)
+HOPELESS = 40  # looks in a row that end the run
+PSNR_STEPS = 50  # whose median says how well the method does
+PSNR_DROP = 6.0  # dB below the best median so far
+EMPTY = 0.05  # share of the largest coverage so far below which a picture is empty
+SATURATED, ABSENT = 0.8, 0.005  # mean β where nothing reflects that is too much, and where mirrors are that is none
+# The share of a set that must outlive a step. An environment starts as primitives at random: the first densification
+# prunes more than half of them.
+KEPT = {BASE: 0.5, ENV: 0.1}
+MIN_SET = 100  # primitives of a set below which its changes say nothing
+MEMORY_SHARE = 0.95  # of the machine's memory that a run may take before it ends by itself
+
+
+class Diverged(RuntimeError):
+    """The model's loss or renders are not finite any more, or nothing of it is left to train."""
+
+
+class Health:
+    """The health of one training run.
+
+    Attributes:
+        warnings: what was noticed, the first of each kind and part.
+    """
+
+    def __init__(self, method: Method, steps: int) -> None:
+        self.warnings: list[TrainingWarning] = []
+        self._method, self._steps = method, steps
+        self._enough = max(3, min(LASTING, steps // (2 * LOOK_EVERY)))
+        self._counts: dict[str, int] = {}
+        self._non_finite = self._skipped = self._skipped_in_row = 0
+        self._psnr: deque[float] = deque(maxlen=PSNR_STEPS)
+        self._one_color: deque[float] = deque(maxlen=LASTING)
+        self._best_psnr = self._best_alpha = -math.inf
+        self._lasting: dict[str, int] = {}
+        self._memory = MEMORY_SHARE * machine_memory()
+
+    def count(self, step: int, counts: Mapping[str, int]) -> None:
+        """Look at the sets after a step.
+
+        Raises:
+            Diverged: the base set is empty: nothing can grow again.
+        """
+        before, self._counts = self._counts, dict(counts)
+        for name, count in counts.items():
+            earlier = before.get(name, 0)
+            if count == earlier or earlier < MIN_SET:
+                continue
+            if count < KEPT.get(name, KEPT[BASE]) * earlier:
+                self._warn("set_shrinks", step, name, f"from {earlier:,} to {count:,} primitives in one step")
+            if count > 2 * earlier:
+                self._warn("set_doubles", step, name, f"from {earlier:,} to {count:,} primitives in one step")
+        if before.get(BASE) and not counts.get(BASE):
+            raise Diverged(f"no primitive of the base set is left after step {step}")
+
+    def read(self, step: int, losses: Mapping[str, float | Tensor]) -> tuple[float, float]:
+        """Judge one step's losses; returns the total and the PSNR, NaN where there is none.
+
+        Raises:
+            Diverged: NON_FINITE_STEPS steps in a row (or all there are) had a loss that is not finite.
+        """
+        loss, psnr = float(losses["loss"]), float(losses.get("psnr", math.nan))
+        if math.isfinite(psnr):
+            self._psnr.append(psnr)
+        if math.isfinite(loss):
+            self._non_finite = 0
+            return loss, psnr
+        self._non_finite += 1
+        terms = {name: float(value) for name, value in losses.items() if name not in ("loss", "psnr")}
+        for name, value in ({n: v for n, v in terms.items() if not math.isfinite(v)} or {"loss": loss}).items():
+            self._warn("non_finite", step, name, f"the loss {name} was {value}, and the step skipped")
+        if self._non_finite >= min(NON_FINITE_STEPS, self._steps):
+            raise Diverged(f"the loss was not finite in {self._non_finite} steps in a row, up to step {step}")
+        return loss, psnr
+
+    def count_skips(self, step: int, steps: int) -> None:
+        """Look at how many of the last `steps` steps, up to `step`, were skipped.
+
+        Raises:
+            Diverged: NON_FINITE_STEPS in a row were.
+        """
+        skipped = int(self._method.skipped_steps)
+        new, self._skipped = skipped - self._skipped, skipped
+        self._skipped_in_row = self._skipped_in_row + new if new >= steps else 0
+        for part in self._method.non_finite_gradients() if new else ():
+            self._warn("non_finite", step, part, f"a gradient of {part} was not finite, and the step skipped")
+        if self._skipped_in_row >= NON_FINITE_STEPS:
+            raise Diverged(f"{self._skipped_in_row} steps in a row were skipped, up to step {step}")
+
+    def due(self, step: int) -> bool:
+        """Whether `look` is due after this step."""
+        return step % LOOK_EVERY == 0
+
+    def look(self, step: int, view: View) -> None:
+        """Look at what the last step drew, of `view`, at how well the method does, and at the memory.
+
+        Raises:
+            Diverged: the pictures have been empty, or far worse than they were, for HOPELESS looks.
+            MemoryError: hardly any memory is left.
+        """
+        self._look_at_psnr(step, view)
+        maps = self._method.last_maps()
+        if ALPHA in maps:
+            self._look_at_alpha(step, float(maps[ALPHA].float().mean()))
+        if BETA in maps:
+            self._look_at_beta(step, maps[BETA], view)
+        self._look_at_memory(step)
+
+    def _look_at_psnr(self, step: int, view: View) -> None:
+        if len(self._psnr) < PSNR_STEPS:
+            return
+        psnr = statistics.median(self._psnr)
+        self._one_color.append(one_color_psnr(view))
+        least = statistics.median(self._one_color)
+        text = f"a median PSNR of {psnr:.1f} dB over {PSNR_STEPS} steps, where views in one color have {least:.1f} dB"
+        self._collapses("learns_nothing", psnr < least, step, text)
+        self._best_psnr = max(self._best_psnr, psnr)
+        text = f"a median PSNR of {psnr:.1f} dB over {PSNR_STEPS} steps, {self._best_psnr:.1f} dB before"
+        self._collapses("loss_climbs", psnr < self._best_psnr - PSNR_DROP, step, text)
+
+    def _look_at_alpha(self, step: int, alpha: float) -> None:
+        self._best_alpha = max(self._best_alpha, alpha)
+        text = f"the picture's mean alpha is {alpha:.4f}, at its best it was {self._best_alpha:.3f}"
+        self._collapses("alpha_vanishes", alpha < EMPTY * self._best_alpha, step, text)
+
+    def _look_at_beta(self, step: int, beta: Tensor, view: View) -> None:
+        """β against the view's own mask of what reflects; where it has none, only that nearly all reflects is said."""
+        mirrors = view.masks.get(REFLECTIVE)
+        matte = beta if mirrors is None else beta[~mirrors.to(beta.device)]
+        if matte.numel():
+            mean = float(matte.mean())
+            self._lasts("beta_saturates", mean > SATURATED, step, f"a mean β of {mean:.2f} where nothing reflects")
+        if mirrors is not None and mirrors.any():
+            mean = float(beta[mirrors.to(beta.device)].mean())
+            self._lasts("beta_vanishes", mean < ABSENT, step, f"a mean β of {mean:.4f} on what reflects")
+
+    def _look_at_memory(self, step: int) -> None:
+        used = process_memory()
+        if used > self._memory:
+            text = (
+                f"{used / 1e9:.1f} GB in use, {self._memory / 1e9:.1f} GB are the most that this machine leaves a run"
+            )
+            self._warn("budget", step, "", text)
+            raise MemoryError(f"{text}; stopped after step {step} before the system would have")
+
+    def _collapses(self, kind: WarningKind, wrong: bool, step: int, text: str) -> None:
+        """As `_lasts`, and the end of a run that it lasts on in, unless that has no step left to lose."""
+        self._lasts(kind, wrong, step, text)
+        if self._lasting[kind] >= HOPELESS and step < self._steps:
+            raise Diverged(f"{text}; it has been so for {HOPELESS * LOOK_EVERY} steps, up to step {step}")
+
+    def _lasts(self, kind: WarningKind, wrong: bool, step: int, text: str) -> None:
+        self._lasting[kind] = self._lasting.get(kind, 0) + 1 if wrong else 0
+        if self._lasting[kind] == self._enough:
+            self._warn(kind, step, "", f"{text}, for {self._enough * LOOK_EVERY} steps")
+
+    def _warn(self, kind: WarningKind, step: int, part: str, message: str) -> None:
+        for index, warning in enumerate(self.warnings):
+            if (warning.kind, warning.part) == (kind, part):
+                self.warnings[index] = warning.model_copy(update={"times": warning.times + 1})
+                return
+        self.warnings.append(TrainingWarning(kind=kind, step=step, part=part, message=message))
+
+
+def one_color_psnr(view: View) -> float:
+    """The PSNR of the view in its own mean color, dB: a picture that shows nothing. At most 100 dB."""
+    variance = float(view.rgb().var(dim=(0, 1), correction=0).mean())
+    return -10 * math.log10(max(variance, 1e-10))
+
+
+def machine_memory() -> int:
+    """Bytes of memory that this process may take: the machine's, or its container's where that is less."""
+    total = psutil.virtual_memory().total
+    for path in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
+        try:
+            return min(total, int(Path(path).read_text(encoding="ascii")))
+        except (OSError, ValueError):
+            continue  # no such file, or "max"
+    return total
+
+
+def process_memory() -> int:
+    """Bytes that this process holds and that no file could give back."""
+    memory = psutil.Process().memory_info()
+    return memory.rss - getattr(memory, "shared", 0)

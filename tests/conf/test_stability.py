@@ -1,0 +1,62 @@
+"""The stability study: every case of it is one that there is, with its partner, and all of one size and length."""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+
+import pytest
+from sweeps import one_run, swept
+
+from envgs_bench.cli.composition import config_names
+from envgs_bench.datasets.perturbations.registry import PERTURBATIONS as OF_SCENES
+from envgs_bench.stages.perturbations import perturbation_of, perturbed_settings
+from envgs_bench.stages.setting_perturbations import PERTURBATIONS as OF_SETTINGS
+
+STUDY = [name for name in config_names("experiment") if name.startswith("stability")]
+
+
+@pytest.mark.parametrize("name", STUDY)
+def test_every_case_can_be_run_and_has_its_partner(name: str) -> None:
+    choices = swept(name)
+    kinds, severities = choices["perturb.kind"], choices["perturb.severity"]
+    assert kinds[0] == "none"
+    assert len(set(kinds)) == len(kinds)
+    method = choices["method"][0]
+    for kind, severity in product(kinds, severities):
+        run = one_run(name, method=method, perturb__kind=kind, perturb__severity=severity)
+        found = perturbation_of(run)
+        assert (found.kind, str(found.severity)) == (kind, severity) if found else kind == "none"
+        perturbed_settings(run)
+    gates = one_run(name, method=method).gates
+    assert gates is not None
+    assert gates.baseline in choices["method"]
+
+
+def test_the_study_is_of_one_size_and_five_seeds_but_for_the_gpus() -> None:
+    for name in STUDY:
+        run = one_run(name)
+        size = (run.dataset["width"], run.dataset["height"], run.steps)
+        seeds = swept(name)["seed"]
+        assert (size, len(seeds)) == (((160, 120, 3000), 3) if name == "stability_gpu" else ((64, 48, 300), 5))
+        assert next(iter(swept(name))) == "seed"  # a study that was cut short has whole seeds
+
+
+def test_no_kind_is_forgotten() -> None:
+    swept_over = {kind for name in STUDY for kind in swept(name)["perturb.kind"]}
+    # Masks matter to no training; no_joint is of reflections alone; a run of the study's length resets no opacities.
+    left_out = {"masks_grown", "masks_shrunk", "no_joint", "no_resets"}
+    assert {*OF_SCENES, *OF_SETTINGS} - swept_over == left_out
+
+
+def test_the_study_fits_into_three_hours_on_two_cores() -> None:
+    """By processor time as docs/stability.md says it was measured: seconds of one run, start to record."""
+    seconds = {"2dgs_tuned": 8, "3dgs_tuned": 8, "envmap": 10, "envgs": 33, "envgs_single_set": 20}
+    total = 0.0
+    for name in STUDY:
+        choices = swept(name)
+        if name != "stability_gpu":
+            cases = 1 + (len(choices["perturb.kind"]) - 1) * len(choices["perturb.severity"])
+            runs = len(choices["seed"]) * len(choices["dataset"]) * cases
+            total += runs * math.fsum(seconds[method] for method in choices["method"])
+    assert total / 2 < 3 * 3600

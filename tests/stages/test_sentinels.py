@@ -1,0 +1,76 @@
+"""The cheapest form of each case of the stability study: methods learn the scene, and say so where they do not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from toy_scenes import coarse_toys
+
+from envgs_bench.core import Scene
+from envgs_bench.datasets import load_scene
+from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
+from envgs_bench.methods.method import Method
+from envgs_bench.methods.registry import create_method
+from envgs_bench.stages.training import Training
+
+TOY = {"kind": "toy", "width": 40, "height": 30, "views": 33, "supersampling": 1, "normal_noise": 5.0}
+ENVGS = {"env_grid": 5, "env_far_count": 100}
+STEPS = 150
+SCENES = ("chrome_room", "glass", "facing_mirrors", "thin_rails", "sky_ball", "wavy_mirror", "lacquered_table")
+LOST = {  # dB: what breaks a training of 150 steps today, and by how much at most
+    **{"views": -1.0, "points_random": -0.5, "points_at_cameras": -5.5, "points_near_cameras": -5.0},
+}
+SAYS = {"points_at_cameras": ["learns_nothing"], "points_near_cameras": ["learns_nothing"]}
+
+
+@pytest.fixture(scope="module")
+def toys(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Scene]:
+    cache = tmp_path_factory.mktemp("cache")
+    with coarse_toys():
+        return {name: load_scene({**TOY, "scene": name}, cache) for name in SCENES}
+
+
+def trained(kind: str, scene: Scene, folder: Path, **settings: Any) -> tuple[Method, Training]:
+    method = create_method(kind, (ENVGS if kind == "envgs" else {}) | settings)
+    training = Training(method, scene, STEPS, seed=0)
+    training.run(folder / "curve.csv", lambda event: None)
+    method.prepare()
+    return method, training
+
+
+def psnr_on_test_views(method: Method, scene: Scene) -> float:
+    pairs = [(method.render(view.camera).color.clamp(0, 1), view.rgb()) for view in scene.test]
+    return float(np.mean([-10 * float((a - b).square().mean().log10()) for a, b in pairs]))
+
+
+def of_one_color(scene: Scene) -> float:
+    """The PSNR of test views that are all in the training views' mean color: of a method that learned nothing."""
+    color = torch.stack([view.rgb().mean((0, 1)) for view in scene.train]).mean(0)
+    return float(np.mean([-10 * float((color - view.rgb()).square().mean().log10()) for view in scene.test]))
+
+
+def gain(kind: str, scene: Scene, folder: Path, warnings: Sequence[str] = ()) -> float:
+    """By how many dB a training, with no other warnings, is better than having learned nothing."""
+    method, training = trained(kind, scene, folder)
+    assert [warning.kind for warning in training.health.warnings] == list(warnings)
+    assert int(method.skipped_steps) == 0
+    return psnr_on_test_views(method, scene) - of_one_color(scene)
+
+
+@pytest.mark.parametrize("name", [name for name in SCENES if name != "chrome_room"])
+def test_scenes_that_break_an_assumption_train_soundly(toys: dict[str, Scene], name: str, tmp_path: Path) -> None:
+    assert gain("envgs", toys[name], tmp_path) > 0.3
+
+
+@pytest.mark.parametrize("kind", [k for k in PERTURBATIONS if not k.startswith(("masks", "background"))])
+def test_the_worst_of_each_kind_of_data_leaves_something_to_learn(
+    toys: dict[str, Scene], kind: str, tmp_path: Path
+) -> None:
+    perturbation = PERTURBATIONS[kind]
+    scene = perturbation.applied(toys["chrome_room"], len(perturbation.levels), kind, seed=0)
+    assert gain("envgs", scene, tmp_path, SAYS.get(kind, ())) > LOST.get(kind, 0.2)
