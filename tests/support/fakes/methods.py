@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
+import subprocess
+import sys
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -151,6 +155,70 @@ class Announces(MeanColor):
             Path("started").touch()
             time.sleep(0.1)
         return super().training_step(view, step)
+
+
+class Waits(MeanColor):
+    """Trains until it is interrupted, a fifth of a second a step."""
+
+    def training_step(self, view: View, step: int) -> dict[str, float]:
+        time.sleep(0.2)
+        return super().training_step(view, step)
+
+
+class Complains(MeanColor):
+    """Says at such length what it trains without that no pipe holds it."""
+
+    def initialize(self, scene: Scene, steps: int) -> None:
+        super().initialize(scene, steps)
+        self.dropped_losses["gloss"] = "there is no varnish; " * 20_000
+
+
+class LeavesAThread(MeanColor):
+    """Its thread never ends."""
+
+    def initialize(self, scene: Scene, steps: int) -> None:
+        super().initialize(scene, steps)
+        threading.Thread(target=threading.Event().wait).start()
+
+
+class LeavesProcesses(MeanColor):
+    """One in its group, one in a session of its own, and one that has all its files: their numbers are in `left`."""
+
+    def initialize(self, scene: Scene, steps: int) -> None:
+        super().initialize(scene, steps)
+        sleep = [sys.executable, "-c", "import time; time.sleep(600)"]
+        left = [subprocess.Popen(sleep).pid, subprocess.Popen(sleep, start_new_session=True).pid]
+        left.append(os.fork())
+        if left[-1] == 0:
+            os.setsid()
+            time.sleep(600)
+        Path("left").write_text(" ".join(map(str, left)), encoding="utf-8")
+
+
+class Chatters(_Failing):
+    """Prints 50 MB, and fails with as long a message."""
+
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        print("the first line")
+        for _ in range(50):
+            print("a" * 10**6)
+        print("the last line")
+        raise RuntimeError("begins " + "b" * 5 * 10**7 + " ends")
+
+
+class FillsItsDisk(_Failing):
+    """Writes beside its run until nothing more can be written."""
+
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        with (Path(os.environ["ENVGS_BENCH_RUN"]).parents[3] / "filler").open("wb", buffering=0) as stream:
+            while True:
+                stream.write(bytes(2**16))
+
+
+class DeletesItsFolder(_Failing):
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        shutil.rmtree(os.environ["ENVGS_BENCH_RUN"])
+        return losses
 
 
 class Forgets(MeanColor):
