@@ -12,6 +12,7 @@ from envgs_bench.import_path import load_import_path
 
 from .errors import DatasetError
 from .settings import SceneSettings, parse_dataset_settings
+from .sources.listing import listed_files
 from .split import with_validation
 
 # Its scene's `val` are those of its training views that may validate, as scores are to see them, and still train too:
@@ -56,6 +57,18 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     scene = with_validation(scene) if stated.validation else replace(scene, val=())
     free_space, bounds = stated.free_space or scene.free_space, stated.bounds or scene.bounds
     return replace(scene, free_space=free_space, bounds=bounds)
+
+
+def files_read(settings: Mapping[str, Any], cache_dir: Path) -> list[Path] | None:
+    """The files that `load_scene` makes this scene from, None of a source of somebody else's, which does not name them.
+
+    Raises:
+        DatasetError: as `load_scene`.
+    """
+    if settings.get("kind") not in BUILT_IN:
+        return None
+    source = _source(str(settings["kind"]))
+    return listed_files(lambda: source(own_settings(settings), Path(cache_dir)))
 
 
 def own_settings(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -171,6 +171,8 @@ def read_record(path: Path) -> Record:
         RecordError: unreadable, truncated, of an unknown schema version, or with missing or wrong keys.
     """
     path = path / RECORD_NAME if path.is_dir() else path
+    if path.exists() and not path.is_file():
+        raise RecordError(f"{path}: is no file")  # a pipe would wait for a writer
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

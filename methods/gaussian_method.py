@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 from pathlib import Path
-from typing import ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import torch
 from torch import Tensor
@@ -50,6 +50,7 @@ class GaussianMethod(Method):
     | an image | draw |
     | a set is new or loaded | densification_rule, initial_learning_rates, initial_beta |
     | a checkpoint is written or read | state, restore |
+    | a training is interrupted and goes on | training_state, resume |
 
     Attributes:
         sets: the trained sets by name; always BASE.
@@ -153,6 +154,25 @@ class GaussianMethod(Method):
     def load(self, folder: Path) -> None:
         self.restore(read_checkpoint(folder, type(self).__name__, self.device))
         self.prepared.clear()
+
+    def training_state(self) -> dict[str, Any]:
+        return {
+            "sets": {name: trained.training_state() for name, trained in self.sets.items()},
+            "generator": self.generator.get_state(),
+            "skipped_steps": self.skipped_steps,
+        }
+
+    def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
+        self.initialize(scene, steps)
+        for name, trained in state["sets"].items():
+            if name not in self.sets:  # made during the training: of any row, as all rows are replaced
+                tensors = trained["parameters"]["tensors"]
+                parameters = GaussianParameters(tensors, self.initial_learning_rates(), self.radius)
+                self.sets[name] = TrainedSet(parameters, self.densification_rule(name))
+            self.sets[name].restore_training(trained)
+        self.generator.set_state(state["generator"])
+        skipped = state["skipped_steps"]
+        self.skipped_steps = skipped.to(self.device) if isinstance(skipped, Tensor) else skipped
 
     @property
     def uses_perceptual(self) -> bool:

@@ -6,6 +6,8 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from envgs_bench.plain_text import no_formula
+
 from .charts.pareto_chart import draw_charts
 from .numbers.runs import BrokenRecord, read_runs
 from .outputs import delete_last_report, files_below, list_new_files
@@ -63,7 +65,8 @@ def build_report(runs: Path, out: Path) -> Report:
     delete_last_report(out)
     before = files_below(out)
     for index, section in enumerate(sections):
-        section.tidy.to_csv(out / section.csv_name(index), index=False)
+        texts = {name: section.tidy[name].map(no_formula) for name in ("dataset", "method", "region", "metric")}
+        section.tidy.assign(**texts).to_csv(out / section.csv_name(index), index=False)
     (out / "table.md").write_text(markdown(sections, broken), encoding="utf-8")
     (out / "table.tex").write_text(latex(sections), encoding="utf-8")
     (out / "table.json").write_text(json.dumps(structured(sections, broken)), encoding="utf-8")

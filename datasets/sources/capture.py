@@ -23,6 +23,7 @@ from ..split import split_views, validation_of, without_normals
 from ..store.cache import cached_scene
 from ..store.contents import digest_of
 from ..store.scene_file import on_disk
+from .listing import name_files
 
 Missing = Literal["refuse", "skip"]
 Channel = Annotated[float, Field(ge=0, le=1)]
@@ -61,7 +62,7 @@ def cached_capture(
         "version": version,
         **settings.model_dump(mode="json", exclude={"root"}),
         "name": settings.scene_name,
-        "contents": digest_of((path for path in files if path.is_file()), settings.root, cache_dir),
+        "contents": digest_of(name_files(files), settings.root, cache_dir),
         "estimator": estimator_version(settings.normal_estimator),
     }
     return cached_scene(cache_dir, settings.scene_name, key, make)

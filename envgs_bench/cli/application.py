@@ -4,34 +4,59 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
 from envgs_bench.metrics import get_protocol
+from envgs_bench.plain_text import plain
 from envgs_bench.runs.display import make_display
 from envgs_bench.runs.interruption import INTERRUPTED, INTERRUPTION
 from envgs_bench.runs.job import located, run_job
-from envgs_bench.runs.output import plain, unbreakable_output
+from envgs_bench.runs.output import unbreakable_output
 from envgs_bench.settings import SettingsError
 
 from .composition import CONF, explain, register_methods, settings_of
-from .ledger import SWEEP_VARIABLE, close_ledger, enter, print_outcomes, runs_here, stop_file
+from .ledger import (
+    SWEEP_VARIABLE,
+    Sweep,
+    close_ledger,
+    enter,
+    position,
+    print_outcomes,
+    runs_here,
+    stop_file,
+    time_left,
+)
+from .plan import Plan
+
+_plan: Plan | None = None  # of a dry run
 
 
-def run(arguments: list[str]) -> int:
-    """Run the jobs that `arguments` (Hydra's: overrides, -m, --cfg …) describe.
+def run(arguments: list[str], dry: bool = False) -> int:
+    """Run the jobs that `arguments` (Hydra's: overrides, -m, --cfg …) describe; print what would run where `dry`.
 
     Returns:
         The exit code: 0 where every job has a run with status ok, 1 where one has not, 2 where nothing could be
         started because of the arguments, 130 after Ctrl-C or SIGTERM.
     """
+    global _plan
     with unbreakable_output():
-        return _run(arguments)
+        if not dry:
+            return _run(arguments)
+        _plan = Plan()
+        try:
+            code = _run([one for one in arguments if not one.startswith(("hydra/launcher=", "hydra.launcher."))])
+            if not code:
+                _plan.print()
+            return code
+        finally:
+            _plan = None
 
 
 def _run(arguments: list[str]) -> int:
@@ -39,7 +64,7 @@ def _run(arguments: list[str]) -> int:
     program, sys.argv = sys.argv, ["envgs-bench run", *_flags_first(arguments)]
     variables = {name: os.environ.get(name) for name in ("HYDRA_FULL_ERROR", SWEEP_VARIABLE)}
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here, to be explained
-    os.environ[SWEEP_VARIABLE] = str(os.getpid())
+    Sweep(os.getpid(), time.time()).announce()
     INTERRUPTION.reset()
     code = 0
     with INTERRUPTION.handled():
@@ -64,7 +89,7 @@ def _run(arguments: list[str]) -> int:
         if INTERRUPTION.requested:
             code = INTERRUPTED
         outcomes = close_ledger()
-        if outcomes is None:  # nothing was to run: --cfg and the like, or wrong arguments
+        if outcomes is None or _plan is not None:  # nothing was to run: --cfg and the like, or wrong arguments
             return code
         if outcomes:
             print_outcomes(outcomes, Console(width=None if sys.stdout.isatty() else 160))
@@ -87,14 +112,22 @@ def _run_composed(config: DictConfig) -> None:
         raise SettingsError(f"protocol={settings.protocol}: {error}") from error
     alone = runs_here(DictConfig({"hydra": HydraConfig.get()}))
     if not alone:
-        INTERRUPTION.follow(stop_file(), int(os.environ.get(SWEEP_VARIABLE, 0)))
+        INTERRUPTION.follow(stop_file(), Sweep.current().pid)
         if INTERRUPTION.requested:
             return
     settings, folder = located(settings)
+    if _plan is not None:
+        _plan.add(settings, folder)
+        return
+    display = make_display(
+        alone, position(OmegaConf.select(DictConfig({"hydra": HydraConfig.get()}), "hydra.job.num") or 0)
+    )
     with unbreakable_output(), INTERRUPTION.held():
-        outcome = run_job(settings, folder, make_display(alone), INTERRUPTION)
+        outcome = run_job(settings, folder, display, INTERRUPTION)
         enter(outcome)
         print(plain(str(outcome)), file=sys.stderr)
+        if left := time_left():
+            print(left, file=sys.stderr)
 
 
 def _flags_first(arguments: list[str]) -> list[str]:

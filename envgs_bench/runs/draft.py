@@ -34,6 +34,8 @@ class Draft:
         source["command"] = shlex.join(["envgs-bench", "run", *settings.overrides])  # the user's, not this process's
         if failure is not None:
             failure = failure.model_copy(update={"message": shortened(failure.message)})
+        if results.went_on_from:
+            source["went_on_from_steps"] = results.went_on_from
         record = Record(
             status=status,
             error=failure,

@@ -9,31 +9,34 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from envgs_bench.datasets.registry import files_read
 from envgs_bench.datasets.store.contents import digest_of, files_in
 from envgs_bench.methods.registry import installed_methods
 from envgs_bench.metrics import WeightsUnavailable, find_weights
 from envgs_bench.records import RENDERS
 from envgs_bench.settings import PATH_KEYS, RunSettings
 
+from .meaning import SOURCES, meaning_of
+
 # The rooms whose code can change a result: all that `stages.execution.execute` does lies in them.
 RESULT_CODE = ("core", "datasets", "methods", "metrics", "stages")
-SOURCES = {".py", ".h", ".cpp", ".cu", ".cuh"}
 COMPRESSED = (".png", ".jpg", ".jpeg", ".webp")  # files that other pixels make another size
 
 
 def run_id(settings: RunSettings, device: str) -> str:
     """`seed<seed>-<hash8>`: equal where method, data, steps, seed, protocol, views, timing, device and code are equal.
 
-    Where data lie does not count, what lies there does (names and contents of the files, of photographs and masks names
-    and sizes, which tell as much where pixels are compressed; of renders the content): a corrected data set is a new
-    run, a moved one is not. VGG-16's weights count, which both a loss and a metric need: a run without them is run
-    again once they are there. What changes no result does not count: folders, force, retry_failed, timeout_minutes.
+    Where data lie does not count, what is read there does (names and contents of the files that the data source makes
+    its scene from; of renders the content): a corrected data set is a new run, a moved one is not, nor is one with a
+    file more that nobody reads. VGG-16's weights count, which both a loss and a metric need: a run without them is run
+    again once they are there. What changes no result does not count: folders, force, retry_failed, the limits of time
+    and memory, when snapshots are saved.
     """
     cache_dir = settings.cache_dir
     dataset = {key: value for key, value in settings.dataset.items() if key != "obtain"}
     determining = {
         "method": [settings.method.name, settings.method.kind, _with_fingerprints(settings.method.settings, cache_dir)],
-        "dataset": _with_fingerprints(dataset, cache_dir),
+        "dataset": _with_fingerprints(dataset, cache_dir, _files_read(settings)),
         "steps": settings.steps,
         "seed": settings.seed,
         "protocol": settings.protocol,
@@ -51,14 +54,18 @@ def run_id(settings: RunSettings, device: str) -> str:
 
 @cache
 def code_version() -> str:
-    """A hash of the sources in RESULT_CODE. Finer than the commit: a change of a report or of a page is none here."""
-    digest = hashlib.sha256()
+    """A hash of what the sources in RESULT_CODE mean: neither comments count nor in which file of a room code lies.
+
+    Python finds a module by its name, and so do its imports, which count: code that is moved and imported from its new
+    place is another code all the same. C++ files are included by their names, which count too.
+    """
+    parts = []
     for room in RESULT_CODE:
-        root = _location(room)
-        for path in sorted(path for path in root.rglob("*") if path.suffix in SOURCES):
-            digest.update(f"{room}/{path.relative_to(root)}\0".encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+        for path in _location(room).rglob("*"):
+            if path.suffix in SOURCES:
+                name = "" if path.suffix == ".py" else path.name
+                parts.append(f"{room}/{name}\0".encode() + meaning_of(path))
+    return hashlib.sha256(b"".join(sorted(parts))).hexdigest()
 
 
 @cache
@@ -102,31 +109,43 @@ def _extension_hash(kind: str) -> str | None:
     files = sorted(file for folder in folders for file in folder.rglob("*.py")) or [Path(spec.origin or "")]
     digest = hashlib.sha256()
     for file in files:
-        digest.update(file.read_bytes() if file.is_file() else b"")
+        digest.update(meaning_of(file) if file.is_file() else b"")
     return digest.hexdigest()
 
 
-def _with_fingerprints(node: dict[str, Any], cache_dir: Path) -> dict[str, Any]:
+def _files_read(settings: RunSettings) -> list[Path] | None:
+    """The files that the data set's scene is made from, None of a source that does not say so, or cannot read them."""
+    if not settings.dataset.get("root"):
+        return None
+    try:
+        return files_read(settings.dataset, settings.cache_dir)
+    except Exception:
+        return None  # as the run itself will say
+
+
+def _with_fingerprints(node: dict[str, Any], cache_dir: Path, files: list[Path] | None = None) -> dict[str, Any]:
     return {
-        key: _fingerprint(Path(value), cache_dir) if key in PATH_KEYS and value else value
+        key: _fingerprint(Path(value), cache_dir, files) if key in PATH_KEYS and value else value
         for key, value in node.items()
     }
 
 
-def _fingerprint(root: Path, cache_dir: Path) -> list[Any] | str:
-    """What lies at `root`, or the path itself where there is nothing.
+def _fingerprint(root: Path, cache_dir: Path, files: list[Path] | None) -> list[Any] | str:
+    """What lies at `root`, of all that or of `files` alone, or the path itself where there is nothing.
 
-    Names and sizes of compressed pictures, and a hash of all else, as of cameras and arrays of normals, whose size says
-    nothing. Hashes are remembered in the cache.
+    Where it is not known which files are read, those of compressed pictures count by name and size only. Hashes are
+    remembered in the cache.
     """
     if root.is_file():
         return [(root.name, root.stat().st_size)]
     if not root.is_dir():
         return str(root)
-    files = sorted(files_in([root]))
-    pictures = [path for path in files if path.suffix.lower() in COMPRESSED]
+    if files is not None:
+        return [digest_of(files, root, cache_dir)]
+    below = sorted(files_in([root]))
+    pictures = [path for path in below if path.suffix.lower() in COMPRESSED]
     sizes = [(str(path.relative_to(root)), path.stat().st_size) for path in pictures]
-    return [*sizes, digest_of(set(files) - set(pictures), root, cache_dir)]
+    return [*sizes, digest_of(set(below) - set(pictures), root, cache_dir)]
 
 
 def _content(root: str | None) -> str | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO
 
 from envgs_bench.run_folder import LOG_NAME
 
@@ -25,7 +25,7 @@ class BoundedLog(threading.Thread):
     A log that is there already is continued.
     """
 
-    def __init__(self, stream: BinaryIO, folder: Path) -> None:
+    def __init__(self, stream: IO[bytes], folder: Path) -> None:
         super().__init__(daemon=True)
         self._stream = stream
         path = folder / LOG_NAME

@@ -67,8 +67,3 @@ def unbreakable_output() -> Iterator[None]:
         sys.stdout, sys.stderr = before
         for stream in streams:
             stream.close_quietly()
-
-
-def plain(text: str) -> str:
-    """`text` as a terminal may show it: control characters, which would move its cursor, as replacement signs."""
-    return "".join(character if character.isprintable() or character in "\n\t" else "�" for character in text)

@@ -14,7 +14,6 @@ import sys
 import traceback
 from contextlib import suppress
 from pathlib import Path
-from types import FrameType
 from typing import NoReturn
 
 import torch
@@ -23,10 +22,15 @@ from envgs_bench.records import Failure, Status
 from envgs_bench.settings import read_settings
 from envgs_bench.stages.events import Event, EventListener
 from envgs_bench.stages.execution import execute
+from envgs_bench.stages.memory import lift_limit, limit_memory
+from envgs_bench.stages.stop import Stop
 from envgs_bench.stages.training import Diverged
 
 from .draft import Draft
 from .processes import CLAIM_VARIABLE, JOB_VARIABLE, end_all_of, end_with
+
+# What PyTorch's CPU allocator, C++ and Python's threads say in a RuntimeError where they were refused memory.
+OUT_OF_MEMORY = ("can't allocate memory", "std::bad_alloc", "can't start new thread")
 
 
 class TimeUp(BaseException):
@@ -35,22 +39,25 @@ class TimeUp(BaseException):
 
 def main(arguments: list[str]) -> int:
     """Run the run of the folder named in `arguments`; 0 where it ended with status ok."""
+    stop = Stop()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
+        signal.signal(number, lambda *_: stop.ask(KeyboardInterrupt()))
     _join_job()
     report = _reporter(_take_standard_output())
     faulthandler.enable()
     folder = Path(arguments[0])
     settings = read_settings(folder)
     draft = Draft(folder, settings)
-    _start_clock(settings.timeout_minutes)
+    _start_clock(settings.timeout_minutes, stop)
     status: Status = "ok"
     failure = None
     try:
-        execute(settings, folder, draft.results, report)
+        limit_memory(settings.memory_gb, settings.device_memory_fraction, settings.device)
+        execute(settings, folder, draft.results, report, stop)
         _ignore_signals()  # what is finished is recorded
     except BaseException as error:
         _ignore_signals()
+        lift_limit()
         traceback.print_exc()
         sys.stderr.flush()
         status = _status(error)
@@ -83,12 +90,11 @@ def _leave(code: int, folder: Path) -> NoReturn:
     os._exit(code)
 
 
-def _start_clock(minutes: float | None) -> None:
-    def ring(number: int, frame: FrameType | None) -> None:
-        raise TimeUp(f"not finished after timeout_minutes={minutes:g}")
-
+def _start_clock(minutes: float | None, stop: Stop) -> None:
+    """Have `stop` asked when the minutes are over, and whenever it wants to be asked again."""
+    message = "" if minutes is None else f"not finished after timeout_minutes={minutes:g}"
+    signal.signal(signal.SIGALRM, lambda *_: stop.ask(TimeUp(message)))
     if minutes is not None:
-        signal.signal(signal.SIGALRM, ring)
         signal.setitimer(signal.ITIMER_REAL, 60 * minutes)
 
 
@@ -99,14 +105,14 @@ def _status(error: BaseException) -> Status:
         return "interrupted"
     if isinstance(error, Diverged):
         return "diverged"
-    if isinstance(error, MemoryError | torch.OutOfMemoryError) or "can't allocate memory" in str(error):
-        return "out_of_memory"  # PyTorch's CPU allocator says it in a RuntimeError
+    if isinstance(error, MemoryError | torch.OutOfMemoryError) or any(words in str(error) for words in OUT_OF_MEMORY):
+        return "out_of_memory"
     return "failed"
 
 
 def _message(error: BaseException) -> str:
     if isinstance(error, KeyboardInterrupt):
-        return "interrupted; what was learned is in checkpoint/"
+        return "interrupted; the same command goes on from where the training was saved last"
     if isinstance(error, BrokenPipeError):
         return "the process that started this run is gone"
     return str(error) or type(error).__name__

@@ -7,6 +7,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from envgs_bench.core import Scene, View
 from envgs_bench.methods.method import Method
 
 from .events import EventListener
+from .memory import peak_host_bytes
+from .snapshots import Snapshots, State, random_state, set_random_state
 
 # This many steps in a row without a finite loss, and the run has diverged.
 NON_FINITE_STEPS = 20
@@ -34,8 +37,10 @@ class Training:
 
     Attributes:
         step: steps done.
-        seconds: wall-clock time of `Method.initialize` and of all steps, work on the device included.
+        seconds: wall-clock time of `Method.initialize` and of all steps, work on the device included; of snapshots not.
         peak_primitives: the most primitives of all sets together, after any step.
+        peak_host_bytes: the most memory of the processes that did earlier parts of this training.
+        went_on_from: the steps of the snapshots that it went on from.
     """
 
     def __init__(self, method: Method, scene: Scene, steps: int, seed: int) -> None:
@@ -43,35 +48,61 @@ class Training:
         self.step = 0
         self.seconds = 0.0
         self.peak_primitives = 0
+        self.peak_host_bytes = 0
+        self.went_on_from: list[int] = []
         self._psnr: deque[float] = deque(maxlen=len(scene.train))
         self._non_finite = 0
+        self._seconds_before = 0.0
+        self._snapshots: Snapshots | None = None
 
-    def run(self, curve: Path, report: EventListener) -> None:
+    def run(self, curve: Path, report: EventListener, snapshots: Snapshots | None = None) -> None:
         """Train; `curve` becomes a CSV table of step, seconds, loss, psnr, skipped_steps and primitives_<set>.
 
         `psnr` is the mean over the last steps, as many as there are training views, of what the method saw in dB.
+        Where `snapshots` have a state, the training goes on from it and ends where it would have ended without the
+        interruption, bitwise on the CPU with the same number of threads.
 
         Raises:
             Diverged: NON_FINITE_STEPS steps in a row (or all there are) had a loss that is not finite.
         """
-        started = time.perf_counter()
+        self._began = time.perf_counter()
+        self._snapshots = snapshots
+        state = snapshots.read() if snapshots else None
         try:
-            self.method.initialize(self.scene, self.steps)
+            if state is None:
+                self.method.initialize(self.scene, self.steps)
+            else:
+                self._go_on_from(state)
             if self.method.dropped_losses:
                 report({"stage": "training", "steps": self.steps, "dropped_losses": dict(self.method.dropped_losses)})
+            rows = _rows_up_to(curve, self.step) if self.step else []
             with curve.open("w", buffering=1, newline="", encoding="utf-8") as stream:
-                self._loop(csv.writer(stream), report, started)
+                stream.writelines(rows)
+                self._loop(csv.writer(stream), report)
             self._synchronize()
         finally:
-            self.seconds = time.perf_counter() - started
+            self.seconds = self._clock()
 
-    def _loop(self, rows: Any, report: EventListener, started: float) -> None:
+    def _clock(self) -> float:
+        """Seconds of training so far, those before an interruption too."""
+        saving = self._snapshots.seconds if self._snapshots else 0.0
+        return self._seconds_before + time.perf_counter() - self._began - saving
+
+    def _loop(self, rows: Any, report: EventListener) -> None:
         sets = list(self.method.primitives())
-        rows.writerow(["step", "seconds", "loss", "psnr", "skipped_steps", *(f"primitives_{name}" for name in sets)])
+        if not self.step:
+            rows.writerow(
+                ["step", "seconds", "loss", "psnr", "skipped_steps", *(f"primitives_{name}" for name in sets)]
+            )
         every = max(1, self.steps // CURVE_ROWS)
         reported = 0.0
         unread: list[Mapping[str, float | Tensor]] = []
-        for view in shuffled(self.scene.train, self.steps, self.seed):
+        for view in islice(shuffled(self.scene.train, self.steps, self.seed), self.step, None):
+            if self._snapshots and self._snapshots.is_due and self.step:
+                self._judge(unread)
+                unread.clear()
+                self._snapshots.save(self._state)
+                self._snapshots.stop.heed()
             unread.append(self.method.training_step(view, self.step + 1))
             self.step += 1
             counts = self.method.primitives()
@@ -82,18 +113,46 @@ class Training:
                 continue
             loss, psnr = self._judge(unread)
             unread.clear()
-            now = time.perf_counter()
+            now = self._clock()
             if wanted:
                 skipped = int(self.method.skipped_steps)
-                rows.writerow([self.step, f"{now - started:.3f}", loss, psnr, skipped, *(counts[n] for n in sets)])
+                rows.writerow([self.step, f"{now:.3f}", loss, psnr, skipped, *(counts[n] for n in sets)])
             if now - reported > REPORT_SECONDS or last:
                 reported = now
                 state = {"step": self.step, "steps": self.steps, "loss": loss, "psnr": psnr, "primitives": counts}
                 report({"stage": "training", **state})
 
+    def _state(self) -> State | None:
+        """What a snapshot holds, None of a method that cannot go on from one."""
+        method = self.method.training_state()
+        if method is None:
+            return None
+        return {
+            "method": method,
+            "random": random_state(),
+            "step": self.step,
+            "seconds": self._clock(),
+            "peak_primitives": self.peak_primitives,
+            "peak_host_bytes": max(self.peak_host_bytes, peak_host_bytes()),
+            "psnr": list(self._psnr),
+            "non_finite": self._non_finite,
+            "went_on_from": self.went_on_from,
+        }
+
+    def _go_on_from(self, state: State) -> None:
+        """Become what `_state` returned."""
+        self.method.resume(self.scene, self.steps, state["method"])
+        self.step, self._seconds_before = state["step"], state["seconds"]
+        self.peak_primitives, self.peak_host_bytes = state["peak_primitives"], state["peak_host_bytes"]
+        self._psnr.extend(state["psnr"])
+        self._non_finite = state["non_finite"]
+        self.went_on_from = [*state["went_on_from"], self.step]
+        set_random_state(state["random"])
+        print(f"going on from step {self.step}", flush=True)
+
     def _judge(self, unread: Sequence[Mapping[str, float | Tensor]]) -> tuple[float, float]:
         """The last step's loss and the running PSNR; raises Diverged where losses have not been finite for too long."""
-        loss = math.nan
+        loss, psnr = math.nan, math.nan
         for step, losses in enumerate(unread, self.step - len(unread) + 1):
             loss, psnr = float(losses["loss"]), float(losses.get("psnr", math.nan))
             self._non_finite = 0 if math.isfinite(loss) else self._non_finite + 1
@@ -106,6 +165,16 @@ class Training:
     def _synchronize(self) -> None:
         if self.method.device.type == "cuda":
             torch.cuda.synchronize(self.method.device)
+
+
+def _rows_up_to(curve: Path, step: int) -> list[str]:
+    """The head of the curve of an interrupted training and its rows up to `step`, later ones being done again."""
+    try:
+        lines = curve.read_text(encoding="utf-8").splitlines(keepends=True)
+    except (OSError, UnicodeDecodeError):
+        return []
+    numbers = ((line, line.partition(",")[0]) for line in lines if line.endswith("\n"))
+    return [line for line, number in numbers if number == "step" or (number.isdecimal() and int(number) <= step)]
 
 
 def shuffled(views: list[View], steps: int, seed: int) -> Iterator[View]:

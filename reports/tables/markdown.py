@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from envgs_bench.plain_text import plain
+
 from ..numbers.runs import BrokenRecord
 from .entries import LEGEND, Entry, entries, headings
 from .notes import caption, notes
@@ -55,7 +57,7 @@ def _emphasized(entry: Entry) -> str:
 
 def _escaped(text: str) -> str:
     """Text of a record, harmless in a table's cell: no markup, no line breaks."""
-    plain = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    harmless_text = plain(" ".join(text.split())).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     for markup, harmless in (("\\", "\\\\"), ("|", r"\|"), ("`", r"\`"), ("*", r"\*"), ("](", r"]\(")):
-        plain = plain.replace(markup, harmless)
-    return plain
+        harmless_text = harmless_text.replace(markup, harmless)
+    return harmless_text

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
+from PIL import Image
 
 from envgs_bench.methods import registry
 from envgs_bench.records import Failure
 from envgs_bench.runs import identity, provenance
 from envgs_bench.runs.draft import Draft
 from envgs_bench.runs.identity import code_version, run_id
+from envgs_bench.runs.meaning import meaning_of
 from envgs_bench.settings import RunSettings, SettingsError, default_cache_dir, parse_settings
 
 
@@ -78,6 +82,9 @@ def test_the_device_and_the_code_change_the_identity(monkeypatch: pytest.MonkeyP
         {"force": True},
         {"retry_failed": True},
         {"timeout_minutes": 3},
+        {"memory_gb": 3},
+        {"device_memory_fraction": 0.5},
+        {"snapshot_minutes": 1},
         {"overrides": ["seed=0"]},
         {"device": "cpu"},
     ],
@@ -127,6 +134,62 @@ def test_a_method_of_ones_own_counts_by_its_source(tmp_path: Path, monkeypatch: 
     assert identities() == before
     (tmp_path / "mine_alone" / "losses.py").write_text("a = 2\n")
     assert all(now != then for now, then in zip(identities(), before, strict=True))
+
+
+@pytest.mark.parametrize("suffix", [".py", ".cpp"])
+def test_code_counts_by_what_it_means(tmp_path: Path, suffix: str) -> None:
+    python = (
+        'def f(x):\n    """Doc."""\n    return x + 1  # one\n',
+        ["def f(x):\n    return (x + 1)\n", '# a\ndef f(x):\n    """Another,\n    longer."""\n\n    return x+1\n'],
+        ["def f(x):\n    return x + 2\n", "def f(x):\n    'x'\n    'y'\n    return x + 1\n", "def f(x:\n"],
+    )
+    native = (
+        '#define A 1 // one\nint f(int x) { return x + A; }\nchar* s = "/* no */ //";\n',
+        ['#define A 1\nint f(int x)\n{\n  /* long\n  comment */ return x + A; }\nchar* s = "/* no */ //"; // so\n'],
+        [
+            '#define A 2\nint f(int x) { return x + A; }\nchar* s = "/* no */ //";\n',
+            '#define A 1\nint f(int x) { return x + A; }\nchar* s = "/* yes */ //";\n',
+            '#define A 1 int f(int x) { return x + A; }\nchar* s = "/* no */ //";\n',
+        ],
+    )
+    text, same, others = python if suffix == ".py" else native
+
+    def meaning(content: str) -> bytes:
+        (tmp_path / f"a{suffix}").write_text(content)
+        return meaning_of(tmp_path / f"a{suffix}")
+
+    expected = meaning(text)
+    assert [meaning(other) == expected for other in same] == [True] * len(same)
+    assert [meaning(other) == expected for other in others] == [False] * len(others)
+
+
+def test_every_file_of_this_code_is_parsed() -> None:
+    """The fallback, its bytes, would let comments count."""
+    for room in identity.RESULT_CODE:
+        for path in identity._location(room).rglob("*.py"):
+            compile(path.read_text(), path, "exec")
+
+
+def test_only_files_that_are_read_count(tmp_path: Path) -> None:
+    root = tmp_path / "fox"
+    (root / "images").mkdir(parents=True)
+    frames = []
+    for name in ("a", "b", "c"):
+        Image.new("RGB", (8, 6), "red").save(root / "images" / f"{name}.png")
+        frames.append({"file_path": f"images/{name}.png", "transform_matrix": torch.eye(4).tolist()})
+    content = {"fl_x": 8.0, "fl_y": 8.0, "cx": 4.0, "cy": 3.0, "w": 8, "h": 6, "frames": frames}
+    (root / "transforms.json").write_text(json.dumps(content))
+
+    def identity_of() -> str:
+        data = {"kind": "transforms", "root": str(root)}
+        return run_id(settings(dataset=data, cache_dir=str(tmp_path / "cache")), "cpu")
+
+    before = identity_of()
+    (root / "README.md").write_text("what this is")
+    (root / "images" / "spare.png").write_bytes(b"1234")
+    assert identity_of() == before
+    Image.new("RGB", (8, 6), "blue").save(root / "images" / "b.png")  # as many bytes
+    assert identity_of() != before
 
 
 def test_names_are_the_configured_ones_or_the_folders() -> None:

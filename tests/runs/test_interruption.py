@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import psutil
 import pytest
-from fakes.runs import CONF, QUICK, environment, only_folder, records, run, set_environment
+from fakes.runs import only_folder, records, run, set_environment
+from fakes.whole_sweeps import Start, alive, statuses, sweep_of, training, until
 
 from envgs_bench.claim import holder_of
-from envgs_bench.records import Status, read_record
-from envgs_bench.runs.processes import RUN_VARIABLE
+from envgs_bench.records import read_record
 
 JOBLIB = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
 WAITS = ("method.kind=fakes.methods:Waits", "steps=1000")
@@ -28,75 +24,8 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
     set_environment(monkeypatch)
 
 
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Starts a sweep in a process group of its own, as a shell does; what is left of it is killed in the end."""
-    started = []
-
-    def start(*overrides: str, pipe: str = "") -> subprocess.Popen[str]:
-        sweep = [sys.executable, "-m", "envgs_bench.cli.main", "run", "--config-dir", str(CONF), "-m", *QUICK]
-        command = " ".join([*sweep, "runs_dir=runs", *overrides, pipe])
-        started.append(
-            subprocess.Popen(
-                ["bash", "-c", f"set -o pipefail; {command}"],
-                cwd=tmp_path,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                start_new_session=True,
-                env={**os.environ, **environment()},
-                preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-            )
-        )
-        return started[-1]
-
-    yield start
-    for process in started:
-        with suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
-    for process in alive(tmp_path):
-        process.kill()
-
-
-def alive(root: Path) -> list[psutil.Process]:
-    """Processes of runs below `root`."""
-    found = []
-    for process in psutil.process_iter():
-        try:
-            if process.environ().get(RUN_VARIABLE, "").startswith(str(root)) and process.status() != "zombie":
-                found.append(process)
-        except psutil.Error:
-            pass
-    return found
-
-
-def sweep_of(shell: subprocess.Popen[str]) -> psutil.Process:
-    """The process of `envgs-bench run` itself."""
-    first = psutil.Process(shell.pid)
-    family = [first, *first.children(recursive=True)]
-    return next(one for one in family if one.cmdline()[1:3] == ["-m", "envgs_bench.cli.main"])
-
-
-def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
-    ends = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < ends, "it did not come to that"
-        time.sleep(0.05)
-
-
-def training(root: Path) -> list[Path]:
-    """The folders whose run is training at this moment."""
-    folders = (root / "runs").glob("tiny/fake/*")
-    return [folder for folder in folders if (at := holder_of(folder)) and at.progress.get("stage") == "training"]
-
-
-def statuses(runs: Path) -> list[Status]:
-    return sorted(record.status for record in records(runs)) if runs.is_dir() else []
-
-
 def test_ctrl_c_through_a_pipe_keeps_what_is_finished(
-    tmp_path: Path, start: Callable[..., subprocess.Popen[str]], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """`2>&1 | tee log`: tee ends first, and every line printed from then on meets a broken pipe."""
     monkeypatch.chdir(tmp_path)
@@ -115,7 +44,7 @@ def test_ctrl_c_through_a_pipe_keeps_what_is_finished(
     assert alive(tmp_path) == []
 
 
-def test_a_closed_output_stops_nothing(tmp_path: Path, start: Callable[..., subprocess.Popen[str]]) -> None:
+def test_a_closed_output_stops_nothing(tmp_path: Path, start: Start) -> None:
     process = start("seed=0,1", "steps=20000", pipe="2>&1 | head -1")
     out, _ = process.communicate(timeout=120)
     assert len(out.splitlines()) == 1
@@ -123,14 +52,14 @@ def test_a_closed_output_stops_nothing(tmp_path: Path, start: Callable[..., subp
     assert statuses(tmp_path / "runs") == ["ok", "ok"]
 
 
-def test_a_full_log_disk_stops_nothing(tmp_path: Path, start: Callable[..., subprocess.Popen[str]]) -> None:
+def test_a_full_log_disk_stops_nothing(tmp_path: Path, start: Start) -> None:
     process = start("seed=0,1", "steps=20000", pipe="> /dev/full 2>&1")
     process.communicate(timeout=120)
     assert process.returncode == 0
     assert statuses(tmp_path / "runs") == ["ok", "ok"]
 
 
-def test_a_terminal_that_stands_still_stops_no_run(tmp_path: Path, start: Callable[..., subprocess.Popen[str]]) -> None:
+def test_a_terminal_that_stands_still_stops_no_run(tmp_path: Path, start: Start) -> None:
     """Nobody reads: the sweep waits to print, its run does not."""
     process = start("steps=20000", "method.kind=fakes.methods:Complains", pipe="2>&1 | sleep 600")
     until(lambda: statuses(tmp_path / "runs") == ["ok"])
@@ -138,9 +67,7 @@ def test_a_terminal_that_stands_still_stops_no_run(tmp_path: Path, start: Callab
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3])
-def test_ctrl_c_just_after_a_record_ends_the_sweep(
-    tmp_path: Path, start: Callable[..., subprocess.Popen[str]], delay: float
-) -> None:
+def test_ctrl_c_just_after_a_record_ends_the_sweep(tmp_path: Path, start: Start, delay: float) -> None:
     process = start("seed=" + ",".join(map(str, range(12))))
     until(lambda: statuses(tmp_path / "runs"))
     time.sleep(delay)
@@ -154,9 +81,7 @@ def test_ctrl_c_just_after_a_record_ends_the_sweep(
 
 
 @pytest.mark.parametrize("how", ["terminal", "SIGTERM"])
-def test_joblib_ends_its_runs_with_records(
-    tmp_path: Path, start: Callable[..., subprocess.Popen[str]], how: str
-) -> None:
+def test_joblib_ends_its_runs_with_records(tmp_path: Path, start: Start, how: str) -> None:
     process = start("seed=0,1,2,3", *WAITS, *JOBLIB)
     until(lambda: len(training(tmp_path)) == 2)
     if how == "terminal":
@@ -173,9 +98,7 @@ def test_joblib_ends_its_runs_with_records(
 
 
 @pytest.mark.parametrize("launcher", [(), JOBLIB])
-def test_a_killed_sweep_takes_its_runs_with_it(
-    tmp_path: Path, start: Callable[..., subprocess.Popen[str]], launcher: tuple[str, ...]
-) -> None:
+def test_a_killed_sweep_takes_its_runs_with_it(tmp_path: Path, start: Start, launcher: tuple[str, ...]) -> None:
     process = start("seed=0,1,2,3", *WAITS, *launcher)
     until(lambda: len(training(tmp_path)) == (2 if launcher else 1))
     main = sweep_of(process)
@@ -198,9 +121,7 @@ def test_what_a_worker_leaves_behind_is_ended(tmp_path: Path, monkeypatch: pytes
     assert holder_of(only_folder(tmp_path / "runs")) is None
 
 
-def test_what_a_killed_sweep_left_holds_no_claim(
-    tmp_path: Path, start: Callable[..., subprocess.Popen[str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_killed_sweep_left_holds_no_claim(tmp_path: Path, start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
     """The sweep and its worker are killed at once; a child of the worker, which has its files, lives on."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("envgs_bench.runs.job.GRACE_SECONDS", 1.0)

@@ -11,7 +11,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 
@@ -62,6 +62,13 @@ class MeanColor(Method):
 
     def model_bytes(self) -> dict[str, int]:
         return {"base": 12, "env": 0}
+
+    def training_state(self) -> dict[str, Any]:
+        return {"color": self.color, "skipped_steps": self.skipped_steps}
+
+    def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
+        self.initialize(scene, steps)
+        self.color, self.skipped_steps = state["color"], state["skipped_steps"]
 
     def save(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -114,6 +121,14 @@ class RunsOutOfMemory(_Failing):
         return losses
 
 
+class TakesMemory(_Failing):
+    """2 GB and no more, in parts that a limit of the machine's would not refuse."""
+
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        self.taken = [torch.ones(2**24) for _ in range(32)]
+        return losses
+
+
 class IsSlow(_Failing):
     def fail(self, losses: dict[str, float]) -> dict[str, float]:
         time.sleep(0.1)
@@ -158,10 +173,10 @@ class Announces(MeanColor):
 
 
 class Waits(MeanColor):
-    """Trains until it is interrupted, a fifth of a second a step."""
+    """A fifth of a second a step, or as the environment says."""
 
     def training_step(self, view: View, step: int) -> dict[str, float]:
-        time.sleep(0.2)
+        time.sleep(float(os.environ.get("FAKE_STEP_SECONDS", "0.2")))
         return super().training_step(view, step)
 
 
