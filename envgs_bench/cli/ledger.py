@@ -113,10 +113,12 @@ def close_ledger() -> list[Outcome] | None:
     """All outcomes of this call so far, in the order in which they came, or None where no job was to run."""
     if LEDGER_VARIABLE not in os.environ:
         return None
-    stop_file().unlink(missing_ok=True)
+    with suppress(OSError):
+        stop_file().unlink()
     path = Path(os.environ.pop(LEDGER_VARIABLE))
     outcomes = _read(path)
-    path.unlink(missing_ok=True)
+    with suppress(OSError):
+        path.unlink()
     outcomes += _unwritten
     _unwritten.clear()
     return outcomes
