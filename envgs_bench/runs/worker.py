@@ -58,8 +58,9 @@ def main(arguments: list[str]) -> int:
     except BaseException as error:
         _ignore_signals()
         lift_limit()
-        traceback.print_exc()
-        sys.stderr.flush()
+        with suppress(OSError):  # the job, which reads it, may be gone
+            traceback.print_exc()
+            sys.stderr.flush()
         status = _status(error)
         failure = Failure(type=type(error).__name__, message=_message(error), log_tail="")  # which the job adds
     draft.write(status, failure)

@@ -129,6 +129,7 @@ def test_a_forced_run_that_fails_leaves_the_result(tmp_path: Path, monkeypatch: 
     assert (folder / RECORD_NAME).read_bytes() != before
 
 
+@pytest.mark.slow
 def test_names_are_shown_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Neither markup nor a terminal's escape sequences; and no formula reaches a spreadsheet."""
     names = ("a[/b]", "[red]c", "=1+1", "d\x1b[31me")
@@ -176,6 +177,7 @@ def test_a_dry_run_says_what_would_run(tmp_path: Path, capsys: pytest.CaptureFix
     assert [path for path in sorted(tmp_path.rglob("*")) if path.name != "multirun.yaml"] == before
 
 
+@pytest.mark.slow
 def test_a_sweep_says_which_job_it_is_at(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "envgs_bench.cli.main", "run", "--config-dir", str(CONF), "-m", *QUICK]
     result = subprocess.run(

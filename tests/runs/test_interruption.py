@@ -16,6 +16,7 @@ from envgs_bench.claim import holder_of
 from envgs_bench.records import read_record
 
 JOBLIB = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+LONG = ("steps=20000", "method.settings.tells_psnr=false")
 WAITS = ("method.kind=fakes.methods:Waits", "steps=1000")
 
 
@@ -24,6 +25,7 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
     set_environment(monkeypatch)
 
 
+@pytest.mark.slow
 def test_ctrl_c_through_a_pipe_keeps_what_is_finished(
     tmp_path: Path, start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -45,15 +47,16 @@ def test_ctrl_c_through_a_pipe_keeps_what_is_finished(
 
 
 def test_a_closed_output_stops_nothing(tmp_path: Path, start: Start) -> None:
-    process = start("seed=0,1", "steps=20000", pipe="2>&1 | head -1")
+    process = start("seed=0,1", *LONG, pipe="2>&1 | head -1")
     out, _ = process.communicate(timeout=120)
     assert len(out.splitlines()) == 1
     assert process.returncode == 0
     assert statuses(tmp_path / "runs") == ["ok", "ok"]
 
 
+@pytest.mark.slow
 def test_a_full_log_disk_stops_nothing(tmp_path: Path, start: Start) -> None:
-    process = start("seed=0,1", "steps=20000", pipe="> /dev/full 2>&1")
+    process = start("seed=0,1", *LONG, pipe="> /dev/full 2>&1")
     process.communicate(timeout=120)
     assert process.returncode == 0
     assert statuses(tmp_path / "runs") == ["ok", "ok"]
@@ -61,7 +64,7 @@ def test_a_full_log_disk_stops_nothing(tmp_path: Path, start: Start) -> None:
 
 def test_a_terminal_that_stands_still_stops_no_run(tmp_path: Path, start: Start) -> None:
     """Nobody reads: the sweep waits to print, its run does not."""
-    process = start("steps=20000", "method.kind=fakes.methods:Complains", pipe="2>&1 | sleep 600")
+    process = start(*LONG, "method.kind=fakes.methods:Complains", pipe="2>&1 | sleep 600")
     until(lambda: statuses(tmp_path / "runs") == ["ok"])
     assert process.poll() is None
 
@@ -80,7 +83,7 @@ def test_ctrl_c_just_after_a_record_ends_the_sweep(tmp_path: Path, start: Start,
     assert "│ ok" in out
 
 
-@pytest.mark.parametrize("how", ["terminal", "SIGTERM"])
+@pytest.mark.parametrize("how", [pytest.param("terminal", marks=pytest.mark.slow), "SIGTERM"])
 def test_joblib_ends_its_runs_with_records(tmp_path: Path, start: Start, how: str) -> None:
     process = start("seed=0,1,2,3", *WAITS, *JOBLIB)
     until(lambda: len(training(tmp_path)) == 2)
@@ -97,7 +100,7 @@ def test_joblib_ends_its_runs_with_records(tmp_path: Path, start: Start, how: st
     assert alive(tmp_path) == []
 
 
-@pytest.mark.parametrize("launcher", [(), JOBLIB])
+@pytest.mark.parametrize("launcher", [(), pytest.param(JOBLIB, marks=pytest.mark.slow)])
 def test_a_killed_sweep_takes_its_runs_with_it(tmp_path: Path, start: Start, launcher: tuple[str, ...]) -> None:
     process = start("seed=0,1,2,3", *WAITS, *launcher)
     until(lambda: len(training(tmp_path)) == (2 if launcher else 1))
@@ -121,11 +124,12 @@ def test_what_a_worker_leaves_behind_is_ended(tmp_path: Path, monkeypatch: pytes
     assert holder_of(only_folder(tmp_path / "runs")) is None
 
 
+@pytest.mark.slow
 def test_what_a_killed_sweep_left_holds_no_claim(tmp_path: Path, start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
     """The sweep and its worker are killed at once; a child of the worker, which has its files, lives on."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("envgs_bench.runs.job.GRACE_SECONDS", 1.0)
-    overrides = ("method.kind=fakes.methods:LeavesProcesses", "steps=30000")
+    overrides = ("method.kind=fakes.methods:LeavesProcesses", *LONG)
     process = start(*overrides, "runs_dir=runs")
     until(lambda: (tmp_path / "left").exists())
     left = {int(number) for number in (tmp_path / "left").read_text().split()}

@@ -80,6 +80,7 @@ def kill_rounds(tmp_path: Path, start: Start, rounds: int, draw: random.Random) 
     assert resumed
 
 
+@pytest.mark.slow
 def test_a_sweep_that_was_killed_goes_on(tmp_path: Path, start: Start) -> None:
     kill_rounds(tmp_path, start, 3, random.Random(1))
 
@@ -90,6 +91,7 @@ def test_a_sweep_that_was_killed_ten_times_goes_on(tmp_path: Path, start: Start,
     kill_rounds(tmp_path, start, 10, random.Random(100 + seed))
 
 
+@pytest.mark.slow
 def test_two_sweeps_of_one_folder_share_the_work(tmp_path: Path, start: Start) -> None:
     sweeps = [start("seed=0,1,2,3", *LEARNS), start("seed=0,1,2,3", *LEARNS)]
     for sweep in sweeps:
@@ -118,6 +120,7 @@ def test_ctrl_c_saves_where_it_was_and_the_same_command_goes_on(tmp_path: Path, 
     assert not (folder / "snapshot.safetensors").exists()
 
 
+@pytest.mark.slow
 def test_force_starts_again(tmp_path: Path, start: Start) -> None:
     sweep = start(*LEARNS)
     until(lambda: training(tmp_path))

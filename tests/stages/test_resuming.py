@@ -101,7 +101,8 @@ def test_an_interrupted_training_ends_bitwise_where_it_would_have(kind: str, tmp
 def test_an_interrupted_training_warns_of_what_it_would_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both interruptions come between two readings of losses, the first one right after a step that was skipped."""
     monkeypatch.setattr(training_module, "CURVE_ROWS", 5)  # losses are read after steps 35, 45, … 120 and 125
-    skipped, told = (36, 123), {"whole": [], "parts": []}  # type: tuple[int, int], dict[str, list[dict[str, Any]]]
+    skipped = (36, 123)
+    told: dict[str, list[dict[str, Any]]] = {"whole": [], "parts": []}
     whole, undisturbed = train("2dgs", tmp_path / "whole", (), skipped, told["whole"])
     parts, resumed = train("2dgs", tmp_path / "parts", INTERRUPTED_AFTER, skipped, told["parts"])
     found = undisturbed.health.warnings
