@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +19,9 @@ RECORD_NAME = "record.json"  # what it was and how it ended
 CURVE_NAME = "curve.csv"  # how its training went
 CHECKPOINT = "checkpoint"  # the folder with what it learned
 PICTURES = ("renders", "targets", "masks", "layers")  # the folders with its test views
+REPLACEMENT = "replacement"  # the folder of a run that is done again, while the earlier result is still in place
+SNAPSHOT_NAME = "snapshot.safetensors"  # what an interrupted training goes on from
+OWN_NAMES = (RECORD_NAME, CONFIG_NAME, LOG_NAME, CURVE_NAME, SNAPSHOT_NAME, CHECKPOINT, *PICTURES)
 
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -56,6 +62,36 @@ def layers_of(run: Path, view: str) -> dict[str, Path]:
 def is_file_name(view: str) -> bool:
     """Whether files can be called after the view: one that leads out of its folder, or is too long, names none."""
     return Path(view).name == view and len(view.encode(errors="replace")) <= LONGEST_NAME and "\0" not in view
+
+
+def run_id_of(run: Path) -> str:
+    """The run's identity, which is its folder's name."""
+    return run.parent.name if run.name == REPLACEMENT else run.name
+
+
+def clear(run: Path, keep: Collection[str] = ()) -> None:
+    """Remove what a run wrote into its folder, but for `keep`; what is not its own stays, as do targets of links."""
+    for name in OWN_NAMES:
+        path = run / name
+        if name in keep:
+            continue
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def replace(run: Path) -> None:
+    """Put what lies in the run's REPLACEMENT in its place: the record last, so that whoever is killed can go on."""
+    new = run / REPLACEMENT
+    for name in sorted(OWN_NAMES, key=lambda name: name == RECORD_NAME):
+        path, place = new / name, run / name
+        if not path.exists():
+            continue
+        if place.is_dir() and not place.is_symlink():
+            shutil.rmtree(place)
+        os.replace(path, place)
+    shutil.rmtree(new)
 
 
 def has_renders(run: Path) -> bool:

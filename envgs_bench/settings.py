@@ -88,6 +88,9 @@ class RunSettings(BaseModel):
     device: Literal["auto", "cpu", "cuda"]
     timing: TimingSettings
     timeout_minutes: Annotated[float, Field(gt=0)] | None
+    memory_gb: Annotated[float, Field(gt=0)] | None = None
+    device_memory_fraction: Annotated[float, Field(gt=0, le=1)] | None = None
+    snapshot_minutes: Annotated[float, Field(ge=0)] = 5.0
     runs_dir: Path
     cache_dir: Path
     force: bool

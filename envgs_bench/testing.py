@@ -17,6 +17,7 @@ from envgs_bench.methods.registry import create_method
 
 from .core import Camera, Rendering, Scene, View
 from .parts import SETS
+from .stages.snapshots import read_state, write_state
 
 WIDTH, HEIGHT = 32, 24
 VIEWS = 6
@@ -31,7 +32,8 @@ def check_method(kind: str, settings: Mapping[str, Any] | None = None, device: s
     Settings are a frozen dataclass with defaults; losses are finite, with their total as "loss"; primitives and bytes
     are counted for each of `SETS` throughout; renders and layers are finite, of the camera's size, without gradients,
     and the same after another `prepare`; what is saved and loaded renders and counts the same, and an empty folder is
-    refused; the same seed trains to the same picture (to 1e-3 on a GPU). A method that uses the perceptual loss calls
+    refused; the same seed trains to the same picture (to 1e-3 on a GPU), and so does a training that is interrupted and
+    goes on, where the method can. A method that uses the perceptual loss calls
     it where it is offered and trains without it where it is not. A step on a picture that is not finite is counted in
     `skipped_steps` and changes no render.
 
@@ -61,6 +63,10 @@ def check_method(kind: str, settings: Mapping[str, Any] | None = None, device: s
     _train_with_perceptual(again, scene, steps)
     tolerance = 0.0 if device == "cpu" else 1e-3
     _expect_equal(picture, again.render(camera).color, tolerance, "the same seed does not train to the same picture")
+    begins, goes_on = (create_method(kind, settings, device, seed=1) for _ in range(2))
+    if _train_with_interruption(begins, goes_on, scene, steps):
+        resumed = goes_on.render(camera).color
+        _expect_equal(picture, resumed, tolerance, "an interrupted training does not end where it would have")
     _check_skipping(create_method(kind, settings, device, seed=1), scene, steps)
 
 
@@ -95,24 +101,48 @@ def _check_settings(method: Method) -> None:
 
 def _train_with_perceptual(method: Method, scene: Scene, steps: int) -> None:
     """The whole training, with a stand-in for the perceptual loss where the method uses one."""
-    calls = 0
+    calls = _offer_perceptual(method)
+    _train(method, scene, steps, steps)
+    _expect(bool(calls) or not method.uses_perceptual, "uses_perceptual is true, but no training step calls perceptual")
+
+
+def _offer_perceptual(method: Method) -> list[None]:
+    """Offer a stand-in for the perceptual loss where the method uses one; the calls of it, as they come."""
+    calls: list[None] = []
 
     def perceptual(image: Tensor, target: Tensor) -> Tensor:
-        nonlocal calls
-        calls += 1
+        calls.append(None)
         return (image - target).abs().mean()
 
     if method.uses_perceptual:
         method.perceptual = perceptual
-    _train(method, scene, steps, steps)
-    _expect(calls > 0 or not method.uses_perceptual, "uses_perceptual is true, but no training step calls perceptual")
+    return calls
+
+
+def _train_with_interruption(first: Method, second: Method, scene: Scene, steps: int) -> bool:
+    """The training, its second half by another method, which goes on from the first's state; False if it cannot."""
+    for method in (first, second):
+        _offer_perceptual(method)
+    _train(first, scene, steps, steps // 2)
+    state = first.training_state()
+    if state is None:
+        return False
+    with tempfile.TemporaryDirectory() as folder:  # it must be what a file can hold
+        write_state(Path(folder) / "state", state)
+        second.resume(scene, steps, read_state(Path(folder) / "state"))
+    _steps(second, scene, steps // 2 + 1, steps)
+    return True
 
 
 def _train(method: Method, scene: Scene, steps: int, until: int) -> None:
     """The steps 1 to `until` of a run of `steps`."""
     method.initialize(scene, steps)
+    _steps(method, scene, 1, until)
+
+
+def _steps(method: Method, scene: Scene, first: int, last: int) -> None:
     sets = set(method.primitives())
-    for step in range(1, until + 1):
+    for step in range(first, last + 1):
         losses = method.training_step(scene.train[step % len(scene.train)], step)
         _expect("loss" in losses, f"training_step returned {sorted(losses)}, expected the total as 'loss' among them")
         for name, value in losses.items():

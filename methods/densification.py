@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -62,6 +63,14 @@ class DensificationRecord:
         self.views += seen
         self.weights += weights
         self.squares += weights.square()
+
+    def training_state(self) -> dict[str, Tensor]:
+        return dict(vars(self))
+
+    def restore_training(self, state: Mapping[str, Tensor]) -> None:
+        """Become what `training_state` returned."""
+        for name, values in state.items():
+            setattr(self, name, values.to(self.gradients.device))
 
     def mean_gradient(self) -> Tensor:
         return self.gradients / self.steps.clamp_min(1)

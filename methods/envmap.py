@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Statistics
+from envgs_bench.core import Scene, Statistics
 from envgs_bench.parts import ENV
 
 from .cubemap import layout_of, resized_cubemap, sample_cubemap
-from .parameters import ADAM_EPSILON
+from .parameters import ADAM_EPSILON, optimizer_state, restore_optimizer
 from .reflection import ReflectionSettings, ReflectiveMethod
 
 DOUBLES_AT = (7_500, 13_500, 21_000)  # steps of a run of 30,000
@@ -72,6 +72,16 @@ class EnvMap(ReflectiveMethod):
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
         return [*super().optimizers(), self._texel_optimizer]
+
+    def training_state(self) -> dict[str, Any]:
+        texels = {"texels": self.texels}
+        moments = optimizer_state(self._texel_optimizer, texels)
+        return super().training_state() | {"texels": self.texels.detach(), "texel_moments": moments}
+
+    def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
+        super().resume(scene, steps, state)
+        self._set_texels(state["texels"])
+        restore_optimizer(self._texel_optimizer, {"texels": self.texels}, state["texel_moments"])
 
     def state(self) -> dict:
         return super().state() | {"texels": self.texels.detach()}

@@ -6,7 +6,7 @@ import math
 from collections import deque
 from fractions import Fraction
 from pathlib import Path
-from typing import ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import torch
 from torch import Tensor
@@ -52,6 +52,7 @@ class GaussianMethod(Method):
     | an image | draw |
     | a set is new or loaded | densification_rule, initial_learning_rates, initial_beta |
     | a checkpoint is written or read | state, restore |
+    | a training is interrupted and goes on | training_state, resume |
 
     Attributes:
         sets: the trained sets by name; always BASE.
@@ -179,6 +180,27 @@ class GaussianMethod(Method):
                 f"{folder}: its checkpoint lacks what the method needs ({error!r}); train again"
             ) from error
         self.prepared.clear()
+
+    def training_state(self) -> dict[str, Any]:
+        return {
+            "sets": {name: trained.training_state() for name, trained in self.sets.items()},
+            "generator": self.generator.get_state(),
+            "skipped_steps": self.skipped_steps,
+            "norms": [[names, norms] for names, norms in self._norms],
+        }
+
+    def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
+        self.initialize(scene, steps)
+        for name, trained in state["sets"].items():
+            if name not in self.sets:  # made during the training: of any row, as all rows are replaced
+                tensors = trained["parameters"]["tensors"]
+                parameters = GaussianParameters(tensors, self.initial_learning_rates(), self.radius)
+                self.sets[name] = TrainedSet(parameters, self.densification_rule(name))
+            self.sets[name].restore_training(trained)
+        self.generator.set_state(state["generator"])
+        skipped = state["skipped_steps"]
+        self.skipped_steps = skipped.to(self.device) if isinstance(skipped, Tensor) else skipped
+        self._norms.extend((names, norms) for names, norms in state["norms"])
 
     @property
     def uses_perceptual(self) -> bool:

@@ -17,7 +17,8 @@ class Method(ABC):
     """A way to learn a scene from views and to draw it from new ones.
 
     The harness calls `initialize` once, `training_step` for step 1 to `steps`, then `prepare` and `render`; or `load`
-    in place of the training. A method gets plain values and knows of no data source and no configuration system.
+    in place of the training; or `resume` in place of `initialize`, and then the steps that an interruption left out. A
+    method gets plain values and knows of no data source and no configuration system.
 
     Attributes:
         Settings: the method's frozen settings dataclass; every field has a default.
@@ -101,6 +102,22 @@ class Method(ABC):
     @abstractmethod
     def model_bytes(self) -> dict[str, int]:
         """Bytes of each set's parameters stored as float32, under the same keys."""
+
+    def training_state(self) -> dict[str, Any] | None:
+        """All that the next training step depends on, after any step; None of a method that cannot go on from it.
+
+        Tensors, numbers, strings, None, and lists and dictionaries of them: parameters, the optimizers' moments,
+        `generator`, `skipped_steps`, and what `non_finite_gradients` has not told yet. What `initialize` makes of the
+        same scene and settings need not be in it.
+        """
+        return None
+
+    def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
+        """In place of `initialize`: become what `training_state` returned, tensors on the CPU, of the same settings.
+
+        Training then goes on bitwise as it would have without the interruption, where the device is a CPU.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has a training_state and no resume")
 
     @abstractmethod
     def save(self, folder: Path) -> None:

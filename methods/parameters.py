@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -115,6 +116,16 @@ class GaussianParameters:
         """Copies of the rows that a mask [N] or an index names, every field, without gradients."""
         return {name: value.detach()[index].clone() for name, value in self.tensors.items()}
 
+    def training_state(self) -> dict[str, Any]:
+        """The fields and Adam's moments, by field: what `restore_training` becomes."""
+        return {"tensors": self.detached(), "moments": optimizer_state(self.optimizer, self.tensors)}
+
+    def restore_training(self, state: Mapping[str, Any]) -> None:
+        """Become what `training_state` returned, whatever number of rows that has."""
+        for name, old in list(self.tensors.items()):
+            self._swap(name, state["tensors"][name].to(old.detach()), lambda moment: moment)
+        restore_optimizer(self.optimizer, self.tensors, state["moments"])
+
     def _group(self, name: str) -> dict:
         return next(group for group in self.optimizer.param_groups if group["name"] == name)
 
@@ -127,6 +138,28 @@ class GaussianParameters:
             self.optimizer.state[new] = {"step": state["step"], **moments}
         self._group(name)["params"] = [new]
         self.tensors[name] = new
+
+
+def optimizer_state(optimizer: torch.optim.Optimizer, parameters: Mapping[str, Tensor]) -> dict[str, Any]:
+    """What Adam remembers of each parameter that it has moved, and its learning rate, by the parameter's name."""
+    rates = {id(parameter): group["lr"] for group in optimizer.param_groups for parameter in group["params"]}
+    return {
+        name: {"lr": rates[id(parameter)], **optimizer.state.get(parameter, {})}
+        for name, parameter in parameters.items()
+    }
+
+
+def restore_optimizer(
+    optimizer: torch.optim.Optimizer, parameters: Mapping[str, Tensor], state: Mapping[str, Any]
+) -> None:
+    """Make the optimizer of these parameters what `optimizer_state` found."""
+    groups = {id(parameter): group for group in optimizer.param_groups for parameter in group["params"]}
+    for name, parameter in parameters.items():
+        moments = {key: value.to(parameter.device) for key, value in state[name].items() if key != "lr"}
+        groups[id(parameter)]["lr"] = state[name]["lr"]
+        optimizer.state.pop(parameter, None)
+        if moments:
+            optimizer.state[parameter] = moments
 
 
 def inverse_sigmoid(values: Tensor) -> Tensor:

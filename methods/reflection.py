@@ -10,7 +10,7 @@ import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -232,6 +232,13 @@ class ReflectiveMethod(GaussianMethod):
 
     def initial_learning_rates(self) -> LearningRates:
         return replace(super().initial_learning_rates(), beta=self.settings.beta_lr * self.schedule.rate_scale)
+
+    def training_state(self) -> dict[str, Any]:
+        return super().training_state() | {"reflects": self.reflects, "hold_until": self._hold_until}
+
+    def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
+        super().resume(scene, steps, state)
+        self.reflects, self._hold_until = state["reflects"], state["hold_until"]
 
     def state(self) -> dict:
         return super().state() | {"reflects": self.reflects}

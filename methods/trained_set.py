@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 
@@ -18,6 +19,14 @@ class TrainedSet:
         self.parameters = parameters
         self.rule = rule
         self.record = DensificationRecord(len(parameters), parameters.tensors["means"].device)
+
+    def training_state(self) -> dict[str, Any]:
+        return {"parameters": self.parameters.training_state(), "record": self.record.training_state()}
+
+    def restore_training(self, state: dict[str, Any]) -> None:
+        """Become what `training_state` returned."""
+        self.parameters.restore_training(state["parameters"])
+        self.record.restore_training(state["record"])
 
     def densify(self, radius: float, generator: torch.Generator, oversized: Oversized = "split") -> None:
         """Grow and shrink by the rule and what the last steps recorded, with `densify`'s arguments."""

@@ -6,6 +6,8 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from envgs_bench.plain_text import no_formula
+
 from .charts.pareto_chart import draw_charts
 from .numbers.runs import BrokenRecord, read_runs
 from .outputs import delete_last_report, files_below, list_new_files
@@ -15,7 +17,6 @@ from .pictures.gallery import Gallery, copy_pictures, galleries, slug
 from .pictures.sheets import draw_sheets
 from .tables.latex import latex
 from .tables.markdown import markdown
-from .tables.plain import no_formula
 from .tables.sections import Section, split_sections
 from .tables.structured import structured
 

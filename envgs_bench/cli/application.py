@@ -3,67 +3,109 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
+import time
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
 from envgs_bench.metrics import get_protocol
+from envgs_bench.plain_text import plain
 from envgs_bench.runs.display import make_display
-from envgs_bench.runs.job import run_job
+from envgs_bench.runs.interruption import INTERRUPTED, INTERRUPTION
+from envgs_bench.runs.job import located, run_job
+from envgs_bench.runs.output import unbreakable_output
 from envgs_bench.settings import SettingsError
 from envgs_bench.stages.perturbations import perturbation_of, perturbed_settings
 
 from .composition import CONF, explain, register_methods, settings_of
-from .ledger import close_ledger, enter, print_outcomes
+from .ledger import (
+    SWEEP_VARIABLE,
+    Sweep,
+    close_ledger,
+    enter,
+    position,
+    print_outcomes,
+    runs_here,
+    stop_file,
+    time_left,
+)
+from .plan import Plan
 
-INTERRUPTED = 130  # a shell's exit code for Ctrl-C
+_plan: Plan | None = None  # of a dry run
 
 
-def run(arguments: list[str]) -> int:
-    """Run the jobs that `arguments` (Hydra's: overrides, -m, --cfg …) describe.
+def run(arguments: list[str], dry: bool = False) -> int:
+    """Run the jobs that `arguments` (Hydra's: overrides, -m, --cfg …) describe; print what would run where `dry`.
 
     Returns:
         The exit code: 0 where every job has a run with status ok, 1 where one has not, 2 where nothing could be
         started because of the arguments, 130 after Ctrl-C or SIGTERM.
     """
+    global _plan
+    with unbreakable_output():
+        if not dry:
+            return _run(arguments)
+        _plan = Plan()
+        try:
+            code = _run([one for one in arguments if not one.startswith(("hydra/launcher=", "hydra.launcher."))])
+            if not code:
+                _plan.print()
+            return code
+        finally:
+            _plan = None
+
+
+def _run(arguments: list[str]) -> int:
     register_methods(arguments)
     program, sys.argv = sys.argv, ["envgs-bench run", *_flags_first(arguments)]
-    full_error = os.environ.get("HYDRA_FULL_ERROR")
+    variables = {name: os.environ.get(name) for name in ("HYDRA_FULL_ERROR", SWEEP_VARIABLE)}
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here, to be explained
+    Sweep(os.getpid(), time.time()).announce()
+    INTERRUPTION.reset()
     code = 0
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # `timeout` ends a sweep as Ctrl-C does
-    try:
-        _application()
-    except (CompactHydraException, OmegaConfBaseException, SettingsError) as error:
-        print(f"envgs-bench run: {explain(error)}", file=sys.stderr)
-        code = 2
-    except OSError as error:
-        print(f"envgs-bench run: {error}; give a folder that can be written as runs_dir=", file=sys.stderr)
-        code = 2
-    except KeyboardInterrupt:
-        code = INTERRUPTED
-    finally:
-        signal.signal(signal.SIGTERM, before)
-        sys.argv = program
-        _restore("HYDRA_FULL_ERROR", full_error)
-    outcomes = close_ledger()
-    if outcomes is None:  # nothing was to run: --cfg and the like, or wrong arguments
-        return code
-    if outcomes:
-        print_outcomes(outcomes, Console(width=None if sys.stdout.isatty() else 160))
-    elif not code:
-        print("envgs-bench run: no job reported back; `envgs-bench report` shows what is there", file=sys.stderr)
-    return code or int(not outcomes or not all(outcome.ok for outcome in outcomes))
+    with INTERRUPTION.handled():
+        try:
+            _application()
+        except (CompactHydraException, OmegaConfBaseException, SettingsError) as error:
+            print(f"envgs-bench run: {plain(explain(error))}", file=sys.stderr)
+            code = 2
+        except OSError as error:
+            print(f"envgs-bench run: {error}; give a folder that can be written as runs_dir=", file=sys.stderr)
+            code = 2
+        except KeyboardInterrupt:
+            code = INTERRUPTED
+        except Exception:
+            if not INTERRUPTION.requested:
+                raise
+            code = INTERRUPTED  # of a launcher whose processes were ended
+        finally:
+            sys.argv = program
+            for name, value in variables.items():
+                _restore(name, value)
+        if INTERRUPTION.requested:
+            code = INTERRUPTED
+        outcomes = close_ledger()
+        if outcomes is None or _plan is not None:  # nothing was to run: --cfg and the like, or wrong arguments
+            return code
+        if outcomes:
+            print_outcomes(outcomes, Console(width=None if sys.stdout.isatty() else 160))
+        elif not code:
+            print("envgs-bench run: no job reported back; `envgs-bench report` shows what is there", file=sys.stderr)
+        return code or int(not outcomes or not all(outcome.ok for outcome in outcomes))
 
 
 @hydra.main(config_path=str(CONF), config_name="config", version_base="1.3")
 def _application(config: DictConfig) -> None:
+    _run_composed(config)  # a launcher's process gets a copy of this function, and of all that it names but functions
+
+
+def _run_composed(config: DictConfig) -> None:
+    """The job of this configuration: its run, its outcome in the ledger."""
     settings = settings_of(config, list(HydraConfig.get().overrides.task))
     try:
         get_protocol(settings.protocol)
@@ -71,12 +113,24 @@ def _application(config: DictConfig) -> None:
         raise SettingsError(f"protocol={settings.protocol}: {error}") from error
     perturbation_of(settings)  # refuses a kind or a severity that there is not,
     perturbed_settings(settings)  # and one that changes what the method does not have
-    alone = HydraConfig.get().launcher._target_.endswith("BasicLauncher")
-    outcome = run_job(settings, make_display(alone))
-    enter(outcome)
-    print(outcome, file=sys.stderr)
-    if outcome.action == "ran" and outcome.status == "interrupted":
-        raise KeyboardInterrupt  # no further job
+    alone = runs_here(DictConfig({"hydra": HydraConfig.get()}))
+    if not alone:
+        INTERRUPTION.follow(stop_file(), Sweep.current().pid)
+        if INTERRUPTION.requested:
+            return
+    settings, folder = located(settings)
+    if _plan is not None:
+        _plan.add(settings, folder)
+        return
+    display = make_display(
+        alone, position(OmegaConf.select(DictConfig({"hydra": HydraConfig.get()}), "hydra.job.num") or 0)
+    )
+    with unbreakable_output(), INTERRUPTION.held():
+        outcome = run_job(settings, folder, display, INTERRUPTION)
+        enter(outcome)
+        print(plain(str(outcome)), file=sys.stderr)
+        if left := time_left():
+            print(left, file=sys.stderr)
 
 
 def _flags_first(arguments: list[str]) -> list[str]:

@@ -3,20 +3,48 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import time
 import uuid
-from dataclasses import asdict
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
+from envgs_bench.plain_text import plain
+from envgs_bench.runs.estimates import duration
+from envgs_bench.runs.interruption import INTERRUPTION
 from envgs_bench.runs.outcome import Outcome
 
 LEDGER_VARIABLE = "ENVGS_BENCH_LEDGER"
+SWEEP_VARIABLE = "ENVGS_BENCH_SWEEP"  # JSON: `Sweep`
+_unwritten: list[Outcome] = []  # of this process, where the ledger's disk is full
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One call of `envgs-bench run`, as all processes that run its jobs know it."""
+
+    pid: int  # of the process it was called in
+    began: float  # Unix time
+    jobs: int | None = None  # how many there are, None where that is not known
+
+    @classmethod
+    def current(cls) -> Sweep:
+        return cls(**json.loads(os.environ[SWEEP_VARIABLE]))
+
+    def announce(self) -> None:
+        """Tell this process, and those that it starts from now on."""
+        os.environ[SWEEP_VARIABLE] = json.dumps(asdict(self))
 
 
 class Ledger(Callback):
@@ -26,41 +54,99 @@ class Ledger(Callback):
         folder = Path(config.runs_dir).expanduser().absolute()
         os.environ[LEDGER_VARIABLE] = str(folder / f".outcomes-{uuid.uuid4().hex[:8]}.jsonl")
 
-    on_multirun_start = on_run_start
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        self.on_run_start(config)
+        replace(Sweep.current(), jobs=_jobs_of(config)).announce()
+        if not runs_here(config):
+            INTERRUPTION.lead(stop_file())
+
+
+def runs_here(config: DictConfig) -> bool:
+    """Whether the sweep's own process runs its jobs, one after the other, and not those of a launcher."""
+    return config.hydra.launcher._target_.endswith("BasicLauncher")
+
+
+def _jobs_of(config: DictConfig) -> int | None:
+    """How many jobs a sweep has: the product of what it takes in turn, on the command line and in the experiment."""
+    parser = OverridesParser.create()
+    given = {key: f"{key}={value}" for key, value in (config.hydra.sweeper.get("params") or {}).items()}
+    given |= {override.partition("=")[0]: override for override in config.hydra.overrides.task}
+    try:
+        overrides = parser.parse_overrides(list(given.values()))
+        return math.prod(sum(1 for _ in one.sweep_string_iterator()) for one in overrides if one.is_sweep_override())
+    except (HydraException, ValueError):
+        return None  # as of a sweeper of somebody else's
+
+
+def position(number: int) -> str:
+    """Which job of how many the one with this number, from 0, is; "" of a single one."""
+    jobs = Sweep.current().jobs
+    return f"[{number + 1}/{jobs}] " if jobs and jobs > 1 else ""
+
+
+def time_left() -> str:
+    """How far the sweep has come and how long it may still take; "" where there is nothing to tell."""
+    sweep = Sweep.current()
+    outcomes = _read(Path(os.environ[LEDGER_VARIABLE]))
+    ran = sum(outcome.action == "ran" for outcome in outcomes)
+    if not sweep.jobs or sweep.jobs == len(outcomes) or not ran:
+        return ""
+    left = (time.time() - sweep.began) / ran * (sweep.jobs - len(outcomes))
+    return f"{len(outcomes)} of {sweep.jobs} jobs done, {duration(left)} left if the others are like them"
 
 
 def enter(outcome: Outcome) -> None:
     """Append `outcome` to the ledger of this call."""
-    with open(os.environ[LEDGER_VARIABLE], "a", encoding="utf-8") as ledger:
-        ledger.write(json.dumps(asdict(outcome)) + "\n")
+    try:
+        with open(os.environ[LEDGER_VARIABLE], "a", encoding="utf-8") as ledger:
+            ledger.write(json.dumps(asdict(outcome)) + "\n")
+    except OSError:
+        _unwritten.append(outcome)
+
+
+def stop_file() -> Path:
+    """The file that is there when the jobs of this call are to end."""
+    return Path(os.environ[LEDGER_VARIABLE]).with_suffix(".stop")
 
 
 def close_ledger() -> list[Outcome] | None:
     """All outcomes of this call so far, in the order in which they came, or None where no job was to run."""
     if LEDGER_VARIABLE not in os.environ:
         return None
+    with suppress(OSError):
+        stop_file().unlink()
     path = Path(os.environ.pop(LEDGER_VARIABLE))
-    if not path.is_file():
-        return []
-    outcomes = [Outcome(**json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
-    path.unlink()
+    outcomes = _read(path)
+    with suppress(OSError):
+        path.unlink()
+    outcomes += _unwritten
+    _unwritten.clear()
+    return outcomes
+
+
+def _read(path: Path) -> list[Outcome]:
+    outcomes = []
+    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else []:
+        with suppress(ValueError, TypeError):  # the disk was full in the middle of it
+            outcomes.append(Outcome(**json.loads(line)))
     return outcomes
 
 
 def print_outcomes(outcomes: list[Outcome], console: Console) -> None:
-    """A table of the runs, and below it what is to be known of those that are not ok."""
+    """A table of the runs, and below it what is to be known of some."""
     table = Table("dataset", "method", "seed", "status")
     for title in ("PSNR dB", "frame ms", "training s"):
         table.add_column(title, justify="right")
     table.add_column("run")
     for outcome in outcomes:
         numbers = (_cell(outcome.psnr, 2), _cell(outcome.frame_ms, 2), _cell(outcome.train_seconds, 1))
-        table.add_row(outcome.dataset, outcome.method, str(outcome.seed), outcome.state, *numbers, outcome.run)
+        cells = (outcome.dataset, outcome.method, str(outcome.seed), outcome.state, *numbers, outcome.run)
+        table.add_row(*(Text(plain(cell)) for cell in cells))
     console.print(table)
     for outcome in outcomes:
-        if not outcome.ok:
+        if outcome.message:
             text = f"{outcome.name}: {outcome.message}\n  {outcome.folder}"
-            console.print(text, soft_wrap=True, highlight=False, markup=False)
+            console.print(plain(text), soft_wrap=True, highlight=False, markup=False)
 
 
 def _cell(number: float | None, digits: int) -> str:

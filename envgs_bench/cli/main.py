@@ -12,6 +12,7 @@ from collections.abc import Sequence
 # prints before anything slow is imported.
 COMMANDS = {
     "run": "train, render, score and time; `run --help` lists the keys",
+    "status": "what runs where, how far it has come, and what failed",
     "report": "tables, charts and pages from records",
     "rescore": "finished runs under another protocol, without training them again",
     "masks": "masks of what reflects, from an EnvGS that was trained on a capture",

@@ -15,14 +15,17 @@ Train, render, score and time methods on data sets; one folder and one record.js
   envgs-bench run dataset=ref_real/sedan data_root=FOLDER          a scene of the paper, below FOLDER
   envgs-bench run method=renders path=FOLDER method.name=other     test views that another program drew
   envgs-bench run method=my_module:MyMethod                        a method of your own, by its import path
+  envgs-bench run -m experiment=demo --dry-run                     what would run, and how long that may take
 
 Keys of every run:
   method, dataset     see `envgs-bench list`; their settings are method.settings.<key>=, dataset.<key>=
                       (`envgs-bench list method NAME` lists a method's)
   perturb.kind, perturb.severity      what is wrong on purpose: docs/stability.md
   protocol, seed, steps, device=auto|cpu|cuda
-  runs_dir=runs, cache_dir, timeout_minutes, timing.frames, timing.seconds
-  force=true          run again what is already there, replacing it
+  runs_dir=runs, cache_dir, timing.frames, timing.seconds
+  timeout_minutes, memory_gb, device_memory_fraction   limits of a run: it ends with status timeout or out_of_memory
+  snapshot_minutes=5  how often a training is saved; one that was interrupted goes on from there
+  force=true          run again from the start what is already there, replacing it where it ends with status ok
   retry_failed=true   run again what ended with another status than ok
 
 Hydra's own options work too: -m, --cfg job (show the composed configuration), --config-dir DIR (more methods and
@@ -41,7 +44,8 @@ def main(arguments: Sequence[str]) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    _, overrides = parser.parse_known_args(arguments)
+    parser.add_argument("--dry-run", action="store_true", help="list the runs, those that are done, and the hours left")
+    options, overrides = parser.parse_known_args(arguments)
     from .application import run
 
-    return run(overrides)
+    return run(overrides, dry=options.dry_run)

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from envgs_bench.parts import LOSSES
+from envgs_bench.plain_text import plain
 from envgs_bench.stages.events import Event
 
 LINES_A_STAGE = 10
@@ -25,25 +26,30 @@ class Display(Protocol):
     def stop(self) -> None: ...
 
 
-def make_display(alone: bool) -> Display:
-    """A bar where standard error is a terminal that no other run writes to at the same time, else lines."""
-    return Bar() if alone and sys.stderr.isatty() else Lines(sys.stderr)
+def make_display(alone: bool, position: str = "") -> Display:
+    """A bar where standard error is a terminal that no other run writes to at the same time, else lines.
+
+    `position` is put before what either shows: which job of how many it is.
+    """
+    return Bar(position=position) if alone and sys.stderr.isatty() else Lines(sys.stderr, position)
 
 
 class Bar:
     """One rich progress bar, gone when the run is; what the run does without stays above it."""
 
-    def __init__(self, console: Console | None = None) -> None:
+    def __init__(self, console: Console | None = None, position: str = "") -> None:
         self._console = console or Console(stderr=True)
+        self._position = position
         self._progress: Progress | None = None
 
     def start(self, title: str) -> None:
+        title = plain(f"{self._position}{title}")
         columns = (
-            TextColumn("{task.fields[title]}"),
-            TextColumn("[bold]{task.description}"),
+            TextColumn("{task.fields[title]}", markup=False),
+            TextColumn("{task.description}", style="bold", markup=False),
             BarColumn(bar_width=24),
             MofNCompleteColumn(),
-            TextColumn("{task.fields[numbers]}"),
+            TextColumn("{task.fields[numbers]}", markup=False),
             TimeRemainingColumn(),
         )
         self._progress = Progress(*columns, console=self._console, transient=True)
@@ -55,11 +61,13 @@ class Bar:
         if self._progress is None:
             return
         for text in notices(event):
-            self._console.print(f"{self._title}: {text}", markup=False, highlight=False, soft_wrap=True)
+            self._console.print(plain(f"{self._title}: {text}"), markup=False, highlight=False, soft_wrap=True)
         if event["stage"] != self._stage:
             self._stage = event["stage"]
             self._progress.remove_task(self._task)
-            self._task = self._progress.add_task(self._stage, total=event.get("steps"), title=self._title, numbers="")
+            self._task = self._progress.add_task(
+                plain(self._stage), total=event.get("steps"), title=self._title, numbers=""
+            )
         self._progress.update(self._task, completed=event.get("step", 0), numbers=numbers(event))
 
     def stop(self) -> None:
@@ -71,11 +79,11 @@ class Bar:
 class Lines:
     """A line for each stage, LINES_A_STAGE while it trains, and one for each loss that is dropped and each warning."""
 
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
+    def __init__(self, stream: TextIO, position: str = "") -> None:
+        self._stream, self._position = stream, position
 
     def start(self, title: str) -> None:
-        self._title, self._stage, self._share = title, "", -1
+        self._title, self._stage, self._share = f"{self._position}{title}", "", -1
         self._print("starting")
 
     def update(self, event: Event) -> None:
@@ -101,7 +109,7 @@ class Lines:
         return f"  {(time.monotonic() - self._began) / done * (steps - step):.0f} s left"
 
     def _print(self, text: str) -> None:
-        print(f"{self._title}: {text}", file=self._stream, flush=True)
+        print(plain(f"{self._title}: {text}"), file=self._stream, flush=True)
 
 
 def notices(event: Event) -> list[str]:

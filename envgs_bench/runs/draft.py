@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import shlex
-from collections import deque
 from datetime import UTC, datetime
 from pathlib import Path
 
 from envgs_bench.metrics import get_protocol
 from envgs_bench.records import Failure, ProtocolName, Provenance, Record, Status, write_record
-from envgs_bench.run_folder import LOG_NAME
+from envgs_bench.run_folder import run_id_of
 from envgs_bench.settings import RunSettings
 from envgs_bench.stages.perturbations import perturbation_of
 from envgs_bench.stages.results import Results
 
 from . import provenance
-
-TAIL_LINES = 30
+from .log import shortened
 
 
 class Draft:
@@ -35,6 +33,10 @@ class Draft:
         protocol = get_protocol(settings.protocol)
         source = self.checkout | provenance.collect(settings.device)
         source["command"] = shlex.join(["envgs-bench", "run", *settings.overrides])  # the user's, not this process's
+        if failure is not None:
+            failure = failure.model_copy(update={"message": shortened(failure.message)})
+        if results.went_on_from:
+            source["went_on_from_steps"] = results.went_on_from
         record = Record(
             status=status,
             error=failure,
@@ -43,14 +45,14 @@ class Draft:
             dataset=results.dataset,
             seed=settings.seed,
             steps=results.steps,
-            run_id=self.folder.name,
+            run_id=run_id_of(self.folder),
             overrides=settings.overrides,
             config=settings.model_dump(mode="json"),
             protocol=ProtocolName(name=protocol.name, hash=protocol.hash, description=protocol.description),
             scored_on=settings.score_on,
             perturbation=perturbation_of(settings),
             warnings=results.warnings,
-            dropped_losses=results.dropped_losses,
+            dropped_losses={loss: shortened(why) for loss, why in results.dropped_losses.items()},
             metrics=results.metrics,
             masked=results.masked,
             timing=results.timing,
@@ -63,12 +65,3 @@ class Draft:
 
 def now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def log_tail(folder: Path) -> str:
-    """The last lines of the run's log, "" where there is none."""
-    try:
-        with (folder / LOG_NAME).open(encoding="utf-8", errors="replace") as log:
-            return "".join(deque(log, maxlen=TAIL_LINES))
-    except OSError:
-        return ""

@@ -18,9 +18,10 @@ from envgs_bench.records import RENDERS
 from envgs_bench.settings import PATH_KEYS, RunSettings
 from envgs_bench.stages.renders import rendered_files
 
+from .meaning import SOURCES, meaning_of
+
 # The rooms whose code can change a result: all that `stages.execution.execute` does lies in them.
 RESULT_CODE = ("core", "datasets", "methods", "metrics", "stages")
-SOURCES = {".py", ".h", ".cpp", ".cu", ".cuh"}
 
 
 def run_id(settings: RunSettings, device: str) -> str:
@@ -30,7 +31,7 @@ def run_id(settings: RunSettings, device: str) -> str:
     count, what is read there does, names and contents of the files: a corrected data set is a new run, a moved one or
     one with a README beside its photographs is not. VGG-16's weights count, which both a loss and a metric need: a run
     without them is run again once they are there. What changes no result does not count: folders, gates, force,
-    retry_failed, timeout_minutes.
+    retry_failed, the limits of time and memory, when snapshots are saved.
     """
     determining = {
         "method": [settings.method.name, settings.method.kind, _method(settings)],
@@ -52,14 +53,18 @@ def run_id(settings: RunSettings, device: str) -> str:
 
 @cache
 def code_version() -> str:
-    """A hash of the sources in RESULT_CODE. Finer than the commit: a change of a report or of a page is none here."""
-    digest = hashlib.sha256()
+    """A hash of what the sources in RESULT_CODE mean: neither comments count nor in which file of a room code lies.
+
+    Python finds a module by its name, and so do its imports, which count: code that is moved and imported from its new
+    place is another code all the same. C++ files are included by their names, which count too.
+    """
+    parts = []
     for room in RESULT_CODE:
-        root = _location(room)
-        for path in sorted(path for path in root.rglob("*") if path.suffix in SOURCES):
-            digest.update(f"{room}/{path.relative_to(root)}\0".encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+        for path in _location(room).rglob("*"):
+            if path.suffix in SOURCES:
+                name = "" if path.suffix == ".py" else path.name
+                parts.append(f"{room}/{name}\0".encode() + meaning_of(path))
+    return hashlib.sha256(b"".join(sorted(parts))).hexdigest()
 
 
 @cache
@@ -103,7 +108,7 @@ def _extension_hash(kind: str) -> str | None:
     files = sorted(file for folder in folders for file in folder.rglob("*.py")) or [Path(spec.origin or "")]
     digest = hashlib.sha256()
     for file in files:
-        digest.update(file.read_bytes() if file.is_file() else b"")
+        digest.update(meaning_of(file) if file.is_file() else b"")
     return digest.hexdigest()
 
 

@@ -2,59 +2,75 @@
 
 from __future__ import annotations
 
-import fcntl
-import json
-import os
-import shutil
-import signal
-import subprocess
-import sys
-import threading
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import torch
 import yaml
 
+from envgs_bench.claim import Claim, claimed, holder_of
 from envgs_bench.core import available_backends
-from envgs_bench.records import Failure, Record, RecordError, Status, TrainingWarning, read_record, write_atomically
-from envgs_bench.run_folder import CONFIG_NAME, LOG_NAME, RECORD_NAME
+from envgs_bench.records import RecordError, Status, read_record, write_atomically
+from envgs_bench.run_folder import (
+    CONFIG_NAME,
+    CURVE_NAME,
+    LOG_NAME,
+    RECORD_NAME,
+    REPLACEMENT,
+    SNAPSHOT_NAME,
+    clear,
+    replace,
+)
 from envgs_bench.settings import RunSettings, SettingsError
 
 from .display import Display
-from .draft import Draft, log_tail
 from .identity import run_id
+from .interruption import Interruption
 from .outcome import Outcome, outcome_of
+from .process import GRACE_SECONDS, run_process
+from .processes import end_all_of
 
-# How long a process may take to write its record once its time is up or it was interrupted.
-GRACE_SECONDS = 20.0
+GOES_ON_FROM = (SNAPSHOT_NAME, CURVE_NAME, LOG_NAME)  # kept of a run that did not end
 
 
-def run_job(settings: RunSettings, display: Display) -> Outcome:
-    """Run what `settings` say, unless its record is there already; never raises for what happens inside the run.
-
-    A run with status ok is reused unless `force`. One that was interrupted starts again; one that ended otherwise
-    does so only with `retry_failed` or `force`. An unreadable record is replaced only with `force`.
-
-    Ctrl-C ends the run, with a record of status interrupted.
+def located(settings: RunSettings) -> tuple[RunSettings, Path]:
+    """The settings with the device that they mean here, and the folder of their run.
 
     Raises:
         SettingsError: the device cannot be had.
     """
     settings = settings.model_copy(update={"device": resolve_device(settings.device)})
-    folder = settings.runs_dir / settings.dataset_name / settings.method_name / run_id(settings, settings.device)
-    folder.mkdir(parents=True, exist_ok=True)
-    with _claimed(folder) as claimed:
-        if not claimed:
-            return outcome_of(folder, settings, "skipped", "another process is running it at this moment")
-        earlier = None if settings.force else _earlier(folder, settings)
+    name = run_id(settings, settings.device)
+    return settings, settings.runs_dir / settings.dataset_name / settings.method_name / name
+
+
+def run_job(settings: RunSettings, folder: Path, display: Display, interruption: Interruption) -> Outcome:
+    """Run what `settings` say in `folder`, unless its record is there already; raises for nothing that happens there.
+
+    A run with status ok is reused unless `force`; it stays in place until the one that replaces it is ok too. One that
+    was interrupted goes on from its snapshot; one that ended otherwise does so only with `retry_failed`, and starts
+    again with `force`. An unreadable record is replaced only with `force`.
+
+    Ctrl-C ends the run, with a record of status interrupted.
+    """
+    try:
+        if folder.is_symlink() and settings.force:
+            reason = "the folder is a link, and what it leads to may be another run's: remove it, or give a runs_dir"
+            return outcome_of(folder, settings, "left alone", reason)
+        earlier = None if (folder / REPLACEMENT).exists() else earlier_outcome(folder, settings)
         if earlier is not None:
-            return earlier
-        _clear(folder)
-        write_atomically(folder / CONFIG_NAME, yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False))
-        _run_process(folder, settings, display)
-        return outcome_of(folder, settings, "ran")
+            return earlier  # without a claim: what is finished may lie where nothing can be written
+        folder.mkdir(parents=True, exist_ok=True)
+        with _taken(folder) as claim:
+            if claim is None:
+                return outcome_of(
+                    folder, settings, "skipped", f"{holder_of(folder) or 'another process'} is running it"
+                )
+            return _run_claimed(settings, folder, claim, display, interruption)
+    except OSError as error:
+        return outcome_of(folder, settings, "ran", f"{type(error).__name__}: {error}", failed="failed")
 
 
 def resolve_device(wanted: str) -> str:
@@ -76,9 +92,9 @@ def resolve_device(wanted: str) -> str:
     return "cpu"
 
 
-def _earlier(folder: Path, settings: RunSettings) -> Outcome | None:
+def earlier_outcome(folder: Path, settings: RunSettings) -> Outcome | None:
     """The outcome of the run that is there already, or None where it is to be run (again)."""
-    if not (folder / RECORD_NAME).exists():
+    if settings.force or not (folder / RECORD_NAME).exists():
         return None
     try:
         status = read_record(folder).status
@@ -91,110 +107,57 @@ def _earlier(folder: Path, settings: RunSettings) -> Outcome | None:
     return outcome_of(folder, settings, "not retried", "retry_failed=true runs it again")
 
 
-def _clear(folder: Path) -> None:
-    for path in folder.iterdir():
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink()
+def _run_claimed(
+    settings: RunSettings, folder: Path, claim: Claim, display: Display, interruption: Interruption
+) -> Outcome:
+    replacement = folder / REPLACEMENT
+    if _status(replacement) == "ok":
+        replace(folder)  # whoever ran it was killed in doing so
+    earlier = earlier_outcome(folder, settings)
+    if earlier is not None:
+        return earlier
+    if _status(folder) != "ok":
+        _start_over(folder, keep=() if settings.force else GOES_ON_FROM)
+        _run_in(folder, settings, claim, display, interruption)
+        return outcome_of(folder, settings, "ran")
+    replacement.mkdir(exist_ok=True)
+    # A replacement that was interrupted goes on.
+    _start_over(replacement, keep=GOES_ON_FROM if _status(replacement) in (None, "interrupted") else ())
+    _run_in(replacement, settings, claim, display, interruption)
+    if _status(replacement) != "ok":
+        return outcome_of(replacement, settings, "ran", f"the earlier result is kept in {folder}")
+    replace(folder)
+    return outcome_of(folder, settings, "ran")
 
 
-@contextmanager
-def _claimed(folder: Path) -> Iterator[bool]:
-    """Whether this process, and nobody else, may write into `folder`. The run's process inherits the claim."""
-    handle = os.open(folder, os.O_RDONLY)
-    os.set_inheritable(handle, True)
+def _start_over(folder: Path, keep: tuple[str, ...]) -> None:
+    """Remove what an earlier attempt left, but for `keep` where there is something to go on from."""
+    clear(folder, keep if (folder / SNAPSHOT_NAME).is_file() else ())
+
+
+def _run_in(folder: Path, settings: RunSettings, claim: Claim, display: Display, interruption: Interruption) -> None:
+    write_atomically(folder / CONFIG_NAME, yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False))
+    run_process(folder, settings, claim, display, interruption)
+
+
+def _status(folder: Path) -> Status | None:
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield True
-    except BlockingIOError:
-        yield False
-    finally:
-        os.close(handle)
-
-
-def _run_process(folder: Path, settings: RunSettings, display: Display) -> None:
-    """Start the run's process, show its progress, and see to it that there is a record when it is gone."""
-    draft = Draft(folder, settings)
-    command = [sys.executable, "-P", "-u", "-m", f"{__package__}.worker", str(folder)]
-    with (folder / LOG_NAME).open("wb") as log:
-        process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=log,
-            start_new_session=True,  # Ctrl-C reaches this process, which passes it on
-            close_fds=False,  # the claim
-        )
-    display.start(f"{settings.dataset_name} · {settings.method_name} · seed {settings.seed}")
-    reader = threading.Thread(target=_show, args=(process, display, draft), daemon=True)
-    reader.start()
-    timed_out = interrupted = False
-    try:
-        limit = None if settings.timeout_minutes is None else 60 * settings.timeout_minutes + GRACE_SECONDS
-        process.wait(limit)
-    except subprocess.TimeoutExpired:
-        timed_out = True
-    except KeyboardInterrupt:
-        interrupted = True
-        _interrupt(process)
-    finally:
-        _kill(process)
-        reader.join(GRACE_SECONDS)
-        display.stop()
-    if _readable(folder) is None:
-        status, failure = _diagnosis(process.returncode, settings, timed_out, interrupted)
-        draft.write(status, failure.model_copy(update={"log_tail": log_tail(folder)}))
-
-
-def _show(process: subprocess.Popen[bytes], display: Display, draft: Draft) -> None:
-    """Show the process's events; what it trains without and warns of goes into `draft`: it may leave no record."""
-    assert process.stdout is not None
-    for line in process.stdout:
-        try:
-            event = json.loads(line)
-        except ValueError:
-            continue  # the process died in the middle of a line
-        draft.results.dropped_losses |= event.get("dropped_losses", {})
-        if "warning" in event:
-            draft.results.warnings.append(TrainingWarning.model_validate(event["warning"]))
-        display.update(event)
-
-
-def _interrupt(process: subprocess.Popen[bytes]) -> None:
-    """Ask the process to end, and wait for its record; a second Ctrl-C stops the waiting."""
-    print("interrupted: waiting for the run to save its checkpoint and its record", file=sys.stderr)
-    with suppress(KeyboardInterrupt, subprocess.TimeoutExpired):
-        process.send_signal(signal.SIGINT)
-        process.wait(GRACE_SECONDS)
-
-
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    """End the process and all that it started, unless it has ended."""
-    if process.poll() is None:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-
-
-def _readable(folder: Path) -> Record | None:
-    try:
-        return read_record(folder)
+        return read_record(folder).status if (folder / RECORD_NAME).is_file() else None
     except RecordError:
         return None
 
 
-def _diagnosis(code: int, settings: RunSettings, timed_out: bool, interrupted: bool) -> tuple[Status, Failure]:
-    """What to record of a process that ended with exit code `code` and left no record."""
-    if interrupted:
-        return "interrupted", Failure(type="KeyboardInterrupt", message="killed while it was saving", log_tail="")
-    if timed_out:
-        message = f"did not end within timeout_minutes={settings.timeout_minutes:g} and was killed"
-        return "timeout", Failure(type="TimeUp", message=message, log_tail="")
-    if code == -signal.SIGKILL:
-        message = "killed by SIGKILL from outside: most often the system ran out of memory"
-        return "out_of_memory", Failure(type="SIGKILL", message=message, log_tail="")
-    if code < 0:
-        name = signal.Signals(-code).name
-        return "failed", Failure(type=name, message=f"the process died of {name}; see {LOG_NAME}", log_tail="")
-    message = f"the process ended with exit code {code} and left no record; see {LOG_NAME}"
-    return "failed", Failure(type="ProcessError", message=message, log_tail="")
+@contextmanager
+def _taken(folder: Path) -> Iterator[Claim | None]:
+    """The claim on the folder, taken from what is left of a job that was killed; None where a living one has it."""
+    ends = time.monotonic() + GRACE_SECONDS
+    while True:
+        with claimed(folder) as claim:
+            holder = holder_of(folder) if claim is None else None
+            if claim is not None or holder is None or not holder.is_gone:
+                yield claim
+                return
+        if time.monotonic() > ends:  # it saves nothing any more
+            end_all_of(folder)
+            end_all_of(folder / REPLACEMENT)
+        time.sleep(0.1)

@@ -11,7 +11,7 @@ from envgs_bench.settings import RunSettings
 
 @dataclass(frozen=True)
 class Outcome:
-    """One job. `action` is ran, reused, not retried, skipped (another process is running it) or unreadable."""
+    """One job. `action` is ran, reused, not retried, skipped (another process runs it), unreadable or left alone."""
 
     dataset: str
     method: str
@@ -46,20 +46,20 @@ class Outcome:
         return f"{self.name}: {self.state}, {self.folder}"
 
 
-def outcome_of(folder: Path, settings: RunSettings, action: str, message: str = "") -> Outcome:
-    """The outcome of a job, from the record in `folder`."""
+def outcome_of(folder: Path, settings: RunSettings, action: str, message: str = "", failed: str = "") -> Outcome:
+    """The outcome of a job, from the record in `folder`; of status `failed` where that is given."""
     record: Record | None
     try:
         record = read_record(folder)
     except RecordError:
         record = None
-    if record and record.error:
+    if record and record.error and not failed:
         message = f"{record.error.type}: {record.error.message}" + (f" ({message})" if message else "")
     return Outcome(
         dataset=record.dataset if record else settings.dataset_name,
         method=settings.method_name,
         seed=settings.seed,
-        status=record.status if record else "",
+        status=failed or (record.status if record else ""),
         action=action,
         message=message,
         psnr=record.metrics.mean.get("psnr") if record and record.metrics else None,

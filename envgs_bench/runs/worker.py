@@ -12,9 +12,9 @@ import os
 import signal
 import sys
 import traceback
+from contextlib import suppress
 from pathlib import Path
-from types import FrameType
-from typing import TextIO
+from typing import NoReturn
 
 import torch
 
@@ -23,8 +23,14 @@ from envgs_bench.settings import read_settings
 from envgs_bench.stages.events import Event, EventListener
 from envgs_bench.stages.execution import execute
 from envgs_bench.stages.health import Diverged
+from envgs_bench.stages.memory import lift_limit, limit_memory
+from envgs_bench.stages.stop import Stop
 
-from .draft import Draft, log_tail
+from .draft import Draft
+from .processes import CLAIM_VARIABLE, JOB_VARIABLE, end_all_of, end_with
+
+# What PyTorch's CPU allocator, C++ and Python's threads say in a RuntimeError where they were refused memory.
+OUT_OF_MEMORY = ("can't allocate memory", "std::bad_alloc", "can't start new thread")
 
 
 class TimeUp(BaseException):
@@ -33,34 +39,63 @@ class TimeUp(BaseException):
 
 def main(arguments: list[str]) -> int:
     """Run the run of the folder named in `arguments`; 0 where it ended with status ok."""
+    stop = Stop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.ask(KeyboardInterrupt()))
+    _join_job()
     report = _reporter(_take_standard_output())
     faulthandler.enable()
     folder = Path(arguments[0])
     settings = read_settings(folder)
     draft = Draft(folder, settings)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
-    _start_clock(settings.timeout_minutes)
+    _start_clock(settings.timeout_minutes, stop)
     status: Status = "ok"
     failure = None
     try:
-        execute(settings, folder, draft.results, report)
+        limit_memory(settings.memory_gb, settings.device_memory_fraction, settings.device)
+        execute(settings, folder, draft.results, report, stop)
+        _ignore_signals()  # what is finished is recorded
     except BaseException as error:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        traceback.print_exc()
-        sys.stderr.flush()
+        _ignore_signals()
+        lift_limit()
+        with suppress(OSError):  # the job, which reads it, may be gone
+            traceback.print_exc()
+            sys.stderr.flush()
         status = _status(error)
-        failure = Failure(type=type(error).__name__, message=_message(error), log_tail=log_tail(folder))
+        failure = Failure(type=type(error).__name__, message=_message(error), log_tail="")  # which the job adds
     draft.write(status, failure)
     return 0 if status == "ok" else 1
 
 
-def _start_clock(minutes: float | None) -> None:
-    def ring(number: int, frame: FrameType | None) -> None:
-        raise TimeUp(f"not finished after timeout_minutes={minutes:g}")
+def _join_job() -> None:
+    """End with the job, and keep its claim on the folder until then, but not beyond: nothing started here has it."""
+    if CLAIM_VARIABLE in os.environ:
+        os.set_inheritable(int(os.environ.pop(CLAIM_VARIABLE)), False)
+    if JOB_VARIABLE in os.environ:
+        end_with(int(os.environ[JOB_VARIABLE]))
 
+
+def _ignore_signals() -> None:
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _leave(code: int, folder: Path) -> NoReturn:
+    """End this process now: threads that a method left running, and what else would be waited for, end with it."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    if JOB_VARIABLE in os.environ and os.getppid() != int(os.environ[JOB_VARIABLE]):
+        end_all_of(folder)  # the job, which would do so, is gone
+    os._exit(code)
+
+
+def _start_clock(minutes: float | None, stop: Stop) -> None:
+    """Have `stop` asked when the minutes are over, and whenever it wants to be asked again."""
+    message = "" if minutes is None else f"not finished after timeout_minutes={minutes:g}"
+    signal.signal(signal.SIGALRM, lambda *_: stop.ask(TimeUp(message)))
     if minutes is not None:
-        signal.signal(signal.SIGALRM, ring)
         signal.setitimer(signal.ITIMER_REAL, 60 * minutes)
 
 
@@ -71,32 +106,39 @@ def _status(error: BaseException) -> Status:
         return "interrupted"
     if isinstance(error, Diverged):
         return "diverged"
-    if isinstance(error, MemoryError | torch.OutOfMemoryError) or "can't allocate memory" in str(error):
-        return "out_of_memory"  # PyTorch's CPU allocator says it in a RuntimeError
+    if isinstance(error, MemoryError | torch.OutOfMemoryError) or any(words in str(error) for words in OUT_OF_MEMORY):
+        return "out_of_memory"
     return "failed"
 
 
 def _message(error: BaseException) -> str:
     if isinstance(error, KeyboardInterrupt):
-        return "interrupted; what was learned is in checkpoint/"
+        return "interrupted; the same command goes on from where the training was saved last"
     if isinstance(error, BrokenPipeError):
         return "the process that started this run is gone"
     return str(error) or type(error).__name__
 
 
-def _take_standard_output() -> TextIO:
-    """The stream that progress goes to; from now on what anyone prints goes to standard error."""
-    stream = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
+def _take_standard_output() -> int:
+    """The pipe that progress goes to; from now on what anyone prints goes to standard error."""
+    pipe = os.dup(1)
     os.dup2(2, 1)
-    return stream
+    return pipe
 
 
-def _reporter(stream: TextIO) -> EventListener:
+def _reporter(pipe: int) -> EventListener:
+    """Writes events into `pipe`. Where nobody reads them for a while they are dropped: a run does not wait for that."""
+    os.set_blocking(pipe, False)
+    unsent = b""
+
     def report(event: Event) -> None:
-        stream.write(json.dumps(event) + "\n")
+        nonlocal unsent
+        content = unsent + json.dumps(event).encode() + b"\n"
+        with suppress(BlockingIOError):
+            unsent = content[os.write(pipe, content) :]
 
     return report
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    _leave(main(sys.argv[1:]), Path(sys.argv[1]))

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from envgs_bench.core import Scene
+from envgs_bench.core.cuda.compiler import keep_kernels_in
 from envgs_bench.datasets.progress import listening
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
@@ -25,18 +26,27 @@ from .events import EventListener
 from .perturbations import load_run_scene, perturbed_settings
 from .renders import score_renders
 from .results import Results
+from .snapshots import Snapshots
+from .stop import Stop
 from .timing import time_frames
 from .training import Training
+from .vector_functions import call_each_once
 
 
-def execute(settings: RunSettings, folder: Path, results: Results, report: EventListener) -> None:
+def execute(
+    settings: RunSettings, folder: Path, results: Results, report: EventListener, stop: Stop | None = None
+) -> None:
     """Train, draw, score and time as `settings` say; pictures, curve and checkpoint go into `folder`.
+
+    A training that was interrupted in `folder` goes on. `stop` may ask for its end while it trains.
 
     Raises:
         Diverged: nothing more can be learned, or a render is not finite.
         MemoryError: hardly any memory is left.
         ValueError, OSError: settings or data that cannot be used.
     """
+    call_each_once()
+    keep_kernels_in(settings.cache_dir / "kernels")
     _seed(settings.seed)
     protocol = get_protocol(settings.protocol)
     if settings.method.kind == RENDERS:
@@ -49,9 +59,13 @@ def execute(settings: RunSettings, folder: Path, results: Results, report: Event
     _check_scene(scene)
     results.steps = method.training_steps(actual.steps)
     training = Training(method, scene, results.steps, settings.seed)
+    stop = stop or Stop()
+    snapshots = Snapshots(folder, settings.snapshot_minutes, stop)
     try:
-        training.run(folder / CURVE_NAME, report)
+        with stop.deferred():
+            training.run(folder / CURVE_NAME, report, snapshots)
     finally:
+        results.went_on_from = training.went_on_from
         results.dropped_losses = dict(method.dropped_losses)
         results.warnings = list(training.health.warnings)
         if training.step:  # however it ends, what was learned is kept
@@ -64,6 +78,7 @@ def execute(settings: RunSettings, folder: Path, results: Results, report: Event
     report({"stage": "timing"})
     results.timing = time_frames(method, views, settings.timing)
     results.cost = cost_of(method, training)
+    snapshots.remove()
 
 
 def _score_renders(

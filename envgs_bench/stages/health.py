@@ -12,6 +12,7 @@ import statistics
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import psutil
 from torch import Tensor
@@ -112,6 +113,30 @@ class Health:
             self._warn("non_finite", step, part, f"a gradient of {part} was not finite, and the step skipped")
         if self._skipped_in_row >= NON_FINITE_STEPS:
             raise Diverged(f"{self._skipped_in_row} steps in a row were skipped, up to step {step}")
+
+    def state(self) -> dict[str, Any]:
+        """What was found, and all that later judgments depend on: what `restore` becomes in another process."""
+        return {
+            "warnings": [warning.model_dump() for warning in self.warnings],
+            "counts": self._counts,
+            "non_finite": self._non_finite,
+            "skipped": [self._skipped, self._skipped_in_row],
+            "psnr": [list(self._psnr), self._best_psnr],
+            "one_color": list(self._one_color),
+            "best_alpha": self._best_alpha,
+            "lasting": self._lasting,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Become what `state` returned of a run of as many steps."""
+        self.warnings[:] = [TrainingWarning.model_validate(warning) for warning in state["warnings"]]
+        self._counts, self._lasting = dict(state["counts"]), dict(state["lasting"])
+        self._non_finite = state["non_finite"]
+        self._skipped, self._skipped_in_row = state["skipped"]
+        psnr, self._best_psnr = state["psnr"]
+        self._psnr.extend(psnr)
+        self._one_color.extend(state["one_color"])
+        self._best_alpha = state["best_alpha"]
 
     def due(self, step: int) -> bool:
         """Whether `look` is due after this step."""

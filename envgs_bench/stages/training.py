@@ -7,6 +7,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from envgs_bench.methods.method import Method
 
 from .events import EventListener
 from .health import Health
+from .memory import peak_host_bytes
+from .snapshots import Snapshots, State, random_state, set_random_state
 
 READ_EVERY = 10  # steps whose losses are read at once: reading waits for the device
 CURVE_ROWS = 500
@@ -29,8 +32,10 @@ class Training:
 
     Attributes:
         step: steps done.
-        seconds: wall-clock time of `Method.initialize` and of all steps, work on the device included.
+        seconds: wall-clock time of `Method.initialize` and of all steps, work on the device included; of snapshots not.
         peak_primitives: the most primitives of all sets together, after any step.
+        peak_host_bytes: the most memory of the processes that did earlier parts of this training.
+        went_on_from: the steps of the snapshots that it went on from.
         health: what was noticed that a healthy run does not show.
     """
 
@@ -39,37 +44,63 @@ class Training:
         self.step = 0
         self.seconds = 0.0
         self.peak_primitives = 0
-        self._told = 0
-        self._psnr: deque[float] = deque(maxlen=len(scene.train))
+        self.peak_host_bytes = 0
+        self.went_on_from: list[int] = []
         self.health = Health(method, steps)
+        self._told = 0  # warnings
+        self._psnr: deque[float] = deque(maxlen=len(scene.train))
+        self._unread: list[Mapping[str, float | Tensor]] = []  # the last steps' losses
+        self._seconds_before = 0.0
+        self._snapshots: Snapshots | None = None
 
-    def run(self, curve: Path, report: EventListener) -> None:
+    def run(self, curve: Path, report: EventListener, snapshots: Snapshots | None = None) -> None:
         """Train; `curve` becomes a CSV table of step, seconds, loss, psnr, skipped_steps and primitives_<set>.
 
         `psnr` is the mean over the last steps, as many as there are training views, of what the method saw in dB.
+        Where `snapshots` have a state, the training goes on from it and ends where it would have ended without the
+        interruption, bitwise on the CPU with the same number of threads.
 
         Raises:
             Diverged: nothing more can be learned, see `Health`.
             MemoryError: hardly any memory is left.
         """
-        started = time.perf_counter()
+        self._began = time.perf_counter()
+        self._snapshots = snapshots
+        state = snapshots.read() if snapshots else None
         try:
-            self.method.initialize(self.scene, self.steps)
+            if state is None:
+                self.method.initialize(self.scene, self.steps)
+            else:
+                self._go_on_from(state)
             if self.method.dropped_losses:
                 report({"stage": "training", "steps": self.steps, "dropped_losses": dict(self.method.dropped_losses)})
+            self._tell_warnings(report)  # those before an interruption: who reads this may not have heard of them
+            rows = _rows_up_to(curve, self.step) if self.step else []
             with curve.open("w", buffering=1, newline="", encoding="utf-8") as stream:
-                self._loop(csv.writer(stream), report, started)
+                stream.writelines(rows)
+                self._loop(csv.writer(stream), report)
             self._synchronize()
         finally:
-            self.seconds = time.perf_counter() - started
+            self.seconds = self._clock()
 
-    def _loop(self, rows: Any, report: EventListener, started: float) -> None:
+    def _clock(self) -> float:
+        """Seconds of training so far, those before an interruption too."""
+        saving = self._snapshots.seconds if self._snapshots else 0.0
+        return self._seconds_before + time.perf_counter() - self._began - saving
+
+    def _loop(self, rows: Any, report: EventListener) -> None:
         sets = list(self.method.primitives())
-        rows.writerow(["step", "seconds", "loss", "psnr", "skipped_steps", *(f"primitives_{name}" for name in sets)])
+        if not self.step:
+            rows.writerow(
+                ["step", "seconds", "loss", "psnr", "skipped_steps", *(f"primitives_{name}" for name in sets)]
+            )
         every = max(1, self.steps // CURVE_ROWS)
         reported = 0.0
-        unread: list[Mapping[str, float | Tensor]] = []
-        for view in shuffled(self.scene.train, self.steps, self.seed):
+        unread = self._unread
+        for view in islice(shuffled(self.scene.train, self.steps, self.seed), self.step, None):
+            if self._snapshots and self._snapshots.is_due and self.step:
+                self._snapshots.save(self._state)
+                self._snapshots.stop.heed()
             unread.append(self.method.training_step(view, self.step + 1))
             self.step += 1
             counts = self.method.primitives()
@@ -85,14 +116,45 @@ class Training:
             if looks:
                 self.health.look(self.step, view)
             self._tell_warnings(report)
-            now = time.perf_counter()
+            now = self._clock()
             if wanted:
                 skipped = int(self.method.skipped_steps)
-                rows.writerow([self.step, f"{now - started:.3f}", loss, psnr, skipped, *(counts[n] for n in sets)])
+                rows.writerow([self.step, f"{now:.3f}", loss, psnr, skipped, *(counts[n] for n in sets)])
             if now - reported > REPORT_SECONDS or last:
                 reported = now
                 state = {"step": self.step, "steps": self.steps, "loss": loss, "psnr": psnr, "primitives": counts}
                 report({"stage": "training", **state})
+
+    def _state(self) -> State | None:
+        """What a snapshot holds, None of a method that cannot go on from one."""
+        method = self.method.training_state()
+        if method is None:
+            return None
+        return {
+            "method": method,
+            "random": random_state(),
+            "step": self.step,
+            "seconds": self._clock(),
+            "peak_primitives": self.peak_primitives,
+            "peak_host_bytes": max(self.peak_host_bytes, peak_host_bytes()),
+            "psnr": list(self._psnr),
+            # Not judged before they would have been: what is judged together must not depend on when this is saved.
+            "unread": [{name: float(value) for name, value in losses.items()} for losses in self._unread],
+            "health": self.health.state(),
+            "went_on_from": self.went_on_from,
+        }
+
+    def _go_on_from(self, state: State) -> None:
+        """Become what `_state` returned."""
+        self.method.resume(self.scene, self.steps, state["method"])
+        self.step, self._seconds_before = state["step"], state["seconds"]
+        self.peak_primitives, self.peak_host_bytes = state["peak_primitives"], state["peak_host_bytes"]
+        self._psnr.extend(state["psnr"])
+        self._unread.extend(state["unread"])
+        self.health.restore(state["health"])
+        self.went_on_from = [*state["went_on_from"], self.step]
+        set_random_state(state["random"])
+        print(f"going on from step {self.step}", flush=True)
 
     def _judge(self, unread: Sequence[Mapping[str, float | Tensor]]) -> tuple[float, float]:
         """The last step's loss and the running PSNR."""
@@ -112,6 +174,16 @@ class Training:
     def _synchronize(self) -> None:
         if self.method.device.type == "cuda":
             torch.cuda.synchronize(self.method.device)
+
+
+def _rows_up_to(curve: Path, step: int) -> list[str]:
+    """The head of the curve of an interrupted training and its rows up to `step`, later ones being done again."""
+    try:
+        lines = curve.read_text(encoding="utf-8").splitlines(keepends=True)
+    except (OSError, UnicodeDecodeError):
+        return []
+    numbers = ((line, line.partition(",")[0]) for line in lines if line.endswith("\n"))
+    return [line for line, number in numbers if number == "step" or (number.isdecimal() and int(number) <= step)]
 
 
 def shuffled(views: list[View], steps: int, seed: int) -> Iterator[View]:

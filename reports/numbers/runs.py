@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from envgs_bench.claim import holder_of
 from envgs_bench.records import RENDERS, Record, RecordError, find_runs, read_record
 from envgs_bench.run_folder import LOG_NAME, RECORD_NAME
 
@@ -53,13 +54,15 @@ class Run:
 
 
 def read_runs(folder: Path) -> tuple[list[Run], list[BrokenRecord]]:
-    """Every run under `folder`, in the order of their paths.
+    """Every run under `folder`, in the order of their paths, but those that somebody is running at this moment.
 
     Raises:
         RecordError: `folder` is not there.
     """
     runs, broken = [], []
     for path in find_runs(folder):
+        if not (path / RECORD_NAME).exists() and holder_of(path) is not None:
+            continue
         try:
             runs.append(read_run(path))
         except RecordError as error:
@@ -70,7 +73,7 @@ def read_runs(folder: Path) -> tuple[list[Run], list[BrokenRecord]]:
 def read_run(folder: Path) -> Run:
     """The run in `folder`. Raises RecordError saying what is wrong with its record."""
     if not (folder / RECORD_NAME).exists():
-        raise RecordError(f"{folder}: no {RECORD_NAME}: the run goes on, or its process was killed; see its {LOG_NAME}")
+        raise RecordError(f"{folder}: no {RECORD_NAME}: its process was killed; see its {LOG_NAME}")
     record = read_record(folder)
     if record.timing is not None:
         record = record.model_copy(update={"timing": record.timing.model_copy(update={"per_view": []})})

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import groupby
 
+from envgs_bench.plain_text import plain_line
+
 from .entries import DAGGER, Entry, Heading, entries, headings
 from .notes import dropped_losses
-from .plain import plain_line
 from .sections import Section
 from .table import Table
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from envgs_bench.plain_text import plain_line
+
 from ..numbers.runs import BrokenRecord
 from .entries import LEGEND, Entry, entries, headings
 from .notes import caption, notes
-from .plain import plain_line
 from .sections import Section
 from .table import Table
 
@@ -56,7 +57,7 @@ def _emphasized(entry: Entry) -> str:
 
 def _escaped(text: str) -> str:
     """Text of a record, harmless in a table's cell: no markup, no line breaks, nothing that a terminal obeys."""
-    plain = plain_line(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    harmless_text = plain_line(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     for markup, harmless in (("\\", "\\\\"), ("|", r"\|"), ("`", r"\`"), ("*", r"\*"), ("](", r"]\(")):
-        plain = plain.replace(markup, harmless)
-    return plain
+        harmless_text = harmless_text.replace(markup, harmless)
+    return harmless_text

@@ -20,7 +20,19 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    [[], ["run"], ["report"], ["rescore"], ["masks"], ["ply"], ["export"], ["list"], ["doctor"], ["bench", "core"]],
+    [
+        [],
+        ["run"],
+        ["status"],
+        ["report"],
+        ["rescore"],
+        ["masks"],
+        ["ply"],
+        ["export"],
+        ["list"],
+        ["doctor"],
+        ["bench", "core"],
+    ],
 )
 def test_help_answers_without_pytorch(command: list[str]) -> None:
     code = (

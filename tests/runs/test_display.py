@@ -77,3 +77,23 @@ def test_the_bar_leaves_a_line_that_says_what_is_trained_without() -> None:
     shown = stream.getvalue()
     assert shown.count("room · envgs · seed 0: trains without L_mono: no normals [at all]\n") == 1
     assert "30/1000" in shown  # the bar knows the steps all the same
+
+
+def test_no_terminal_obeys_a_name_a_reason_or_a_warning() -> None:
+    """Neither escape sequences nor markup: they are shown."""
+    hostile = "a[/b]\x1b[31m\r"
+    warning = {"kind": "non_finite", "step": 3, "part": hostile, "message": hostile, "times": 1}
+    events = [
+        {"stage": "training", "steps": 9, "dropped_losses": {hostile: hostile}},
+        {"stage": "training", "step": 3, "steps": 9, "warning": warning},
+    ]
+    lines, console = io.StringIO(), Console(file=io.StringIO(), width=200)
+    for display in (Lines(lines), Bar(console)):
+        display.start(hostile)
+        for event in events:
+            display.update(event)
+        display.stop()
+    for shown in (lines.getvalue(), console.file.getvalue()):  # type: ignore[attr-defined]
+        assert "\x1b[31m" not in shown
+        assert shown.count("warning at step 3: a[/b]?[31m?") == 1
+        assert shown.count("trains without a[/b]?[31m?: a[/b]?[31m?") == 1

@@ -20,6 +20,7 @@ from envgs_bench.records import Failure
 from envgs_bench.runs import identity, provenance
 from envgs_bench.runs.draft import Draft
 from envgs_bench.runs.identity import code_version, run_id
+from envgs_bench.runs.meaning import meaning_of
 from envgs_bench.settings import RunSettings, SettingsError, default_cache_dir, parse_settings
 
 
@@ -85,6 +86,9 @@ def test_the_device_and_the_code_change_the_identity(monkeypatch: pytest.MonkeyP
         {"force": True},
         {"retry_failed": True},
         {"timeout_minutes": 3},
+        {"memory_gb": 3},
+        {"device_memory_fraction": 0.5},
+        {"snapshot_minutes": 1},
         {"overrides": ["seed=0"]},
         {"device": "cpu"},
     ],
@@ -134,6 +138,40 @@ def test_a_method_of_ones_own_counts_by_its_source(tmp_path: Path, monkeypatch: 
     assert identities() == before
     (tmp_path / "mine_alone" / "losses.py").write_text("a = 2\n")
     assert all(now != then for now, then in zip(identities(), before, strict=True))
+
+
+@pytest.mark.parametrize("suffix", [".py", ".cpp"])
+def test_code_counts_by_what_it_means(tmp_path: Path, suffix: str) -> None:
+    python = (
+        'def f(x):\n    """Doc."""\n    return x + 1  # one\n',
+        ["def f(x):\n    return (x + 1)\n", '# a\ndef f(x):\n    """Another,\n    longer."""\n\n    return x+1\n'],
+        ["def f(x):\n    return x + 2\n", "def f(x):\n    'x'\n    'y'\n    return x + 1\n", "def f(x:\n"],
+    )
+    native = (
+        '#define A 1 // one\nint f(int x) { return x + A; }\nchar* s = "/* no */ //";\n',
+        ['#define A 1\nint f(int x)\n{\n  /* long\n  comment */ return x + A; }\nchar* s = "/* no */ //"; // so\n'],
+        [
+            '#define A 2\nint f(int x) { return x + A; }\nchar* s = "/* no */ //";\n',
+            '#define A 1\nint f(int x) { return x + A; }\nchar* s = "/* yes */ //";\n',
+            '#define A 1 int f(int x) { return x + A; }\nchar* s = "/* no */ //";\n',
+        ],
+    )
+    text, same, others = python if suffix == ".py" else native
+
+    def meaning(content: str) -> bytes:
+        (tmp_path / f"a{suffix}").write_text(content)
+        return meaning_of(tmp_path / f"a{suffix}")
+
+    expected = meaning(text)
+    assert [meaning(other) == expected for other in same] == [True] * len(same)
+    assert [meaning(other) == expected for other in others] == [False] * len(others)
+
+
+def test_every_file_of_this_code_is_parsed() -> None:
+    """The fallback, its bytes, would let comments count."""
+    for room in identity.RESULT_CODE:
+        for path in identity._location(room).rglob("*.py"):
+            compile(path.read_text(), path, "exec")
 
 
 def test_names_are_the_configured_ones_or_the_folders() -> None:
@@ -252,6 +290,8 @@ def test_a_data_set_counts_by_the_files_that_are_read(tmp_path: Path, source: st
         "images_4/0.png",
     ]
     unrelated += ["sparse/0/project.ini", "sparse/1/images.txt"]
+    if kind != "photos":  # all others name their pictures
+        unrelated.append("images/spare.png")
     for name in unrelated:
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text("unrelated")

@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 from fakes.runs import CONF, QUICK, only_folder, records, run, set_environment
 
+from envgs_bench.claim import CLAIM_NAME
+
 RAISES = "method.kind=fakes.methods:Raises"
 
 
@@ -87,13 +89,15 @@ def test_a_run_that_another_process_is_at_is_left_to_it(
 ) -> None:
     shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
     folder = only_folder(tmp_path)
-    handle = os.open(folder, os.O_RDONLY)
+    handle = os.open(folder / CLAIM_NAME, os.O_RDWR | os.O_CREAT)
     fcntl.flock(handle, fcntl.LOCK_EX)
     try:
         assert run(tmp_path, "force=true") == 0  # the record that is there is good
     finally:
         os.close(handle)
-    assert "ok (skipped)" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "ok (skipped)" in out
+    assert "another process is running it" in out
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])

@@ -11,7 +11,7 @@ from fakes.runs import run, set_environment
 
 from envgs_bench.records import find_records, read_record
 from envgs_bench.run_folder import LOG_NAME
-from envgs_bench.runs import job
+from envgs_bench.runs import process
 
 KINDS = (
     "Raises",
@@ -20,11 +20,13 @@ KINDS = (
     "Exits",
     "RunsOutOfMemory",
     "LosesItsLoss",
+    "DiesAfterAWarning",
     "RendersNaN",
     "Nobody",
     "MeanColor",
 )
 SLOW_KINDS = ("Hangs", "IsSlow")
+LIMITED = "TakesMemory"
 
 
 class Sweep:
@@ -33,7 +35,7 @@ class Sweep:
     def __init__(self, root: Path, exit_statuses: tuple[int, int]) -> None:
         self.root = root
         self.exit_statuses = exit_statuses
-        paths = [path for folder in ("parallel", "sequence") for path in find_records(root / folder)]
+        paths = [path for folder in ("parallel", "sequence", "limited") for path in find_records(root / folder)]
         self.records = {read_record(path).kind.split(":")[1]: read_record(path) for path in paths}
         self.folders = {read_record(path).kind.split(":")[1]: path.parent for path in paths}
 
@@ -44,10 +46,11 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
     common = ("method.settings.crash_at=5", "steps=200")
     parallel = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(job, "GRACE_SECONDS", 6.0)
+        patch.setattr(process, "GRACE_SECONDS", 6.0)
         set_environment(patch)
         first = run(root / "parallel", *common, *parallel, _swept(KINDS), flags=("-m",))
         second = run(root / "sequence", *common, "timeout_minutes=0.04", _swept(SLOW_KINDS), flags=("-m",))
+        run(root / "limited", *common, "memory_gb=0.5", _swept((LIMITED,)))
     return Sweep(root, (first, second))
 
 
@@ -56,7 +59,7 @@ def _swept(kinds: tuple[str, ...]) -> str:
 
 
 def test_every_job_has_a_record_and_the_exit_status_says_that_some_failed(sweep: Sweep) -> None:
-    assert sorted(sweep.records) == sorted(KINDS + SLOW_KINDS)
+    assert sorted(sweep.records) == sorted((*KINDS, *SLOW_KINDS, LIMITED))
     assert sweep.exit_statuses == (1, 1)
 
 
@@ -67,7 +70,9 @@ def test_every_job_has_a_record_and_the_exit_status_says_that_some_failed(sweep:
         ("Segfaults", "failed", "SIGSEGV", "the process died of SIGSEGV"),
         ("IsKilled", "out_of_memory", "SIGKILL", "ran out of memory"),
         ("Exits", "failed", "ProcessError", "exit code 3"),
+        ("DiesAfterAWarning", "failed", "ProcessError", "exit code 3"),
         ("RunsOutOfMemory", "out_of_memory", "RuntimeError", "can't allocate memory"),
+        ("TakesMemory", "out_of_memory", "RuntimeError", "can't allocate memory"),
         ("IsSlow", "timeout", "TimeUp", "timeout_minutes=0.04"),
         ("Hangs", "timeout", "TimeUp", "timeout_minutes=0.04 and was killed"),
         ("Nobody", "failed", "ValueError", "cannot be imported from fakes.methods:Nobody"),
@@ -99,7 +104,7 @@ def test_the_log_is_kept_and_quoted(sweep: Sweep) -> None:
     assert "Segmentation fault" in crash.log_tail  # faulthandler
 
 
-@pytest.mark.parametrize("kind", ["Raises", "IsSlow", "LosesItsLoss", "RunsOutOfMemory"])
+@pytest.mark.parametrize("kind", ["Raises", "IsSlow", "LosesItsLoss", "RunsOutOfMemory", "TakesMemory"])
 def test_what_was_learned_is_kept(sweep: Sweep, kind: str) -> None:
     assert (sweep.folders[kind] / "checkpoint" / "color.pt").is_file()
     cost = sweep.records[kind].cost
@@ -110,8 +115,15 @@ def test_what_was_learned_is_kept(sweep: Sweep, kind: str) -> None:
 def test_what_was_trained_without_is_recorded_even_of_a_process_that_died(sweep: Sweep) -> None:
     dropped = {kind: record.dropped_losses for kind, record in sweep.records.items()}
     failing = sorted(kind for kind, losses in dropped.items() if losses)
-    assert failing == sorted({*KINDS, *SLOW_KINDS} - {"RendersNaN", "Nobody", "MeanColor"})
+    assert failing == sorted({*KINDS, *SLOW_KINDS, LIMITED} - {"RendersNaN", "Nobody", "MeanColor"})
     assert all(dropped[kind] == {"gloss": "tiny has no varnish"} for kind in failing)
+
+
+def test_what_was_warned_of_is_recorded_even_of_a_process_that_died(sweep: Sweep) -> None:
+    for kind in ("LosesItsLoss", "DiesAfterAWarning"):
+        (warning,) = sweep.records[kind].warnings
+        assert (warning.kind, warning.step, warning.part) == ("non_finite", 5, "loss")
+    assert all(not sweep.records[kind].warnings for kind in ("Raises", "Segfaults", "IsSlow"))
 
 
 def test_skipped_steps_are_counted(sweep: Sweep) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -219,6 +220,39 @@ def test_now_and_then_a_skipped_step_ends_nothing(tmp_path: Path) -> None:
     training = Training(Skips(Settings()), tiny_scene(), 300, 0)
     training.run(tmp_path / "curve.csv", lambda event: None)
     assert training.method.skipped_steps == 150
+
+
+def test_a_health_that_was_stored_judges_the_later_steps_as_the_first_would_have() -> None:
+    method, view, steps = Scripted(Settings()), tiny_scene().train[0], 2000
+
+    def judged(stored_after: int) -> Health:
+        health, method.skipped_steps = Health(method, steps), 0
+        for step in range(1, steps + 1):
+            well = step < 1000
+            lost = step in (1195, 1199, 1203, 1207)
+            method.now = {"alpha": 0.9 if well else 0.001, "beta": 0.1 if well else 0.9}
+            method.skipped_steps += lost
+            health.count(step, {"base": 1000 if step < 1199 else 300, "env": 0})
+            health.read(step, {"loss": math.nan if lost else 1.0, "psnr": 60.0 if well else 50.0 + step % 3})
+            health.count_skips(step, 1)
+            if health.due(step):
+                health.look(step, view)
+            if step == stored_after:
+                stored = json.loads(json.dumps(health.state()))
+                health = Health(method, steps)
+                health.restore(stored)
+        return health
+
+    whole, restored = judged(0), judged(1199)
+    assert {(w.kind, w.step) for w in whole.warnings} == {
+        ("non_finite", 1195),
+        ("set_shrinks", 1199),
+        ("loss_climbs", 1400),
+        ("alpha_vanishes", 1350),
+        ("beta_saturates", 1350),
+    }
+    assert restored.warnings == whole.warnings
+    assert restored.state() == whole.state()
 
 
 def test_memory_that_runs_out_ends_the_run_before_the_system_does(

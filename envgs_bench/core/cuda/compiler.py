@@ -15,6 +15,7 @@ import torch
 
 OLDEST_CAPABILITY = (8, 0)  # warp-wide integer reductions
 FOLDER = Path(__file__).parent
+_folder: Path | None = None
 OPTIONS = {"std": "c++17", "ftz": True, "prec_div": False, "prec_sqrt": False}
 
 
@@ -48,10 +49,9 @@ def compile_kernels(sources: tuple[str, ...], macros: tuple[tuple[str, str], ...
     architecture = f"sm_{major}{minor}"
     core = cuda_core()
     path = cache_dir() / f"{_key(sources, macros, architecture)}.cubin"
-    try:
-        return core.ObjectCode.from_cubin(path.read_bytes())
-    except OSError:
-        pass  # not there yet, or no place for it
+    known = remembered(path)
+    if known is not None:
+        return core.ObjectCode.from_cubin(known)
     text = "".join(f'#include "{name}"\n' for name in sources)
     options = core.ProgramOptions(
         arch=architecture,
@@ -60,13 +60,21 @@ def compile_kernels(sources: tuple[str, ...], macros: tuple[tuple[str, str], ...
         **OPTIONS,
     )
     code = core.Program(text, "c++", options).compile("cubin")
-    _remember(path, code.code)
+    remember(path, code.code)
     return code
 
 
 def cache_dir() -> Path:
-    """$ENVGS_BENCH_CACHE/kernels, or else ~/.cache/envgs-bench/kernels."""
+    """Where `keep_kernels_in` says, or else $ENVGS_BENCH_CACHE/kernels, or else ~/.cache/envgs-bench/kernels."""
+    if _folder is not None:
+        return _folder
     return Path(os.environ.get("ENVGS_BENCH_CACHE") or "~/.cache/envgs-bench").expanduser() / "kernels"
+
+
+def keep_kernels_in(folder: Path) -> None:
+    """From now on this process looks for compiled kernels in `folder`, and puts them there."""
+    global _folder
+    _folder = folder
 
 
 @cache
@@ -99,12 +107,25 @@ def _texts() -> Mapping[str, bytes]:
     return {file.name: file.read_bytes() for file in files}
 
 
-def _remember(path: Path, code: bytes) -> None:
-    """Several processes may do this at once. A folder that cannot be written to costs later processes time, no more."""
+def remember(path: Path, code: bytes) -> None:
+    """Keep machine code, with its hash before it.
+
+    Several processes may do this at once. A folder that cannot be written to costs later processes time, no more.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            file.write(code)
+            file.write(hashlib.sha256(code).digest() + code)
         os.replace(file.name, path)
     except OSError:
         pass
+
+
+def remembered(path: Path) -> bytes | None:
+    """What `remember` kept, None where there is nothing, or something that was damaged and is to be made again."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    digest, code = content[:32], content[32:]
+    return code if hashlib.sha256(code).digest() == digest else None

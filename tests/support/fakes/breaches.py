@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 
@@ -134,6 +134,11 @@ class LoadsAnything(MeanColor):
     def load(self, folder: Path) -> None:
         if (folder / "color.pt").exists():
             super().load(folder)
+
+
+class ForgetsItsTraining(MeanColor):
+    def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
+        self.initialize(scene, steps)
 
 
 class ForgetsItsCount(MeanColor):

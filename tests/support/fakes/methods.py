@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
+import subprocess
+import sys
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 
@@ -19,6 +23,7 @@ from envgs_bench.methods.method import Method
 class Settings:
     rate: float = 0.5  # share of the way to each view's mean color
     crash_at: int = 0  # step at which a failing method fails
+    tells_psnr: bool = True  # by which it learns nothing, so that a run of 2,000 steps or more is ended
 
 
 class MeanColor(Method):
@@ -36,7 +41,9 @@ class MeanColor(Method):
             self.color = self.color + self.settings.rate * difference
         else:
             self.skipped_steps += 1
-        return {"loss": float(difference.square().mean()), "psnr": float(-10 * difference.square().mean().log10())}
+        error = difference.square().mean()
+        losses = {"loss": float(error)}
+        return losses | {"psnr": float(-10 * error.log10())} if self.settings.tells_psnr else losses
 
     def render(self, camera: Camera) -> Rendering:
         height, width = camera.height, camera.width
@@ -58,6 +65,13 @@ class MeanColor(Method):
 
     def model_bytes(self) -> dict[str, int]:
         return {"base": 12, "env": 0}
+
+    def training_state(self) -> dict[str, Any]:
+        return {"color": self.color, "skipped_steps": self.skipped_steps}
+
+    def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
+        self.initialize(scene, steps)
+        self.color, self.skipped_steps = state["color"], state["skipped_steps"]
 
     def save(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -110,6 +124,14 @@ class RunsOutOfMemory(_Failing):
         return losses
 
 
+class TakesMemory(_Failing):
+    """2 GB and no more, in parts that a limit of the machine's would not refuse."""
+
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        self.taken = [torch.ones(2**24) for _ in range(32)]
+        return losses
+
+
 class IsSlow(_Failing):
     def fail(self, losses: dict[str, float]) -> dict[str, float]:
         time.sleep(0.1)
@@ -132,6 +154,15 @@ class LosesItsLoss(_Failing):
         return {**losses, "loss": float("nan")}
 
 
+class DiesAfterAWarning(LosesItsLoss):
+    """When its losses have been read, and before there were too many."""
+
+    def training_step(self, view: View, step: int) -> dict[str, float]:
+        if step == self.settings.crash_at + 10:
+            os._exit(3)
+        return super().training_step(view, step)
+
+
 class RendersNaN(MeanColor):
     def render(self, camera: Camera) -> Rendering:
         rendering = super().render(camera)
@@ -151,6 +182,70 @@ class Announces(MeanColor):
             Path("started").touch()
             time.sleep(0.1)
         return super().training_step(view, step)
+
+
+class Waits(MeanColor):
+    """A fifth of a second a step, or as the environment says."""
+
+    def training_step(self, view: View, step: int) -> dict[str, float]:
+        time.sleep(float(os.environ.get("FAKE_STEP_SECONDS", "0.2")))
+        return super().training_step(view, step)
+
+
+class Complains(MeanColor):
+    """Says at such length what it trains without that no pipe holds it."""
+
+    def initialize(self, scene: Scene, steps: int) -> None:
+        super().initialize(scene, steps)
+        self.dropped_losses["gloss"] = "there is no varnish; " * 20_000
+
+
+class LeavesAThread(MeanColor):
+    """Its thread never ends."""
+
+    def initialize(self, scene: Scene, steps: int) -> None:
+        super().initialize(scene, steps)
+        threading.Thread(target=threading.Event().wait).start()
+
+
+class LeavesProcesses(MeanColor):
+    """One in its group, one in a session of its own, and one that has all its files: their numbers are in `left`."""
+
+    def initialize(self, scene: Scene, steps: int) -> None:
+        super().initialize(scene, steps)
+        sleep = [sys.executable, "-c", "import time; time.sleep(600)"]
+        left = [subprocess.Popen(sleep).pid, subprocess.Popen(sleep, start_new_session=True).pid]
+        left.append(os.fork())
+        if left[-1] == 0:
+            os.setsid()
+            time.sleep(600)
+        Path("left").write_text(" ".join(map(str, left)), encoding="utf-8")
+
+
+class Chatters(_Failing):
+    """Prints 50 MB, and fails with as long a message."""
+
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        print("the first line")
+        for _ in range(50):
+            print("a" * 10**6)
+        print("the last line")
+        raise RuntimeError("begins " + "b" * 5 * 10**7 + " ends")
+
+
+class FillsItsDisk(_Failing):
+    """Writes beside its run until nothing more can be written."""
+
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        with (Path(os.environ["ENVGS_BENCH_RUN"]).parents[3] / "filler").open("wb", buffering=0) as stream:
+            while True:
+                stream.write(bytes(2**16))
+
+
+class DeletesItsFolder(_Failing):
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        shutil.rmtree(os.environ["ENVGS_BENCH_RUN"])
+        return losses
 
 
 class Forgets(MeanColor):

@@ -1,0 +1,143 @@
+"""Claim: who is at a run's folder at this moment, and how far it has come. One file, locked while somebody is."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+CLAIM_NAME = "claim.json"
+MOST_BYTES = 65_536  # a claim that is longer was not written here
+
+
+@dataclass(frozen=True)
+class Holder:
+    """The process that claimed a folder, as it wrote it down itself."""
+
+    host: str = ""
+    pid: int = 0
+    started: float = 0.0  # when the process started, Unix time: its number may be given again
+    since: float = 0.0  # when it claimed the folder, Unix time
+    progress: dict[str, Any] = field(default_factory=dict)  # its run's last event, and "at", the event's Unix time
+
+    @property
+    def is_here(self) -> bool:
+        return self.host == socket.gethostname()
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether it ran on this machine and runs no more: what still holds the claim are processes it left."""
+        return self.is_here and _start_of(self.pid) != self.started
+
+    def __str__(self) -> str:
+        if not self.pid:
+            return "another process"
+        return f"process {self.pid}" + ("" if self.is_here else f" on {self.host}")
+
+
+class Claim:
+    """A claim that this process holds."""
+
+    def __init__(self, handle: int) -> None:
+        self.handle = handle  # of the locked file: the claim lasts as long as any process has it open
+        self._holder = {
+            "host": socket.gethostname(),
+            "pid": os.getpid(),
+            "started": _start_of(os.getpid()),
+            "since": time.time(),
+        }
+        self.note({})
+
+    def note(self, progress: dict[str, Any]) -> None:
+        """Write down how far the run has come, for whoever asks. Where that cannot be written, nothing is lost."""
+        content = json.dumps({**self._holder, "progress": {**progress, "at": time.time()}}).encode()
+        with suppress(OSError):
+            os.pwrite(self.handle, content, 0)
+            os.ftruncate(self.handle, len(content))
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[Claim | None]:
+    """The claim on `folder`, or None where somebody else has it.
+
+    It ends with the block, or with this process and those that were given `Claim.handle`. Several machines may share
+    the folder where their file system locks files for all of them (flock, as NFS does since version 4).
+
+    Raises:
+        OSError: the folder cannot be written to.
+    """
+    path = folder / CLAIM_NAME
+    handle = _lock(path)
+    if handle is None:
+        yield None
+        return
+    try:
+        yield Claim(handle)
+    finally:
+        with suppress(OSError):
+            path.unlink()  # while it is locked: see `_lock`
+        os.close(handle)
+
+
+def holder_of(folder: Path) -> Holder | None:
+    """Who holds the claim on `folder`, None where nobody does."""
+    path = folder / CLAIM_NAME
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return _read(handle)
+    except OSError:
+        return None
+    finally:
+        os.close(handle)
+    return None
+
+
+def _lock(path: Path) -> int | None:
+    """The open, locked file, or None where another process has it locked."""
+    while True:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NONBLOCK | os.O_NOFOLLOW, 0o644)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(handle)
+            return None
+        except BaseException:
+            os.close(handle)
+            raise
+        try:
+            if os.fstat(handle).st_ino == os.stat(path).st_ino:
+                return handle
+        except FileNotFoundError:
+            pass
+        os.close(handle)  # its last holder removed it between the two calls
+
+
+def _read(handle: int) -> Holder:
+    try:
+        content = json.loads(os.pread(handle, MOST_BYTES, 0))
+        return Holder(**content)
+    except (OSError, ValueError, TypeError, RecursionError):
+        return Holder()  # it is being written
+
+
+def _start_of(pid: int) -> float:
+    """When the process started, 0 where there is none, or only what is left of one."""
+    try:
+        process = psutil.Process(pid)
+        return 0.0 if process.status() == psutil.STATUS_ZOMBIE else process.create_time()
+    except psutil.Error:
+        return 0.0
