@@ -137,7 +137,9 @@ def _tiles(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> list[
     if perturbed:
         tiles.append({"name": "perturbed runs", "value": str(perturbed), "note": ""})
     table = next(iter(sections[0].subjects), None)
-    for key, name in (("psnr", "most accurate"), ("frame_ms", "fastest")) if table is not None else ():
+    if table is None:
+        return tiles
+    for key, name in (("psnr", "most accurate"), ("frame_ms", "fastest")):
         best = [row for row in table.rows if (cell := row.cells.get(key)) and cell.rank == 1]
         column = next((column for column in table.columns if column.key == key), None)
         if best and column:

@@ -17,7 +17,7 @@ from ..pictures.worst_views import WorstViewSheet
 from ..tables.columns import PSNR
 from ..tables.expectations import expectations
 from ..tables.sections import Section
-from ..tables.stability import KIND
+from ..tables.stability import CHANGE, KIND
 from .tables import page_table
 
 GLYPHS = {
@@ -97,7 +97,7 @@ def _cell(cell: Cell) -> dict[str, Any]:
     behind, compared = cell.behind
     return {
         "runs": [_run(trial) for trial in cell.trials],
-        "change": "" if change.mean is None else PSNR.unsigned(change.mean).replace("-", "−"),
+        "change": "" if change.mean is None else CHANGE.text(change.mean),
         "interval": _interval(change.interval) if change.mean is not None else "",
         "class": "" if not cell.tried else "all" if share == 1 else "some" if share else "none",
         "failures": f"{cell.failures}/{len(cell.tried)}" if cell.failures else "",

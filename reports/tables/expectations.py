@@ -1,7 +1,7 @@
 """Expectations: sentences that the numbers of a stability study support, and none that they do not.
 
-A verdict needs an interval over seeds that leaves no other; where there is one seed, or none of the intervals decides,
-the sentence says that instead.
+A verdict needs an interval over seeds that leaves no other; where there are too few seeds, or none of the intervals
+decides, the sentence says that instead.
 """
 
 from __future__ import annotations
@@ -10,10 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from ..numbers.estimates import Estimate
 from ..numbers.stability import Case, Cell, Stability
-from ..numbers.statistics import Interval
 from ..numbers.trials import FAILURES
 
+FEWEST_SEEDS = 3  # a bootstrap over two seeds knows no more than the two values
 Verdict = Literal["breaks", "behind", "ahead", "open"]
 
 
@@ -63,38 +64,39 @@ def _mostly_fails(cell: Cell) -> bool:
 def _compared(stability: Stability, case: Case, method: str) -> tuple[Verdict, str]:
     """Whether the baseline is to be preferred, and from which severity on."""
     baseline = stability.baseline(case)
-    severities = stability.severities(case)
-    gains = {severity: stability.gain(case, severity, method) for severity in severities}
-    if baseline in (None, method) or not any(gain.done for gain in gains.values()):
+    cells = {s: stability.cell(case, s, method) for s in stability.severities(case)}
+    tried = [severity for severity, cell in cells.items() if cell.tried]
+    gains = {severity: stability.gain(case, severity, method) for severity in tried}
+    if baseline in (None, method) or not gains:
         return "open", ""
-    if all(gain.done < 2 for gain in gains.values()):
-        return "open", f"{method} against {baseline}: no verdict from one seed."
-    intervals = {severity: gain.interval for severity, gain in gains.items()}
+    most = max(gain.done for gain in gains.values())
+    if most < FEWEST_SEEDS:
+        seeds = "one seed" if most == 1 else f"{most} seeds"
+        return "open", f"{method} against {baseline}: no verdict from {seeds}, {FEWEST_SEEDS} are the least."
+    intervals = {severity: gain.interval for severity, gain in gains.items() if gain.done >= FEWEST_SEEDS}
     margin = max((gates.behind_db for gates in stability.gates(case)), default=0.0)
-    behind = [s for s, interval in intervals.items() if interval is not None and interval.high < -margin]
+    behind = [s for s in tried if (interval := intervals.get(s)) is not None and interval.high < -margin]
     if behind:
-        gain = gains[behind[0]]
-        words = _difference(gain.interval, -float(gain.mean or 0), gain.done, sign=-1)
+        words = _difference(gains[behind[0]], sign=-1)
+        return "behind", f"Take {baseline} {_where(stability, case, behind, tried)}: {method} is {words} behind it."
+    ahead = [s for s in tried if (interval := intervals.get(s)) is not None and interval.low > 0]
+    ahead = [severity for severity in ahead if not cells[severity].failures]
+    if ahead == tried:
+        words = _difference(gains[tried[-1]])
         return (
-            "behind",
-            f"Take {baseline} {_where(stability, case, behind, severities)}: {method} is {words} behind it.",
+            "ahead",
+            f"{method} stays ahead of {baseline}, by {words} at severity {_named(stability, case, tried[-1])}.",
         )
-    least = [s for s, interval in intervals.items() if interval is not None and interval.low > 0]
-    if least == severities:
-        worst = severities[-1]
-        words = _difference(gains[worst].interval, float(gains[worst].mean or 0), gains[worst].done)
-        return "ahead", f"{method} stays ahead of {baseline}, by {words} at severity {_named(stability, case, worst)}."
-    undecided = ", ".join(str(severity) for severity in severities if severity not in least)
-    return (
-        "open",
-        f"{method} against {baseline}: no verdict at severity {undecided}: the interval leaves both, or fails.",
-    )
+    undecided = ", ".join(str(severity) for severity in tried if severity not in ahead)
+    why = "no interval excludes that they are equal, or runs failed"
+    return "open", f"{method} against {baseline}: no verdict at severity {undecided}: {why}."
 
 
-def _difference(interval: Interval | None, mean: float, seeds: int, sign: int = 1) -> str:
-    assert interval is not None
-    ends = sorted(sign * end for end in interval)
-    return f"{mean:.2f} dB (95 % interval {ends[0]:.2f} to {ends[1]:.2f}, {seeds} seeds)"
+def _difference(gain: Estimate, sign: int = 1) -> str:
+    assert gain.interval is not None
+    assert gain.mean is not None
+    low, high = sorted(sign * end for end in gain.interval)
+    return f"{sign * gain.mean:.2f} dB (95 % interval {low:.2f} to {high:.2f}, {gain.done} seeds)"
 
 
 def _where(stability: Stability, case: Case, established: Sequence[int], tried: Sequence[int]) -> str:

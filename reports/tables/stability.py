@@ -32,9 +32,10 @@ def _count(metric: str, title: str, explanation: str, places: int = 0, scale: De
 
 WHOLE = replace(PSNR, ranked=False)
 REFLECTIVE = replace(in_region(PSNR, "reflective"), metric="psnr_reflective", region="full", ranked=False)
+CHANGE = _change(WHOLE)
 COLUMNS = (  # the metric is the quantity's name
     WHOLE,
-    _change(WHOLE),
+    CHANGE,
     REFLECTIVE,
     _change(REFLECTIVE),
     _view("psnr_median_view", "median view", "PSNR of the median view of each run"),

@@ -16,6 +16,7 @@ from ..numbers.trials import FAILURES, QUANTITIES, SURVIVED, UNTRIED
 
 COLUMNS = ["dataset", "kind", "severity", "level", "method", "quantity", "value", "low", "high", "std", "runs"]
 SUMMARY_COLUMNS = ["dataset", "kind", "method", "against", "quantity", "at", "value", "low", "high", "runs"]
+NUMBERS = ("at", "value", "low", "high", "std")
 Numbers = tuple[str, float | None, Interval | None, float | None, int]  # quantity, value, interval, spread, runs
 
 
@@ -26,7 +27,7 @@ def cells_table(stability: Stability) -> pd.DataFrame:
     perturbed run and its partner for means. `change_<quantity>` is the run minus its partner, `gain_<quantity>` the
     run minus the baseline's, perturbed alike.
     """
-    rows = []
+    rows: list[tuple[object, ...]] = []
     for case in stability.cases:
         for method in stability.methods_of(case):
             for severity in (0, *stability.severities(case)):
@@ -34,7 +35,7 @@ def cells_table(stability: Stability) -> pd.DataFrame:
                     place = (*case, severity, stability.level(case, severity) if severity else "", method)
                     for quantity, value, interval, spread, runs in _numbers(stability, case, severity, method):
                         rows.append((*place, quantity, value, *(interval or (None, None)), spread, runs))
-    return pd.DataFrame(rows, columns=COLUMNS)
+    return _frame(rows, COLUMNS)
 
 
 def _numbers(stability: Stability, case: Case, severity: int, method: str) -> Iterator[Numbers]:
@@ -98,4 +99,9 @@ def summary_table(stability: Stability) -> pd.DataFrame:
             if estimate.mean is not None:
                 ends = estimate.interval or (None, None)
                 rows.append(("", "", method, "", name, at, float(estimate.mean), *ends, estimate.done))
-    return pd.DataFrame(rows, columns=SUMMARY_COLUMNS)
+    return _frame(rows, SUMMARY_COLUMNS)
+
+
+def _frame(rows: list[tuple[object, ...]], columns: list[str]) -> pd.DataFrame:
+    """Numbers are numbers also where a whole column of them is missing."""
+    return pd.DataFrame(rows, columns=columns).astype({name: "float64" for name in NUMBERS if name in columns})
