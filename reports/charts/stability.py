@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -64,25 +65,28 @@ Draw = Callable[[Axes], None]
 def _response(stability: Stability, case: Case, quantity: str, style: dict[str, Style]) -> Draw:
     def draw(axis: Axes) -> None:
         for method in stability.methods_of(case):
-            points = _curve(stability, case, method, quantity)
-            _band(axis, points, style[method])
-            for severity in (0, *stability.severities(case)):
+            _band(axis, _curve(stability, case, method, quantity), style[method])
+        for index, method in enumerate(stability.methods_of(case)):
+            heights = {s: float(at.mean) for s, at in _curve(stability, case, method, quantity) if at.mean is not None}
+            for severity in stability.severities(case):
                 cell = stability.cell(case, severity, method)
-                if cell.failures and (at := dict(points).get(severity)) is not None and at.mean is not None:
+                if cell.failures:
                     words = f"{cell.failures}/{len(cell.tried)}"
-                    axis.annotate(
-                        words,
-                        (severity, float(at.mean)),
-                        (0, 6),
-                        textcoords="offset points",
-                        ha="center",
-                        fontsize=7,
-                        color=style[method].color,
-                    )
-        axis.set_xticks([0, *stability.severities(case)])
+                    _note_failures(axis, words, severity, heights.get(severity), style[method].color, index)
+        severities = [0, *stability.severities(case)]
+        axis.set_xticks(severities)
+        axis.set_xlim(-0.05 * severities[-1], 1.05 * severities[-1])
         axis.set_xlabel("severity")
 
     return draw
+
+
+def _note_failures(axis: Axes, words: str, x: float, y: float | None, color: str, line: int) -> None:
+    """Above the mark, or, where no run finished, at the bottom, each method on a line of its own."""
+    place, coordinates = ((x, y), axis.transData) if y is not None else ((x, 0.0), axis.get_xaxis_transform())
+    offset = (0, 6) if y is not None else (0, 3 + 9 * line)
+    where: dict[str, Any] = {"xycoords": coordinates, "textcoords": "offset points", "ha": "center"}
+    axis.annotate(words, place, offset, fontsize=7, color=color, **where)
 
 
 def _curve(stability: Stability, case: Case, method: str, quantity: str) -> list[tuple[float, Estimate]]:
