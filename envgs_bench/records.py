@@ -45,7 +45,7 @@ class Perturbed(_Part):
     """In what the run differs from its unperturbed partner, whose `config` is the same but for this."""
 
     kind: str  # as in perturb.kind
-    severity: Annotated[int, Field(ge=1)]
+    severity: Annotated[int, Field(ge=1, le=int(LARGEST))]
     level: str  # what this severity does, in words
 
 

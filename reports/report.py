@@ -6,18 +6,24 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+import pandas as pd
+
 from envgs_bench.plain_text import no_formula
 
 from .charts.pareto_chart import draw_charts
+from .charts.stability import draw_stability
 from .numbers.runs import BrokenRecord, read_runs
 from .outputs import delete_last_report, files_below, list_new_files
 from .page.html import write_page
+from .page.stability import StabilityPart
 from .pictures.error_maps import draw_error_maps
 from .pictures.gallery import Gallery, copy_pictures, galleries, slug
 from .pictures.sheets import draw_sheets
+from .pictures.worst_views import draw_worst_views
 from .tables.latex import latex
 from .tables.markdown import markdown
 from .tables.sections import Section, split_sections
+from .tables.stability_csv import cells_table, summary_table
 from .tables.structured import structured
 
 
@@ -35,6 +41,7 @@ class Report:
 
     def __str__(self) -> str:
         runs = [item.run for section in self.sections for item in section.runs]
+        runs += [run for section in self.sections for run in section.stability.perturbed]
         failed = sum(not run.ok for run in runs)
         words = [f"{len(runs)} runs", *([f"{failed} of them failed"] if failed else [])]
         words += [f"{len(self.broken)} unreadable"] if self.broken else []
@@ -42,7 +49,8 @@ class Report:
 
 
 def build_report(runs: Path, out: Path) -> Report:
-    """Write index.html, table.csv, .md, .tex and .json, pareto.png, charts/ and pictures/ of all runs under `runs`.
+    """Write index.html, table.csv, .md, .tex and .json, pareto.png, charts/ and pictures/ of all runs under `runs`, and
+    stability.csv and stability-summary.csv where runs are perturbed: those are in no other table, chart or picture.
 
     Runs that different protocols scored or different devices timed never share a table, nor do test and validation
     views: each group has a section of its own, and a table-<section>.csv of its own beside the first one's table.csv.
@@ -65,16 +73,32 @@ def build_report(runs: Path, out: Path) -> Report:
     delete_last_report(out)
     before = files_below(out)
     for index, section in enumerate(sections):
-        words = section.tidy.select_dtypes(exclude="number").map(no_formula)
-        section.tidy.assign(**words).to_csv(out / section.csv_name(index), index=False)
+        _write_csv(section.tidy, out / section.csv_name(index))
+        if section.stability.cases:
+            _write_csv(cells_table(section.stability), out / section.csv_name(index, "stability"))
+            _write_csv(summary_table(section.stability), out / section.csv_name(index, "stability-summary"))
     (out / "table.md").write_text(markdown(sections, broken), encoding="utf-8")
     (out / "table.tex").write_text(latex(sections), encoding="utf-8")
     (out / "table.json").write_text(json.dumps(structured(sections, broken)), encoding="utf-8")
     draw_charts(sections, out)
     pictures = [_pictures(section, out, index if len(sections) > 1 else None) for index, section in enumerate(sections)]
-    write_page(out, sections, broken, pictures)
+    parts = [_stability(section, out, index) for index, section in enumerate(sections)]
+    write_page(out, sections, broken, pictures, parts)
     list_new_files(out, before)
     return Report(out, tuple(sections), tuple(broken))
+
+
+def _write_csv(table: pd.DataFrame, path: Path) -> None:
+    words = table.select_dtypes(exclude="number").map(lambda text: no_formula(str(text)), na_action="ignore")
+    table.assign(**words).to_csv(path, index=False)
+
+
+def _stability(section: Section, out: Path, index: int) -> StabilityPart | None:
+    """The section's charts and worst views under perturbations, drawn; None where nothing was perturbed."""
+    if not section.stability.cases:
+        return None
+    charts = draw_stability(section, out, f"charts/stability-{index}")
+    return StabilityPart(tuple(charts), tuple(draw_worst_views(section.stability, out, f"pictures/stability-{index}")))
 
 
 def _pictures(section: Section, out: Path, index: int | None) -> list[Gallery]:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
+from typing import Any
+
+from envgs_bench.records import Record
 
 from .runs import Run
 from .settings import as_number, flat_settings
@@ -43,12 +46,17 @@ def label_runs(runs: list[Run]) -> dict[int, tuple[Label, Label]]:
     )
     methods = _labels(
         [
-            (record.method, flat_settings(record.config.get("method")) | {"steps": str(record.steps)})
+            (record.method, flat_settings(record.config.get("method")) | {"steps": str(_steps(record))})
             for record in records
         ],
         [str(dataset) for dataset in datasets],
     )
     return dict(enumerate(zip(datasets, methods, strict=True)))
+
+
+def _steps(record: Record) -> Any:
+    """A perturbed run is set up as its partner: by the steps that it was given, whatever became of them."""
+    return record.steps if record.perturbation is None else record.config.get("steps", record.steps)
 
 
 def method_order(label: Label) -> tuple[int, str, tuple[tuple[str, float, str], ...]]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 from collections import Counter
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import as_file, files
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +15,13 @@ from plotly.offline import get_plotlyjs
 
 from ..numbers.runs import BrokenRecord
 from ..pictures.gallery import Gallery
-from ..tables.entries import DAGGER, LEGEND, Entry, Heading, entries, headings
+from ..tables.entries import DAGGER, LEGEND
 from ..tables.layouts import KINDS
-from ..tables.notes import caption, notes
 from ..tables.sections import Section
-from ..tables.table import Row, Table
 from .data import write_data
 from .origin import commands, dropped_losses, failures, origins
+from .stability import StabilityPart, stability_data
+from .tables import page_table
 
 SCRIPTS = ("marks.js", "tables.js", "axes.js", "chart.js", "curves.js", "viewer.js", "datasets.js")
 GLYPHS = {"ok": "✓", "failed": "✕", "diverged": "∿", "out_of_memory": "▣", "timeout": "◷", "interrupted": "‖"}
@@ -31,9 +29,13 @@ ORDINALS = {1: "best", 2: "second", 3: "third"}
 
 
 def write_page(
-    out: Path, sections: Sequence[Section], broken: Sequence[BrokenRecord], galleries: Sequence[Sequence[Gallery]]
+    out: Path,
+    sections: Sequence[Section],
+    broken: Sequence[BrokenRecord],
+    galleries: Sequence[Sequence[Gallery]],
+    stability: Sequence[StabilityPart | None],
 ) -> Path:
-    """Write index.html and assets/ into `out`; `galleries` are those of each section, their pictures already there."""
+    """Write index.html and assets/ into `out`; `galleries` and `stability` are those of each section, already drawn."""
     assets = out / "assets"
     assets.mkdir(parents=True, exist_ok=True)
     data = write_data(assets, sections, galleries)
@@ -47,6 +49,7 @@ def write_page(
         html = environment.get_template("index.html.j2").render(
             sections=[
                 _section(section, index, data["sections"][index], galleries[index])
+                | {"stability": stability_data(section, index, stability[index])}
                 for index, section in enumerate(sections)
             ],
             broken=broken,
@@ -67,10 +70,11 @@ def write_page(
 def _section(section: Section, index: int, data: dict[str, Any], galleries: Sequence[Gallery]) -> dict[str, Any]:
     parts = {
         "Chart": bool(data["subjects"]),
-        "Tables": True,
+        "Tables": bool(section.runs),
+        "Stability": bool(section.stability.cases),
         "Pictures": bool(galleries),
         "Training": bool(data["curves"]),
-        "Runs": True,
+        "Runs": bool(section.runs),
         "Provenance": True,
     }
     return {
@@ -99,50 +103,13 @@ def _parts(section: Section) -> list[dict[str, Any]]:
     """The tables by kind; a note that all tables of a kind share is told once, after them."""
     parts = []
     for kind, title in KINDS.items():
-        tables = [_table(section, table) for table in section.tables if table.kind == kind]
+        tables = [page_table(section, table) for table in section.tables if table.kind == kind]
         if tables:
             shared = [note for note in tables[0]["notes"] if all(note in table["notes"] for table in tables)]
             for table in tables:
                 table["notes"] = [note for note in table["notes"] if note not in shared]
             parts.append({"kind": kind, "title": title, "tables": tables, "notes": shared})
     return parts
-
-
-def _table(section: Section, table: Table) -> dict[str, Any]:
-    titles = headings(table)
-    groups = [(name, len(list(members))) for name, members in groupby(titles, key=lambda heading: heading.group)]
-    return {
-        "title": table.title,
-        "caption": caption(section, table),
-        "groups": groups if len(groups) > 1 else [],
-        "headings": [_heading(heading) for heading in titles],
-        "rows": [_row(table, row) for row in table.rows],
-        "notes": notes(section, table),
-    }
-
-
-def _heading(heading: Heading) -> dict[str, str]:
-    text = re.sub(" (?=[↑↓°])", "\N{NO-BREAK SPACE}", heading.text)
-    return {"text": text, "explanation": heading.explanation}
-
-
-def _row(table: Table, row: Row) -> dict[str, Any]:
-    return {
-        "published_only": not row.attempts,
-        "failed": row.done < row.attempts,
-        "entries": [_entry(entry) for entry in entries(table, row)],
-    }
-
-
-def _entry(entry: Entry) -> dict[str, Any]:
-    value, sign, spread = entry.text.partition(" ± ") if entry.number else (entry.text, "", "")
-    return {
-        "value": value,
-        "spread": f"± {spread}" if sign else "",
-        "rank": entry.rank,
-        "tied": entry.tied,
-        "dropped": entry.dropped,
-    }
 
 
 def _matrix(section: Section) -> list[dict[str, Any]]:
@@ -166,7 +133,12 @@ def _tiles(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> list[
         {"name": "data sets", "value": str(len(datasets)), "note": next(iter(datasets)) if len(datasets) == 1 else ""},
         {"name": "runs", "value": str(len(runs)), "note": f"{failed} failed" if failed else "all finished"},
     ]
-    table = sections[0].subjects[0]
+    perturbed = sum(len(section.stability.perturbed) for section in sections)
+    if perturbed:
+        tiles.append({"name": "perturbed runs", "value": str(perturbed), "note": ""})
+    table = next(iter(sections[0].subjects), None)
+    if table is None:
+        return tiles
     for key, name in (("psnr", "most accurate"), ("frame_ms", "fastest")):
         best = [row for row in table.rows if (cell := row.cells.get(key)) and cell.rank == 1]
         column = next((column for column in table.columns if column.key == key), None)

@@ -13,10 +13,10 @@ from ..tables.sections import LabeledRun, Section
 
 
 def origins(section: Section) -> list[dict[str, Any]]:
-    """Each combination of code, versions and machine among the section's runs, the most frequent first."""
+    """Each combination of code, versions and machine among all of the section's runs, the most frequent first."""
     groups: dict[tuple[tuple[str, str], ...], int] = {}
-    for item in section.runs:
-        facts = tuple(_facts(item.run.record))
+    for run in (*(item.run for item in section.runs), *section.stability.perturbed):
+        facts = tuple(_facts(run.record))
         groups[facts] = groups.get(facts, 0) + 1
     ordered = sorted(groups.items(), key=lambda group: -group[1])
     return [{"title": f"{count} run{'s' * (count != 1)}: code, versions, machine", "facts": f} for f, count in ordered]

@@ -59,7 +59,7 @@ def zoom_window(errors: Sequence[np.ndarray], weight: np.ndarray) -> tuple[slice
 def _comparison(gallery: Gallery, shot: Shot, out: Path) -> Image.Image:
     target = read_png_if_any(shot.target)
     if target is None:
-        return _grid(["ground truth"], [""], [("", [(None, "not readable")])], 0.75)
+        return draw_grid(["ground truth"], [""], [("", [(None, "not readable")])], 0.75)
     methods = [method for method in gallery.methods if method in shot.renders][:MAX_COLUMNS]
     renders = {method: read_png_if_any(shot.renders[method]) for method in methods}
     fitting = {m: picture for m, picture in renders.items() if picture is not None and picture.shape == target.shape}
@@ -80,7 +80,7 @@ def _comparison(gallery: Gallery, shot: Shot, out: Path) -> Image.Image:
     flips = line((None, "FLIP error map\nblack 0, white 1"), lambda m: maps.get(m))
     titles = ["ground truth", *methods, *failed]
     lines = [("", whole), ("zoom", zoomed), ("FLIP", flips)]
-    return _grid(titles, notes + [""] * len(failed), lines, target.shape[0] / target.shape[1])
+    return draw_grid(titles, notes + [""] * len(failed), lines, target.shape[0] / target.shape[1])
 
 
 def _layer_sheet(shot: Shot) -> Image.Image:
@@ -93,7 +93,7 @@ def _layer_sheet(shot: Shot) -> Image.Image:
         shape = shape or next((picture.shape for picture in pictures if picture is not None), None)
         lines.append((method, [(picture, "none" if picture is None else "") for picture in pictures]))
     titles = ["render", *("β" if name == BETA else name for name in names)]
-    return _grid(titles, [""] * len(titles), lines, shape[0] / shape[1] if shape else 0.75)
+    return draw_grid(titles, [""] * len(titles), lines, shape[0] / shape[1] if shape else 0.75)
 
 
 def _weight(shot: Shot, shape: tuple[int, int]) -> np.ndarray:
@@ -114,7 +114,7 @@ def _framed(picture: np.ndarray, rows: slice, columns: slice) -> np.ndarray:
     return np.asarray(framed)
 
 
-def _grid(titles: list[str], notes: list[str], lines: list[tuple[str, list[Panel]]], aspect: float) -> Image.Image:
+def draw_grid(titles: list[str], notes: list[str], lines: list[tuple[str, list[Panel]]], aspect: float) -> Image.Image:
     """A sheet: a title and a note above each column, a name beside each row."""
     height = round(CELL * aspect)
     longest = max((_font(17, True).getlength(name) for name, _ in lines), default=0.0)

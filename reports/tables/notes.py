@@ -15,6 +15,8 @@ QUIET_CORES = 0.2  # what others may use of a machine that counts as ours
 
 def caption(section: Section, table: Table) -> str:
     """Size and number of pictures of a data set, or the number of data sets of a mean."""
+    if table.told:
+        return table.told
     if len(table.datasets) > 1:
         mean = f"mean of {len(table.datasets)} data sets, complete rows only"
         return mean if section.scored_on == "test" else f"{mean}, {section.scored_on} views"
@@ -30,6 +32,8 @@ def caption(section: Section, table: Table) -> str:
 
 def notes(section: Section, table: Table) -> list[str]:
     """What was trained without, why cells are empty, how large the regions are, and what the paper's columns mean."""
+    if table.told:
+        return list(table.remarks)
     found = dropped_losses(table)
     if any(cell.text == "n/c" for row in table.rows for cell in row.cells.values()):
         for dataset in table.datasets:

@@ -18,8 +18,10 @@ from ..numbers.labels import Label, label_runs, method_order
 from ..numbers.published import PROTOCOL, paper_scene
 from ..numbers.runs import UNTIMED, Run
 from ..numbers.settings import flat_settings
+from ..numbers.stability import LabeledTrialRun, Stability
 from ..numbers.tidy import attempts_table, tidy_table
 from .layouts import Contents, layouts
+from .stability import stability_tables
 from .table import DroppedLoss, Row, Table
 
 ALL = "all data sets"
@@ -39,8 +41,9 @@ class Section:
     protocol: ProtocolName
     scored_on: ScoredOn
     device: str
-    runs: tuple[LabeledRun, ...]
+    runs: tuple[LabeledRun, ...]  # the unperturbed ones
     superseded: tuple[LabeledRun, ...]  # older runs of the same data set, method and seed
+    stability: Stability  # of the perturbed runs, which are in nothing else, and their partners
 
     @property
     def title(self) -> str:
@@ -61,9 +64,9 @@ class Section:
         """What names say of the views: test views go without saying."""
         return "" if self.scored_on == "test" else f", {self.scored_on} views"
 
-    def csv_name(self, index: int) -> str:
-        """The file of the section's tidy table: the first one's has the plain name."""
-        return f"table-{self.slug}.csv" if index else "table.csv"
+    def csv_name(self, index: int, table: str = "table") -> str:
+        """The file of the section's tidy table, or of another: the first section's has the plain name."""
+        return f"{table}-{self.slug}.csv" if index else f"{table}.csv"
 
     @cached_property
     def datasets(self) -> list[str]:
@@ -93,10 +96,11 @@ class Section:
             {item.method: item.label for item in self.runs},
             self.protocol.name == PROTOCOL,
         )
-        return [
+        ordinary = [
             replace(table, rows=tuple(self._with_dropped_losses(row, table.datasets) for row in table.rows))
             for table in layouts(contents, ALL)
         ]
+        return [*ordinary, *stability_tables(self.stability)]
 
     def _with_dropped_losses(self, row: Row, datasets: Sequence[str]) -> Row:
         return replace(row, dropped=tuple(d for name in datasets for d in self._dropped.get((name, row.method), ())))
@@ -177,7 +181,8 @@ class Section:
 def split_sections(runs: Sequence[Run]) -> list[Section]:
     """Sections by protocol (name and hash), scored views (test or validation) and device, that with most runs first.
 
-    Runs that took no times, as their pictures came from elsewhere, stand beside every device's.
+    Perturbed runs are kept apart within each. Runs that took no times, as their pictures came from elsewhere, stand
+    beside every device's.
     """
     groups: dict[tuple[str, str, ScoredOn], dict[str, list[Run]]] = {}
     for run in runs:
@@ -194,15 +199,28 @@ def split_sections(runs: Sequence[Run]) -> list[Section]:
 
 
 def _section(runs: list[Run], device: str) -> Section:
-    labels = label_runs(runs)
+    unperturbed = [run for run in runs if run.record.perturbation is None]
+    labels = label_runs(unperturbed)
     newest: dict[tuple[str, str, int], LabeledRun] = {}
     superseded = []
-    for index in sorted(range(len(runs)), key=lambda i: runs[i].record.provenance.finished):
+    for index in sorted(range(len(unperturbed)), key=lambda i: unperturbed[i].record.provenance.finished):
         dataset, method = labels[index]
-        item = LabeledRun(str(dataset), str(method), method, runs[index])
+        item = LabeledRun(str(dataset), str(method), method, unperturbed[index])
         key = (item.dataset, item.method, item.run.record.seed)
         if key in newest:
             superseded.append(newest[key])
         newest[key] = item
     record = runs[0].record
-    return Section(record.protocol, record.scored_on, device, tuple(newest.values()), tuple(superseded))
+    return Section(
+        record.protocol, record.scored_on, device, tuple(newest.values()), tuple(superseded), _stability(runs)
+    )
+
+
+def _stability(runs: list[Run]) -> Stability:
+    """Of all runs of a section: without perturbed ones there is nothing in it."""
+    if all(run.record.perturbation is None for run in runs):
+        return Stability([])
+    labels = label_runs(runs)
+    return Stability(
+        LabeledTrialRun(str(dataset), str(method), method, runs[index]) for index, (dataset, method) in labels.items()
+    )

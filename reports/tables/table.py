@@ -104,6 +104,8 @@ class Table:
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
     datasets: tuple[str, ...]
+    told: str = ""  # its caption, where that is not about the data sets' unperturbed runs
+    remarks: tuple[str, ...] = ()  # its notes, likewise
 
     @property
     def published(self) -> set[str]:

@@ -213,7 +213,9 @@ def test_a_record_with_anything_in_it_is_refused_or_reported(content: dict[str, 
         json.dumps(structured(sections, broken), allow_nan=False)
         assert all(line.isprintable() for line in markdown(sections, broken).split("\n"))
         assert latex(sections).isascii()
-        write_page(folder / "out", sections, broken, [galleries(section) for section in sections])
+        write_page(
+            folder / "out", sections, broken, [galleries(section) for section in sections], [None] * len(sections)
+        )
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)

@@ -107,7 +107,11 @@ async function probe(seen) {
   seen.chosen = one(".tag-b").textContent;
   seen.pressed = one('.strip [aria-pressed="true"] b').textContent;
 
+  seen.failures = all(".failures tbody tr").map((row) => Array.from(row.cells).map((cell) => cell.textContent));
+  seen.jumps = all("nav a").map((link) => link.textContent);
+  one(".response img").loading = "eager";
   await wait(500);
+  seen.response = one(".response img").naturalWidth > 0;
   seen.curves = all(".curves").map((plot) => plot.data.filter((trace) => trace.showlegend).map((trace) => trace.name));
   seen.quantities = all(".curve-y").map((select) => select.value);
 
@@ -146,6 +150,11 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
             slow["timing"]["frame_ms"] = 900.0 + seed
             slow["metrics"]["mean"]["psnr"] -= 500 / steps
             write_record(folder / f"runs/slow-{steps}-{seed}", slow)
+    for seed, status in ((0, "ok"), (1, "timeout")):
+        perturbed: dict[str, Any] = {"perturbation": {"kind": "blur", "severity": 2, "level": HOSTILE}}
+        if status != "ok":
+            perturbed |= {"status": status, "error": {"type": HOSTILE, "message": HOSTILE, "log_tail": ""}}
+        write_record(folder / f"runs/perturbed-{seed}", record("toy/chrome_room", "envgs", seed) | perturbed)
     hostile: dict[str, Any] = {"method": HOSTILE, "overrides": [HOSTILE], "dataset": "toy/chrome_room"}
     write_record(folder / "runs/hostile", record("toy/chrome_room", "other", 0) | hostile)
     error = {"type": HOSTILE, "message": HOSTILE, "log_tail": HOSTILE}
@@ -355,3 +364,11 @@ def test_the_pages_pictures_move_together_and_by_keyboard(report: Report, tmp_pa
 
 def row_text(table: Table, method: str, key: str) -> str:
     return next(row.cells[key].text for row in table.rows if row.method == method)
+
+
+@needs_chromium
+def test_the_page_shows_perturbed_runs_in_a_part_of_their_own(report: Report, tmp_path: Path) -> None:
+    seen = browse(report, tmp_path, 1300)
+    assert seen["failures"] == [["blur", f"2 {HOSTILE}", "✓◷ 1/2 failed+0.00 dB (one seed)"]]
+    assert "Stability" in seen["jumps"]
+    assert seen["response"]

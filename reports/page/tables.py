@@ -1,0 +1,50 @@
+"""Tables as the page's template shows them."""
+
+from __future__ import annotations
+
+import re
+from itertools import groupby
+from typing import Any
+
+from ..tables.entries import Entry, Heading, entries, headings
+from ..tables.notes import caption, notes
+from ..tables.sections import Section
+from ..tables.table import Row, Table
+
+
+def page_table(section: Section, table: Table) -> dict[str, Any]:
+    """A table as the template shows it."""
+    titles = headings(table)
+    groups = [(name, len(list(members))) for name, members in groupby(titles, key=lambda heading: heading.group)]
+    return {
+        "title": table.title,
+        "caption": caption(section, table),
+        "groups": groups if len(groups) > 1 else [],
+        "headings": [_heading(heading) for heading in titles],
+        "rows": [_row(table, row) for row in table.rows],
+        "notes": notes(section, table),
+    }
+
+
+def _heading(heading: Heading) -> dict[str, str]:
+    text = re.sub(" (?=[↑↓°])", "\N{NO-BREAK SPACE}", heading.text)
+    return {"text": text, "explanation": heading.explanation}
+
+
+def _row(table: Table, row: Row) -> dict[str, Any]:
+    return {
+        "published_only": not row.attempts,
+        "failed": row.done < row.attempts,
+        "entries": [_entry(entry) for entry in entries(table, row)],
+    }
+
+
+def _entry(entry: Entry) -> dict[str, Any]:
+    value, sign, spread = entry.text.partition(" ± ") if entry.number else (entry.text, "", "")
+    return {
+        "value": value,
+        "spread": f"± {spread}" if sign else "",
+        "rank": entry.rank,
+        "tied": entry.tied,
+        "dropped": entry.dropped,
+    }
