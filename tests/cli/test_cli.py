@@ -75,7 +75,7 @@ def test_wrong_usage_ends_with_status_2(arguments: list[str], capsys: pytest.Cap
         (["experiment=demmo"], ["there is no experiment 'demmo'", "Did you mean 'demo'?"]),
         (
             ["stepz=3"],
-            ["unknown key 'stepz'", "runs_dir", "score_on, seed, snapshot_minutes, steps", "Did you mean 'steps'?"],
+            ["unknown key 'stepz'", "runs_dir, score_on, seed, snapshot_minutes, steps", "Did you mean 'steps'?"],
         ),
         (["method.settings.rat=1"], ["unknown key 'method.settings.rat'", "crash_at, rate"]),
         (
