@@ -26,7 +26,8 @@ class Stop:
             self._wanted = error
             signal.setitimer(signal.ITIMER_REAL, STEP_SECONDS)  # the worker's SIGALRM, which asks again
         else:
-            raise self._wanted or error
+            self._wanted = self._wanted or error  # lest whoever it is raised in swallows it
+            raise self._wanted
 
     @contextmanager
     def deferred(self) -> Iterator[None]:

@@ -73,7 +73,10 @@ def test_wrong_usage_ends_with_status_2(arguments: list[str], capsys: pytest.Cap
         (["method=envgz"], ["there is no method 'envgz'", "2dgs, 2dgs_tuned, 3dgs", "Did you mean 'envgs'?"]),
         (["dataset=tinny"], ["there is no dataset 'tinny'", "tiny", "Did you mean 'tiny'?"]),
         (["experiment=demmo"], ["there is no experiment 'demmo'", "Did you mean 'demo'?"]),
-        (["stepz=3"], ["unknown key 'stepz'", "runs_dir, score_on, seed, steps", "Did you mean 'steps'?"]),
+        (
+            ["stepz=3"],
+            ["unknown key 'stepz'", "runs_dir, score_on, seed, snapshot_minutes, steps", "Did you mean 'steps'?"],
+        ),
         (["method.settings.rat=1"], ["unknown key 'method.settings.rat'", "crash_at, rate"]),
         (
             ["method=envgs", "method.settings.rat=1"],
