@@ -316,7 +316,11 @@ def test_a_stored_configuration_holds_every_setting(tmp_path: Path) -> None:
     (tmp_path / "dataset").symlink_to(CONF / "dataset")
     arguments = ["method=mine", "dataset=tiny", "steps=2", "timing.frames=1", "timing.seconds=0.01", "device=cpu"]
     assert main(["run", "--config-dir", str(tmp_path), *arguments, f"runs_dir={tmp_path / 'runs'}"]) == 0
-    assert read_settings(only_folder(tmp_path / "runs")).method.settings == {"rate": 0.25, "crash_at": 0}
+    assert read_settings(only_folder(tmp_path / "runs")).method.settings == {
+        "rate": 0.25,
+        "crash_at": 0,
+        "tells_psnr": True,
+    }
 
 
 def test_settings_of_types_that_hydra_does_not_know_are_offered_all_the_same() -> None:
