@@ -146,6 +146,7 @@ def test_names_are_shown_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert not any(cell.startswith("=") for row in rows for cell in row.split(","))
 
 
+@pytest.mark.slow
 def test_a_run_under_way_is_no_unreadable_one(tmp_path: Path, start, capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[no-untyped-def]
     from fakes.whole_sweeps import training, until
 

@@ -69,7 +69,7 @@ def test_a_terminal_that_stands_still_stops_no_run(tmp_path: Path, start: Start)
     assert process.poll() is None
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.3])
+@pytest.mark.parametrize("delay", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_ctrl_c_just_after_a_record_ends_the_sweep(tmp_path: Path, start: Start, delay: float) -> None:
     process = start("seed=" + ",".join(map(str, range(12))))
     until(lambda: statuses(tmp_path / "runs"))
@@ -83,7 +83,8 @@ def test_ctrl_c_just_after_a_record_ends_the_sweep(tmp_path: Path, start: Start,
     assert "│ ok" in out
 
 
-@pytest.mark.parametrize("how", [pytest.param("terminal", marks=pytest.mark.slow), "SIGTERM"])
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["terminal", "SIGTERM"])
 def test_joblib_ends_its_runs_with_records(tmp_path: Path, start: Start, how: str) -> None:
     process = start("seed=0,1,2,3", *WAITS, *JOBLIB)
     until(lambda: len(training(tmp_path)) == 2)

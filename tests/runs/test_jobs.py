@@ -100,7 +100,7 @@ def test_a_run_that_another_process_is_at_is_left_to_it(
     assert "another process is running it" in out
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("how", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_ctrl_c_and_kill_leave_a_record_and_a_checkpoint_and_the_run_starts_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: signal.Signals
 ) -> None:

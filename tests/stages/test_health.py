@@ -72,7 +72,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
         return load_scene({**TOY, "scene": "chrome_room"}, tmp_path_factory.mktemp("cache"))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=() if k == "envgs" else pytest.mark.slow) for k in KINDS])
 def test_a_healthy_training_warns_of_nothing(kind: str, room: Scene, tmp_path: Path) -> None:
     assert warnings_of(create_method(kind, KINDS[kind]), room, 120, tmp_path) == []
 

@@ -118,6 +118,7 @@ def test_steps_and_sizes_are_perturbed() -> None:
     assert perturbed_settings(settings("pixels_more", 3, dataset=capture)).dataset["downsample"] == 1
 
 
+@pytest.mark.slow
 def test_a_sweep_leaves_one_partner_and_records_that_differ_in_the_perturbation_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,8 @@ from envgs_bench.stages.training import Training
 TOY = {"kind": "toy", "width": 40, "height": 30, "views": 33, "supersampling": 1, "normal_noise": 5.0}
 ENVGS = {"env_grid": 5, "env_far_count": 100}
 STEPS = 150
-SCENES = ("chrome_room", "glass", "facing_mirrors", "thin_rails", "sky_ball", "wavy_mirror", "lacquered_table")
+SCENES = ("glass", "facing_mirrors", "thin_rails", "sky_ball", "wavy_mirror", "lacquered_table")
+FAST = ("facing_mirrors", "views", "points_at_cameras", "normals_mirrored")  # the others are marked slow
 LOST = {  # dB: what breaks a training of 150 steps today, and by how much at most
     **{"views": -1.0, "points_random": -0.5, "points_at_cameras": -5.5, "points_near_cameras": -5.0},
 }
@@ -29,10 +31,19 @@ SAYS = {"points_at_cameras": ["learns_nothing"], "points_near_cameras": ["learns
 
 
 @pytest.fixture(scope="module")
-def toys(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Scene]:
-    cache = tmp_path_factory.mktemp("cache")
-    with coarse_toys():
-        return {name: load_scene({**TOY, "scene": name}, cache) for name in SCENES}
+def toy(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Scene]:
+    folder = tmp_path_factory.mktemp("cache")
+
+    @cache
+    def load(name: str) -> Scene:
+        with coarse_toys():
+            return load_scene({**TOY, "scene": name}, folder)
+
+    return load
+
+
+def cases(names: Iterable[str]) -> list[Any]:
+    return [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in names]
 
 
 def trained(kind: str, scene: Scene, folder: Path, **settings: Any) -> tuple[Method, Training]:
@@ -62,15 +73,15 @@ def gain(kind: str, scene: Scene, folder: Path, warnings: Sequence[str] = ()) ->
     return psnr_on_test_views(method, scene) - of_one_color(scene)
 
 
-@pytest.mark.parametrize("name", [name for name in SCENES if name != "chrome_room"])
-def test_scenes_that_break_an_assumption_train_soundly(toys: dict[str, Scene], name: str, tmp_path: Path) -> None:
-    assert gain("envgs", toys[name], tmp_path) > 0.3
+@pytest.mark.parametrize("name", cases(SCENES))
+def test_scenes_that_break_an_assumption_train_soundly(toy: Callable[[str], Scene], name: str, tmp_path: Path) -> None:
+    assert gain("envgs", toy(name), tmp_path) > 0.3
 
 
-@pytest.mark.parametrize("kind", [k for k in PERTURBATIONS if not k.startswith(("masks", "background"))])
+@pytest.mark.parametrize("kind", cases(k for k in PERTURBATIONS if not k.startswith(("masks", "background"))))
 def test_the_worst_of_each_kind_of_data_leaves_something_to_learn(
-    toys: dict[str, Scene], kind: str, tmp_path: Path
+    toy: Callable[[str], Scene], kind: str, tmp_path: Path
 ) -> None:
     perturbation = PERTURBATIONS[kind]
-    scene = perturbation.applied(toys["chrome_room"], len(perturbation.levels), kind, seed=0)
+    scene = perturbation.applied(toy("chrome_room"), len(perturbation.levels), kind, seed=0)
     assert gain("envgs", scene, tmp_path, SAYS.get(kind, ())) > LOST.get(kind, 0.2)
