@@ -16,7 +16,9 @@ from envgs_bench.stages.setting_perturbations import PERTURBATIONS as OF_SETTING
 STUDY = [name for name in config_names("experiment") if name.startswith("stability")]
 
 
-@pytest.mark.parametrize("name", STUDY)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name.endswith("_gpu") else ()) for name in STUDY]
+)
 def test_every_case_can_be_run_and_has_its_partner(name: str) -> None:
     choices = swept(name)
     kinds, severities = choices["perturb.kind"], choices["perturb.severity"]

@@ -147,7 +147,9 @@ def test_a_curve_beyond_all_numbers_leaves_its_points_out(tmp_path: Path) -> Non
 
 
 @pytest.mark.filterwarnings("ignore:Glyph")  # that charts' font has no control characters
-@pytest.mark.parametrize("start", ["=", "+", "-", "@", "\t=", " =", "\x1b[2J="])
+@pytest.mark.parametrize(
+    "start", ["\x1b[2J=", *(pytest.param(start, marks=pytest.mark.slow) for start in ["=", "+", "-", "@", "\t=", " ="])]
+)
 def test_what_a_record_says_is_no_formula_and_no_escape_sequence(tmp_path: Path, start: str) -> None:
     name = f"{start}1+1"
     hostile = record("toy/chrome_room", "envgs", 0) | {"method": name, "dataset": f"{start}cmd"}

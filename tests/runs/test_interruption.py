@@ -62,6 +62,7 @@ def test_a_full_log_disk_stops_nothing(tmp_path: Path, start: Start) -> None:
     assert statuses(tmp_path / "runs") == ["ok", "ok"]
 
 
+@pytest.mark.slow
 def test_a_terminal_that_stands_still_stops_no_run(tmp_path: Path, start: Start) -> None:
     """Nobody reads: the sweep waits to print, its run does not."""
     process = start(*LONG, "method.kind=fakes.methods:Complains", pipe="2>&1 | sleep 600")
