@@ -117,7 +117,9 @@ class GaussianMethod(Method):
 
         finite = self._finite(loss.detach())  # on the device: a step never waits to learn whether it counts
         for name, seen in statistics.items():  # before Adam moves what was drawn
-            learned = (self.densification_criterion(name, seen, camera), seen.weights, self._counts(name, seen, camera))
+            learned = [self.densification_criterion(name, seen, camera), seen.weights]
+            if name == BASE and self.settings.mean_gradient_over == "in_view":
+                learned.append(self._in_view(camera))
             self.sets[name].record.add(*(torch.where(finite, values, 0.0) for values in learned))
         skipped = (~finite).float()
         for optimizer in self.optimizers():
@@ -282,10 +284,8 @@ class GaussianMethod(Method):
         """The criterion [N] by which primitives of the set `name` are cloned or split, from one step's pass."""
         return screen_criterion(statistics, camera)
 
-    def _counts(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
-        """Whether one step counts in the mean of the criterion of the set `name`, [N] of 0 and 1."""
-        if name != BASE or self.settings.mean_gradient_over == "drawn":
-            return statistics.weights > 0
+    def _in_view(self, camera: Camera) -> Tensor:
+        """Mask [N] of the base set's primitives that the camera has in view."""
         base = self.sets[BASE].parameters.tensors
         return in_view(base["means"], base["log_scales"].exp(), camera, self.near)
 

@@ -51,8 +51,8 @@ def run_process(
     listener = _Listener(process, claim, display, draft)
     try:
         log.start()
-        display_started = _started(display, f"{settings.dataset_name} · {settings.method_name} · seed {settings.seed}")
-        listener.shows = display_started
+        title = f"{settings.dataset_name} · {settings.method_name} · seed {settings.seed}"
+        listener.shows = _started(display, title)
         listener.start()
         ending = _await(process, settings, interruption)
     finally:

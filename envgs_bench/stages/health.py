@@ -11,16 +11,16 @@ import math
 import statistics
 from collections import deque
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-import psutil
 from torch import Tensor
 
 from envgs_bench.core import View
 from envgs_bench.methods.method import Method
 from envgs_bench.parts import ALPHA, BASE, BETA, ENV, REFLECTIVE
 from envgs_bench.records import TrainingWarning, WarningKind
+
+from .memory import machine_memory, process_memory
 
 NON_FINITE_STEPS = 20  # in a row without a finite loss, or skipped, and the run has diverged
 LOOK_EVERY = 50  # steps between two looks at pictures and memory
@@ -217,20 +217,3 @@ def one_color_psnr(view: View) -> float:
     """The PSNR of the view in its own mean color, dB: a picture that shows nothing. At most 100 dB."""
     variance = float(view.rgb().var(dim=(0, 1), correction=0).mean())
     return -10 * math.log10(max(variance, 1e-10))
-
-
-def machine_memory() -> int:
-    """Bytes of memory that this process may take: the machine's, or its container's where that is less."""
-    total = psutil.virtual_memory().total
-    for path in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
-        try:
-            return min(total, int(Path(path).read_text(encoding="ascii")))
-        except (OSError, ValueError):
-            continue  # no such file, or "max"
-    return total
-
-
-def process_memory() -> int:
-    """Bytes that this process holds and that no file could give back."""
-    memory = psutil.Process().memory_info()
-    return memory.rss - getattr(memory, "shared", 0)

@@ -1,4 +1,4 @@
-"""Memory: what this process ever took of it, on the host and on the device, and how much it may take."""
+"""Memory: what this process takes of it, on the host and on the device, what there is, and how much it may take."""
 
 from __future__ import annotations
 
@@ -23,6 +23,23 @@ def peak_device_bytes(device: torch.device | str) -> int | None:
     """The most memory that this process's tensors ever took on a GPU; None on a CPU."""
     device = torch.device(device)
     return torch.cuda.max_memory_allocated(device) if device.type == "cuda" else None
+
+
+def machine_memory() -> int:
+    """Bytes of memory that this process may take: the machine's, or its container's where that is less."""
+    total = psutil.virtual_memory().total
+    for path in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
+        try:
+            return min(total, int(Path(path).read_text(encoding="ascii")))
+        except (OSError, ValueError):
+            continue  # no such file, or "max"
+    return total
+
+
+def process_memory() -> int:
+    """Bytes that this process holds and that no file could give back."""
+    memory = psutil.Process().memory_info()
+    return memory.rss - getattr(memory, "shared", 0)
 
 
 def limit_memory(host_gb: float | None, device_fraction: float | None, device: str) -> None:
