@@ -37,6 +37,8 @@ class ReflectionSettings(GaussianSettings):
 
     rotation_lr_final: float = 1e-4  # learning rate of the quaternions at the end: low, as a mirror doubles each degree
 
+    scale_lr: float = 1e-2
+
     normal_from: int = 7_000
     mono_weight: float = 0.05
     mono_loss: str = "l1_cos"
