@@ -92,6 +92,16 @@ class Method(ABC):
         method's own; "normal", "depth" and "error" are added by the harness.
         """
 
+    def reflected(self, origins: Tensor, directions: Tensor) -> Tensor | None:
+        """What reflected rays would see, [N, 3] sRGB without gradients, once the method is prepared.
+
+        The harness compares two seeds' models by it. None of a method that traces no rays of its own.
+
+        Args:
+            origins, directions: [N, 3] in the world frame, on the method's device; directions have unit length.
+        """
+        return None
+
     def prepare(self) -> None:  # noqa: B027 (many methods need nothing)
         """Make what rendering needs once, such as acceleration structures. Timed apart from frames."""
 

@@ -106,6 +106,10 @@ class ReflectiveMethod(GaussianMethod):
             Color [H, W, 3], sRGB; differentiable in the rays where they carry gradients.
         """
 
+    @torch.no_grad()
+    def reflected(self, origins: Tensor, directions: Tensor) -> Tensor | None:
+        return self.reflected_color(origins[None], directions[None], None)[0][0] if self.reflects else None
+
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
         self.reflects, self._hold_until = False, 0

@@ -16,6 +16,7 @@ from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
 from envgs_bench.metrics import Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
 from envgs_bench.parts import PERCEPTUAL
+from envgs_bench.probe import write_probe
 from envgs_bench.records import RENDERS
 from envgs_bench.run_folder import CHECKPOINT, CURVE_NAME
 from envgs_bench.settings import RunSettings
@@ -24,6 +25,7 @@ from .cost import cost_of
 from .evaluation import evaluate, scored_views
 from .events import EventListener
 from .perturbations import load_run_scene, perturbed_settings
+from .probing import probe
 from .renders import score_renders
 from .results import Results
 from .snapshots import Snapshots
@@ -36,7 +38,7 @@ from .vector_functions import call_each_once
 def execute(
     settings: RunSettings, folder: Path, results: Results, report: EventListener, stop: Stop | None = None
 ) -> None:
-    """Train, draw, score and time as `settings` say; pictures, curve and checkpoint go into `folder`.
+    """Train, draw, score and time as `settings` say; pictures, curve, checkpoint and probe go into `folder`.
 
     A training that was interrupted in `folder` goes on. `stop` may ask for its end while it trains.
 
@@ -78,6 +80,7 @@ def execute(
     report({"stage": "timing"})
     results.timing = time_frames(method, views, settings.timing)
     results.cost = cost_of(method, training)
+    write_probe(folder, probe(method, scene, views))
     snapshots.remove()
 
 

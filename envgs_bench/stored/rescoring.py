@@ -30,6 +30,7 @@ from envgs_bench.records import (
 from envgs_bench.run_folder import (
     CURVE_NAME,
     PICTURES,
+    PROBE_NAME,
     RECORD_NAME,
     PictureError,
     is_file_name,
@@ -60,7 +61,7 @@ def rescore(run: Path, protocol: Protocol, out: Path) -> Record:
     """
     record, protocol = read_record(run), protocol.of_pictures()
     scores = None if record.metrics is None else score_pairs(_pairs(run, record), protocol)
-    return _write(run, record, protocol, scores, out, "pictures", (*PICTURES, CURVE_NAME))
+    return _write(run, record, protocol, scores, out, "pictures", (*PICTURES, CURVE_NAME, PROBE_NAME))
 
 
 def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Record:
@@ -84,7 +85,7 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
             _, method = reopen(run, device)
             method.prepare()
             scores = evaluate(method, views, protocol, out, _silent)
-    return _write(run, record, protocol, scores, out, "checkpoint", (CURVE_NAME,))
+    return _write(run, record, protocol, scores, out, "checkpoint", (CURVE_NAME, PROBE_NAME))
 
 
 def _write(

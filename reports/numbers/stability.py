@@ -14,6 +14,7 @@ from envgs_bench.settings import Gates
 from .estimates import Estimate
 from .labels import Label, method_order
 from .runs import Run
+from .seed_distances import seed_distances
 from .statistics import COVERAGE, Interval
 from .trials import FAILURES, SURVIVED, UNTRIED, Trial, gates_of, value
 
@@ -89,6 +90,14 @@ class Cell:
     def change(self, quantity: str) -> Estimate:
         """The perturbed run minus its partner of the same seed."""
         return self._estimate([None if (d := trial.drop(quantity)) is None else -d for trial in self.tried])
+
+    def seed_distance(self, quantity: str) -> Estimate:
+        """One of SEED_DISTANCES, over the finished runs that another seed's can be compared with."""
+        return self._estimate(self._seed_distances[quantity])
+
+    @cached_property
+    def _seed_distances(self) -> dict[str, tuple[float, ...]]:
+        return seed_distances([trial.run for trial in self.tried])
 
     def _estimate(self, found: Sequence[float | None]) -> Estimate:
         known = tuple(number for number in found if number is not None)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from decimal import Decimal
 
 from ..numbers.estimates import Estimate
+from ..numbers.seed_distances import SEED_DISTANCES
 from ..numbers.stability import Case, Cell, Stability
 from ..numbers.trials import FAILURES, SURVIVED, UNTRIED
 from .columns import MEGA, NORMALS, PSNR, TRAIN_SECONDS, Column, in_region
@@ -30,6 +31,10 @@ def _count(metric: str, title: str, explanation: str, places: int = 0, scale: De
     return Column(metric, "full", title, places, "lower", title, explanation, ranked=False, scale=scale)
 
 
+def _between(metric: str, title: str, explanation: str, places: int, scale: Decimal = Decimal(1)) -> Column:
+    return _count(metric, title, f"{explanation}; between the models of two seeds", places, scale)
+
+
 WHOLE = replace(PSNR, ranked=False)
 REFLECTIVE = replace(in_region(PSNR, "reflective"), metric="psnr_reflective", region="full", ranked=False)
 CHANGE = _change(WHOLE)
@@ -46,6 +51,9 @@ COLUMNS = (  # the metric is the quantity's name
     _count("peak_primitives", "peak primitives", "at any step"),
     _count("peak_memory_bytes", "peak MB", "the device's where there is one", scale=MEGA),
     replace(TRAIN_SECONDS, ranked=False, places=1),
+    _between("seeds_depth", "seeds: depth %", "of the scene radius: median over pixels", 2, Decimal(100)),
+    _between("seeds_normal_degrees", "seeds: normal °", "mean angle over pixels", 1),
+    _between("seeds_reflected_rmse", "seeds: reflected", "RMSE, sRGB, of what rays see after the true mirrors", 3),
 )
 
 
@@ -77,6 +85,8 @@ def _row(cell: Cell, method: str, severity: int) -> Row:
 
 
 def _estimate(cell: Cell, column: Column) -> Estimate:
+    if column.metric in SEED_DISTANCES:
+        return cell.seed_distance(column.metric)
     return cell.change(column.metric) if column.against else cell.values(column.metric)
 
 

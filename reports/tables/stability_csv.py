@@ -10,6 +10,7 @@ import pandas as pd
 from ..numbers.breaking_points import breaking_points
 from ..numbers.estimates import Estimate
 from ..numbers.profiles import DROPS, drops, improvement_tasks, probability_of_improvement, profile, survival
+from ..numbers.seed_distances import SEED_DISTANCES
 from ..numbers.stability import Case, Cell, Stability
 from ..numbers.statistics import Interval
 from ..numbers.trials import FAILURES, QUANTITIES, SURVIVED, UNTRIED
@@ -25,7 +26,7 @@ def cells_table(stability: Stability) -> pd.DataFrame:
 
     `runs` is how many stand behind a value: all that were tried for counts and shares, finished ones or pairs of a
     perturbed run and its partner for means. `change_<quantity>` is the run minus its partner, `gain_<quantity>` the
-    run minus the baseline's, perturbed alike.
+    run minus the baseline's, perturbed alike; `seeds_<quantity>` lies between the models of two seeds.
     """
     rows: list[tuple[object, ...]] = []
     for case in stability.cases:
@@ -47,6 +48,8 @@ def _numbers(stability: Stability, case: Case, severity: int, method: str) -> It
         yield _mean(quantity, cell.values(quantity))
         if severity:
             yield _mean(f"change_{quantity}", cell.change(quantity))
+    for quantity in SEED_DISTANCES:
+        yield _mean(quantity, cell.seed_distance(quantity))
     if stability.baseline(case) not in (None, method):
         behind, compared = cell.behind
         yield "behind_baseline", behind, None, None, compared

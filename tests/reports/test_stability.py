@@ -14,6 +14,7 @@ import pytest
 from reports_runs import record, sections_of, write_record, write_runs
 from scipy.stats import mannwhitneyu
 
+from envgs_bench.probe import Probe, write_probe
 from envgs_bench.reports import build_report
 from envgs_bench.reports.numbers.breaking_points import breaking_point, breaking_points
 from envgs_bench.reports.numbers.profiles import drops, probability_of_improvement, profile
@@ -21,6 +22,8 @@ from envgs_bench.reports.numbers.stability import Stability
 from envgs_bench.reports.numbers.statistics import bootstrap_interval
 from envgs_bench.reports.numbers.trials import Trial
 from envgs_bench.reports.tables.expectations import expectations
+from envgs_bench.reports.tables.stability import stability_tables
+from envgs_bench.reports.tables.stability_csv import cells_table
 
 ROOM = "toy/chrome_room"
 BLUR = (ROOM, "blur")
@@ -355,6 +358,48 @@ def test_every_number_of_the_page_stands_in_the_csv(tmp_path: Path) -> None:
     points = {row["at"]: row["value"] for row in summary if row["quantity"] == "breaking_severity"}
     assert {at: float(value) for at, value in points.items()} == pytest.approx({"0.5": 1.0, "0.0": 2.0})
     assert {row["quantity"] for row in summary} >= {"probability_of_improvement", "profile", "survival"}
+
+
+def probed(folder: Path, method: str, seed: int, depth: float, degrees: float, reflected: float | None) -> None:
+    """A run and its probe: everything at one depth, turned by an angle, a mirror that shows one gray."""
+    write(folder, method, seed, 1, 20.0)
+    normal = np.array([math.sin(math.radians(degrees)), 0.0, math.cos(math.radians(degrees))])
+    shown = None if reflected is None else np.full((4, 3), reflected)
+    run = folder / f"{method}-blur-1-{seed}-100"
+    write_probe(run, Probe(2.0, np.array([0.0, depth, depth]), np.outer([0, 1, 1], normal), shown))
+
+
+def test_the_distance_between_seeds_is_that_of_their_models_along_the_same_rays(tmp_path: Path) -> None:
+    for seed, (depth, degrees, reflected) in enumerate([(4.0, 0.0, 0.5), (4.1, 1.0, 0.5), (4.5, 30.0, 2.0)]):
+        probed(tmp_path, "envgs", seed, depth, degrees, reflected)
+        probed(tmp_path, "2dgs", seed, depth, degrees, None)
+    (tmp_path / "envgs-blur-1-2-100" / "probe.safetensors").rename(tmp_path / "kept")
+    write(tmp_path, "envgs", 3, 1, None)
+    cell = stability_of(tmp_path).cell(BLUR, 1, "envgs")
+    assert cell.seed_distance("seeds_depth").strata[0] == pytest.approx((0.05, 0.05))  # of two, each from the other
+    (tmp_path / "kept").rename(tmp_path / "envgs-blur-1-2-100" / "probe.safetensors")
+    cell = stability_of(tmp_path).cell(BLUR, 1, "envgs")
+    assert cell.seed_distance("seeds_depth").strata[0] == pytest.approx((0.15, 0.125, 0.225))
+    assert cell.seed_distance("seeds_normal_degrees").strata[0] == pytest.approx((15.5, 15, 29.5), abs=0.05)
+    assert cell.seed_distance("seeds_reflected_rmse").strata[0] == pytest.approx((0.25, 0.25, 0.5))
+    assert stability_of(tmp_path).cell(BLUR, 1, "2dgs").seed_distance("seeds_reflected_rmse").mean is None
+    rows = cells_table(stability_of(tmp_path)).set_index(["severity", "method", "quantity"])
+    assert rows.loc[(1, "envgs", "seeds_depth"), "value"] == pytest.approx(1 / 6)
+    assert rows.loc[(1, "envgs", "seeds_depth"), "runs"] == 3
+    (table,) = stability_tables(stability_of(tmp_path))
+    (row,) = (row for row in table.rows if row.method == "envgs, severity 1")
+    assert float(row.cells["seeds_depth"].mean) == pytest.approx(1 / 6)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\xff" * 5000, b"\x10" + b"\x00" * 7 + b'{"depth": 1}    ', b"0" * 2_000_000]
+)
+def test_a_probe_that_cannot_be_read_is_left_out(tmp_path: Path, content: bytes) -> None:
+    for seed in range(3):
+        probed(tmp_path, "envgs", seed, 4.0 + seed, 0.0, None)
+    (tmp_path / "envgs-blur-1-1-100" / "probe.safetensors").write_bytes(content)
+    estimate = stability_of(tmp_path).cell(BLUR, 1, "envgs").seed_distance("seeds_depth")
+    assert (estimate.strata, estimate.done, estimate.expected) == (((1.0, 1.0),), 2, 3)
 
 
 def test_the_page_shows_curves_and_the_worst_views(tmp_path: Path) -> None:
