@@ -41,6 +41,11 @@ def _without_joint(settings: RunSettings, off: float, rng: np.random.Generator) 
     return _with_method(settings, {"joint": bool(off)})
 
 
+def _blend_normals(settings: RunSettings, off: float, rng: np.random.Generator) -> RunSettings:
+    _required(settings, "normal_rendered")
+    return _with_method(settings, {"normal_rendered": "blended", "normal_reference": "unit"})
+
+
 def _scale_steps(settings: RunSettings, factor: float, rng: np.random.Generator) -> RunSettings:
     return settings.model_copy(update={"steps": max(1, round(factor * settings.steps))})
 
@@ -80,6 +85,7 @@ PERTURBATIONS: dict[str, Perturbation[RunSettings]] = {
     "cap": Perturbation(_cap, (5000, 2000, 1000), "at most {:,} primitives in a set"),
     "no_resets": Perturbation(_without_resets, (0,), "no resets of the base set's opacities"),
     "no_joint": Perturbation(_without_joint, (0,), "no joint optimization"),
+    "blended_normals": Perturbation(_blend_normals, (0,), "L_norm takes normals as they are blended, as long as alpha"),
     "steps_fewer": Perturbation(_scale_steps, (1 / 3, 1 / 10, 1 / 30), "steps × {:.2g}"),
     "steps_more": Perturbation(_scale_steps, (3.0, 10.0, 30.0), "steps × {:g}"),
     "pixels_fewer": Perturbation(_resize, (1 / 2, 1 / 4, 1 / 8), "pictures {:g} × as wide"),

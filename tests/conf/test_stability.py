@@ -38,6 +38,8 @@ def test_every_case_can_be_run_and_has_its_partner(name: str) -> None:
 def test_the_study_is_of_one_size_and_five_seeds_but_for_the_gpus() -> None:
     for name in STUDY:
         run = one_run(name)
+        if name == "stability_chair":  # a capture, for a GPU
+            continue
         size = (run.dataset["width"], run.dataset["height"], run.steps)
         seeds = swept(name)["seed"]
         assert (size, len(seeds)) == (((160, 120, 3000), 3) if name == "stability_gpu" else ((64, 48, 300), 5))
@@ -57,7 +59,7 @@ def test_the_study_fits_into_three_hours_on_two_cores() -> None:
     total = 0.0
     for name in STUDY:
         choices = swept(name)
-        if name != "stability_gpu":
+        if name not in ("stability_gpu", "stability_chair"):
             cases = 1 + (len(choices["perturb.kind"]) - 1) * len(choices["perturb.severity"])
             runs = len(choices["seed"]) * len(choices["dataset"]) * cases
             total += runs * math.fsum(seconds[method] for method in choices["method"])
