@@ -87,7 +87,7 @@ PERTURBATIONS: dict[str, Perturbation[RunSettings]] = {
     "no_joint": Perturbation(_without_joint, (0,), "no joint optimization"),
     "blended_normals": Perturbation(_blend_normals, (0,), "L_norm takes normals as they are blended, as long as alpha"),
     "steps_fewer": Perturbation(_scale_steps, (1 / 3, 1 / 10, 1 / 30), "steps × {:.2g}"),
-    "steps_more": Perturbation(_scale_steps, (3.0, 10.0, 30.0), "steps × {:g}"),
+    "steps_more": Perturbation(_scale_steps, (3.0, 10.0, 100 / 3), "steps × {:.3g}"),
     "pixels_fewer": Perturbation(_resize, (1 / 2, 1 / 4, 1 / 8), "pictures {:g} × as wide"),
-    "pixels_more": Perturbation(_resize, (2.0, 4.0, 8.0), "pictures {:g} × as wide"),
+    "pixels_more": Perturbation(_resize, (2.0, 4.0, 10.0), "pictures {:g} × as wide"),
 }

@@ -25,6 +25,7 @@ from envgs_bench.settings import parse_settings
 FAMILIES = ("ref_real", "nerf_casting", "envgs", "shiny_blender", "mipnerf360")
 PRESETS = [name for name in config_names("dataset") if name.startswith(FAMILIES)]
 CAPTURES = [name for name in config_names("dataset") if name.startswith("captures/")]
+SYNTHETIC = [name for name in config_names("dataset") if name.startswith("nerf_synthetic/")]
 RENDERED = [name for name in config_names("dataset") if name.startswith("rendered/")]
 
 
@@ -44,7 +45,7 @@ def test_every_scene_of_the_papers_tables_has_a_preset_of_its_name() -> None:
     assert {paper_scene(composed(f"dataset={name}")["dataset"]["name"]) for name in PRESETS} == expected
 
 
-@pytest.mark.parametrize("name", PRESETS + CAPTURES + RENDERED)
+@pytest.mark.parametrize("name", PRESETS + CAPTURES + SYNTHETIC + RENDERED)
 def test_a_preset_lies_below_data_root_and_is_refused_only_because_nothing_is_there(name: str, tmp_path: Path) -> None:
     content = composed(f"dataset={name}", f"data_root={tmp_path}")
     assert content["dataset"]["name"] == name
