@@ -10,6 +10,7 @@ import pandas as pd
 
 from envgs_bench.plain_text import no_formula
 
+from .charts.ladder import draw_ladders
 from .charts.pareto_chart import draw_charts
 from .charts.stability import draw_stability
 from .numbers.runs import BrokenRecord, read_runs
@@ -20,6 +21,7 @@ from .pictures.error_maps import draw_error_maps
 from .pictures.gallery import Gallery, copy_pictures, galleries, slug
 from .pictures.sheets import draw_sheets
 from .pictures.worst_views import draw_worst_views
+from .tables.ladder_csv import recommendations_table, rungs_table
 from .tables.latex import latex
 from .tables.markdown import markdown
 from .tables.sections import Section, split_sections
@@ -49,8 +51,9 @@ class Report:
 
 
 def build_report(runs: Path, out: Path) -> Report:
-    """Write index.html, table.csv, .md, .tex and .json, pareto.png, charts/ and pictures/ of all runs under `runs`, and
-    stability.csv and stability-summary.csv where runs are perturbed: those are in no other table, chart or picture.
+    """Write index.html, table.csv, .md, .tex and .json, pareto.png, charts/ and pictures/ of all runs under `runs`;
+    ladder.csv and ladder-summary.csv where a data set has two rungs of the ladder; stability.csv and
+    stability-summary.csv where runs are perturbed: those are in no other table, chart or picture.
 
     Runs that different protocols scored or different devices timed never share a table, nor do test and validation
     views: each group has a section of its own, and a table-<section>.csv of its own beside the first one's table.csv.
@@ -74,6 +77,9 @@ def build_report(runs: Path, out: Path) -> Report:
     before = files_below(out)
     for index, section in enumerate(sections):
         _write_csv(section.tidy, out / section.csv_name(index))
+        if section.ladders:
+            _write_csv(rungs_table(section.ladders), out / section.csv_name(index, "ladder"))
+            _write_csv(recommendations_table(section.ladders), out / section.csv_name(index, "ladder-summary"))
         if section.stability.cases:
             _write_csv(cells_table(section.stability), out / section.csv_name(index, "stability"))
             _write_csv(summary_table(section.stability), out / section.csv_name(index, "stability-summary"))
@@ -83,7 +89,11 @@ def build_report(runs: Path, out: Path) -> Report:
     draw_charts(sections, out)
     pictures = [_pictures(section, out, index if len(sections) > 1 else None) for index, section in enumerate(sections)]
     parts = [_stability(section, out, index) for index, section in enumerate(sections)]
-    write_page(out, sections, broken, pictures, parts)
+    steps = [
+        draw_ladders(section.ladders, section.methods, out, f"charts/ladder-{index}")
+        for index, section in enumerate(sections)
+    ]
+    write_page(out, sections, broken, pictures, parts, steps)
     list_new_files(out, before)
     return Report(out, tuple(sections), tuple(broken))
 

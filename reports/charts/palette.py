@@ -25,10 +25,11 @@ METHOD_STYLES = {
     "envmap128": Style("#DB8A00", "^", "triangle-up"),
     "envmap256": Style("#8F5B00", ">", "triangle-right"),
     "envgs_paper": Style("#8C1C38", "d", "diamond-tall"),
+    "envgs_no_joint": Style("#CC79A7", "p", "pentagon"),
     "envgs": Style("#D1495B", "o", "circle"),
 }
 COLORS = ("#6A5ACD", "#2A8F4E", "#AA4499", "#8C8C1F", "#A3386F", "#2F9C8F", "#CC6677")
-MARKS = (("v", "triangle-down"), ("P", "cross"), ("X", "x"), ("p", "pentagon"), ("h", "hexagon"), ("*", "star"))
+MARKS = (("v", "triangle-down"), ("P", "cross"), ("X", "x"), ("h", "hexagon"), ("*", "star"))
 
 
 def styles(methods: Sequence[str]) -> dict[str, Style]:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 COVERAGE = 0.95
 DRAWS = 2000
+FEWEST_SEEDS = 3  # for a verdict: a bootstrap over two seeds knows no more than the two values
 
 
 class Interval(NamedTuple):

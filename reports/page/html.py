@@ -13,12 +13,14 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
+from ..charts.ladder import LadderChart
 from ..numbers.runs import BrokenRecord
 from ..pictures.gallery import Gallery
 from ..tables.entries import DAGGER, LEGEND
 from ..tables.layouts import KINDS
 from ..tables.sections import Section
 from .data import write_data
+from .ladder import ladder_data
 from .origin import commands, dropped_losses, failures, origins
 from .stability import StabilityPart, stability_data
 from .tables import page_table
@@ -34,8 +36,9 @@ def write_page(
     broken: Sequence[BrokenRecord],
     galleries: Sequence[Sequence[Gallery]],
     stability: Sequence[StabilityPart | None],
+    ladders: Sequence[Sequence[LadderChart]],
 ) -> Path:
-    """Write index.html and assets/ into `out`; `galleries` and `stability` are those of each section, already drawn."""
+    """Write index.html and assets/ into `out`; pictures and charts are those of each section, already drawn."""
     assets = out / "assets"
     assets.mkdir(parents=True, exist_ok=True)
     data = write_data(assets, sections, galleries)
@@ -50,6 +53,7 @@ def write_page(
             sections=[
                 _section(section, index, data["sections"][index], galleries[index])
                 | {"stability": stability_data(section, index, stability[index])}
+                | {"ladder": ladder_data(section, index, ladders[index])}
                 for index, section in enumerate(sections)
             ],
             broken=broken,
@@ -70,6 +74,7 @@ def write_page(
 def _section(section: Section, index: int, data: dict[str, Any], galleries: Sequence[Gallery]) -> dict[str, Any]:
     parts = {
         "Chart": bool(data["subjects"]),
+        "Ladder": bool(section.ladders),
         "Tables": bool(section.runs),
         "Stability": bool(section.stability.cases),
         "Pictures": bool(galleries),

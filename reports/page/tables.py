@@ -40,11 +40,17 @@ def _row(table: Table, row: Row) -> dict[str, Any]:
 
 
 def _entry(entry: Entry) -> dict[str, Any]:
-    value, sign, spread = entry.text.partition(" ± ") if entry.number else (entry.text, "", "")
+    value, spread = number_and_spread(entry.text) if entry.number else (entry.text, "")
     return {
         "value": value,
-        "spread": f"± {spread}" if sign else "",
+        "spread": spread,
         "rank": entry.rank,
         "tied": entry.tied,
         "dropped": entry.dropped,
     }
+
+
+def number_and_spread(text: str) -> tuple[str, str]:
+    """A cell's number, and apart from it "± 0.1" or "[0.1, 0.3]"; "" where it has neither."""
+    value, *spread = re.split(r" (?=± |\[)", text, maxsplit=1)
+    return value, "".join(spread)

@@ -10,6 +10,7 @@ from typing import Literal
 from envgs_bench.parts import ENV
 
 from ..numbers.decimals import decimal, rounded
+from ..numbers.statistics import Interval
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Column:
     group: str = ""  # the heading above its own
     datasets: tuple[str, ...] = ()  # whose mean it is
     against: str = ""  # the method that is subtracted from each
+    with_interval: bool = False  # printed with its interval, others with the spread over seeds
     elsewhere: bool = False  # the paper's alone: taken on another machine than ours
 
     @property
@@ -46,6 +48,10 @@ class Column:
     def text(self, value: float | Decimal) -> str:
         """The printed number; a difference has its sign."""
         return f"{self.printed(value):+,}".replace("-", "−") if self.against else self.unsigned(value)
+
+    def ends(self, interval: Interval) -> str:
+        """An interval as it prints."""
+        return f"[{self.text(interval.low)}, {self.text(interval.high)}]"
 
     def unsigned(self, value: float | Decimal) -> str:
         """The printed number without a sign, as of a spread."""

@@ -25,11 +25,14 @@ class Entry:
     tied: bool = False
     number: bool = True
     dropped: bool = False  # a method that trained without one of its losses
+    verdict: str = ""  # on a ladder's rung
+    taken: bool = False
 
     @property
     def marked(self) -> str:
         """The text with its marks, without emphasis."""
-        return self.text + SUPERSCRIPTS.get(self.rank or 0, "") + DAGGER * self.dropped + " ≈" * self.tied
+        marks = SUPERSCRIPTS.get(self.rank or 0, "") + DAGGER * self.dropped + " ≈" * self.tied
+        return self.text + marks + (f" ({self.verdict})" if self.verdict else "")
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,8 @@ def headings(table: Table) -> list[Heading]:
 
 def entries(table: Table, row: Row) -> list[Entry]:
     """One entry a heading."""
-    line = [Entry(row.method, number=False, dropped=bool(row.dropped)), Entry(row.runs_text, number=False)]
+    method = Entry(row.method, number=False, dropped=bool(row.dropped), verdict=row.verdict, taken=row.taken)
+    line = [method, Entry(row.runs_text, number=False)]
     for column in table.columns:
         printed = Entry("" if column.key not in row.published else published_text(row, column))
         if column.elsewhere:

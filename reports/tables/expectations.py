@@ -12,9 +12,9 @@ from typing import Literal
 
 from ..numbers.estimates import Estimate
 from ..numbers.stability import Case, Cell, Stability
+from ..numbers.statistics import FEWEST_SEEDS
 from ..numbers.trials import FAILURES
 
-FEWEST_SEEDS = 3  # a bootstrap over two seeds knows no more than the two values
 Verdict = Literal["breaks", "behind", "ahead", "open"]
 
 

@@ -71,7 +71,9 @@ def _groups(titles: Sequence[Heading]) -> list[str]:
 
 
 def _marked(entry: Entry) -> str:
-    text = _escaped(entry.text + DAGGER * entry.dropped) + (r" $\approx$" if entry.tied else "")
+    verdict = f" ({entry.verdict})" if entry.verdict else ""
+    text = _escaped(entry.text + DAGGER * entry.dropped + verdict) + (r" $\approx$" if entry.tied else "")
+    text = rf"\textbf{{{text}}}" if entry.taken else text
     return f"{MARKS[entry.rank]}{{{text}}}" if entry.rank else text
 
 

@@ -52,7 +52,8 @@ def _table(table: Table) -> list[str]:
 def _emphasized(entry: Entry) -> str:
     if entry.rank == 1:
         return f"**{entry.text}**" + entry.marked.removeprefix(entry.text)
-    return entry.marked if entry.number else _escaped(entry.marked)
+    text = entry.marked if entry.number else _escaped(entry.marked)
+    return f"**{text}**" if entry.taken else text
 
 
 def _escaped(text: str) -> str:

@@ -43,14 +43,14 @@ def notes(section: Section, table: Table) -> list[str]:
     found += _parts(table) if table.kind == "subject" else []
     if any(column.metric == "frame_ms" for column in table.columns):
         found += _company(section, table)
-    if any(column.against for column in table.columns):
+    if any(column.against and not column.with_interval for column in table.columns):
         found.append("Δ: the mean over seeds of the difference on the same seed, with the spread of that difference.")
     if table.published:
         found.append("Paper: printed in the EnvGS paper, and ours minus it. Rows marked published: by the paper only.")
         found.append("The paper's EnvGS stands beside envgs_paper, its recipe; envgs is this project's configuration.")
     if any(column.elsewhere for column in table.columns):
         found.append("The paper's frame rates and training times are of its machine, an RTX 4090, not of this one.")
-    return list(dict.fromkeys(found))
+    return [*dict.fromkeys(found), *table.remarks]
 
 
 def dropped_losses(table: Table) -> list[str]:

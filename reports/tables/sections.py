@@ -15,11 +15,13 @@ from envgs_bench.records import ProtocolName, Record, ScoredOn
 from ..numbers.estimates import Numbers
 from ..numbers.knobs import knobs
 from ..numbers.labels import Label, label_runs, method_order
+from ..numbers.ladder import Ladder, ladders
 from ..numbers.published import PROTOCOL, paper_scene
 from ..numbers.runs import UNTIMED, Run
 from ..numbers.settings import flat_settings
 from ..numbers.stability import LabeledTrialRun, Stability
 from ..numbers.tidy import attempts_table, tidy_table
+from .ladder import ladder_table
 from .layouts import Contents, layouts
 from .stability import stability_tables
 from .table import DroppedLoss, Row, Table
@@ -86,6 +88,10 @@ class Section:
         return Numbers(self.tidy, attempts_table([(item.dataset, item.method, item.run) for item in self.runs]))
 
     @cached_property
+    def ladders(self) -> list[Ladder]:
+        return ladders(self.numbers, [(item.dataset, item.label, item.run) for item in self.runs])
+
+    @cached_property
     def tables(self) -> list[Table]:
         """In the order of every format."""
         alone = {name: (name,) for name in self.datasets}
@@ -98,7 +104,7 @@ class Section:
         )
         ordinary = [
             replace(table, rows=tuple(self._with_dropped_losses(row, table.datasets) for row in table.rows))
-            for table in layouts(contents, ALL)
+            for table in (*layouts(contents, ALL), *map(ladder_table, self.ladders))
         ]
         return [*ordinary, *stability_tables(self.stability)]
 

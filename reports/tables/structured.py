@@ -50,6 +50,7 @@ def _row(row: Row) -> dict[str, Any]:
         "runs": row.runs_text,
         "done": row.done,
         "attempts": row.attempts,
+        **({"verdict": row.verdict, "taken": row.taken} if row.verdict else {}),
         "dropped_losses": [asdict(item) for item in row.dropped],
         "published": {key: float(value) for key, value in row.published.items()},
         "cells": {key: _cell(cell) for key, cell in row.cells.items()},

@@ -53,6 +53,8 @@ class Cell:
             return f"— ({self.estimate.done}/{self.estimate.expected})"
         spread = self.estimate.spread
         text = self.column.text(self.mean)
+        if self.column.with_interval:
+            return text if self.interval is None else f"{text} {self.column.ends(self.interval)}"
         if spread is None or self.column.printed(spread) == 0:
             return text
         return f"{text} ± {self.column.unsigned(spread)}"
@@ -77,6 +79,8 @@ class Row:
     published: dict[str, Decimal] = field(default_factory=dict)  # by the column's key: what the paper printed
     source: Source | None = None  # where the paper prints a row that is its alone
     dropped: tuple[DroppedLoss, ...] = ()
+    verdict: str = ""  # what a ladder says of it, in words
+    taken: bool = False  # the ladder's recommendation
 
     @property
     def done(self) -> int:
@@ -105,7 +109,7 @@ class Table:
     rows: tuple[Row, ...]
     datasets: tuple[str, ...]
     told: str = ""  # its caption, where that is not about the data sets' unperturbed runs
-    remarks: tuple[str, ...] = ()  # its notes, likewise
+    remarks: tuple[str, ...] = ()  # notes of its own, after those on the data sets' unperturbed runs
 
     @property
     def published(self) -> set[str]:

@@ -32,6 +32,7 @@ DIFFERENCES = {
     "3dgs_tuned": TUNED_3DGS,
     "envmap128": {"envmap_size": 128},
     "envmap256": {"envmap_size": 256},
+    "envgs_no_joint": {"joint": False},
 }
 ABLATIONS = {  # of the published recipe
     "envgs_paper_no_joint": {"joint": False},

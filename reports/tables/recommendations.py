@@ -1,0 +1,110 @@
+"""Recommendations: which rung of a ladder a scene needs, what it costs and what is lost, in a sentence or two."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from envgs_bench.parts import ENV
+
+from ..numbers.ladder import PERCEPTUAL, PSNR, Criterion, Ladder, Rung
+from ..numbers.statistics import FEWEST_SEEDS
+from .columns import FRAME_MS, MEGABYTES, PRIMITIVES, SCORES, TRAIN_SECONDS, Column
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    title: str  # the ladder's
+    method: str  # the row to take, "" where there is no verdict
+    headline: str
+    beside: str = ""  # what the rungs that matter beside it would cost and show, and what was left out
+
+    @property
+    def text(self) -> str:
+        return f"{self.headline} {self.beside}".strip()
+
+
+def recommendation(ladder: Ladder) -> Recommendation:
+    """The ladder's recommendation, with what the rungs that matter beside it would cost and show."""
+    taken, best = ladder.recommended, ladder.best
+    absent = _absent(ladder)
+    if taken is None or best is None:
+        least = f"a verdict needs two rungs that finished with the same {FEWEST_SEEDS} seeds"
+        return Recommendation(ladder.title, "", f"On {ladder.title} no verdict ({absent}): {least}.")
+    beside = [
+        f"With {rung.method}{role} {_differences(ladder, rung, taken)}, {_cost(ladder, rung, FRAME_MS)}."
+        for rung, role in _beside(ladder, taken, best).items()
+    ]
+    judged = " and ".join(criterion.metric.upper() for criterion in ladder.criteria)
+    if PERCEPTUAL[0] not in ladder.criteria:
+        beside.append(f"{PERCEPTUAL[0].metric.upper()} was not computed of every run: judged by {judged}.")
+    beside += [f"Left out: {absent}."] if absent else []
+    headline = f"On {ladder.title} take {taken.method}: {_costs(ladder, taken)}."
+    return Recommendation(ladder.title, taken.method, headline, " ".join(beside))
+
+
+def _beside(ladder: Ladder, taken: Rung, best: Rung) -> dict[Rung, str]:
+    """What is to be compared with the rung to take: the best, or, if it is that, the top one; and the cheapest."""
+    roles = {}
+    if best != taken:
+        shown = "within the tolerance" if ladder.verdict(taken) == "within" else "a tie"
+        roles[best] = f", the best by PSNR ({shown}):"
+    elif ladder.candidates[-1] != taken:
+        roles[ladder.candidates[-1]] = ", the top of the ladder:"
+    cheapest = ladder.cheapest(ladder.candidates)
+    if cheapest not in (taken, *roles):
+        roles[cheapest] = ", the cheapest:"
+    for criterion in ladder.criteria[1:]:
+        for rung in ladder.candidates:
+            lost = criterion.lost(ladder.difference(taken, rung, criterion.metric))
+            if rung not in (taken, *roles) and lost is not None and lost[0] > criterion.tolerance:
+                roles[rung] = f", better by {criterion.metric.upper()}:"
+    return roles
+
+
+def _differences(ladder: Ladder, rung: Rung, taken: Rung) -> str:
+    return ", ".join(_difference(ladder, rung, taken, criterion) for criterion in ladder.criteria)
+
+
+def _difference(ladder: Ladder, rung: Rung, taken: Rung, criterion: Criterion) -> str:
+    column = next(column for column in SCORES if column.metric == criterion.metric)
+    signed = replace(column, against=taken.method)
+    found = ladder.difference(rung, taken, criterion.metric)
+    if found.mean is None or found.interval is None:
+        return f"{column.title} unknown"
+    number, ends = signed.text(found.mean), signed.ends(found.interval)
+    return f"{number} dB {ends}" if criterion.metric == "psnr" else f"{column.title} {number} {ends}"
+
+
+def _costs(ladder: Ladder, rung: Rung) -> str:
+    primitives = _cost(ladder, rung, PRIMITIVES)
+    environment = ladder.value(rung, f"primitives_{ENV}").mean
+    if environment:
+        primitives += f" ({PRIMITIVES.text(environment)} in the environment)"
+    return ", ".join([primitives, *(_cost(ladder, rung, column) for column in (FRAME_MS, MEGABYTES, TRAIN_SECONDS))])
+
+
+UNITS = {PRIMITIVES: "primitives", FRAME_MS: "ms a frame", MEGABYTES: "MB", TRAIN_SECONDS: "s of training"}
+
+
+def _cost(ladder: Ladder, rung: Rung, column: Column) -> str:
+    mean = ladder.value(rung, column.metric).mean
+    return f"{'unknown' if mean is None else column.text(mean)} {UNITS[column]}"
+
+
+def _absent(ladder: Ladder) -> str:
+    """Which rungs compete for nothing, by why; "" where all do."""
+    found: dict[str, list[str]] = {}
+    for rung in ladder.rungs:
+        finished, attempts = ladder.finished(rung), ladder.attempts(rung)
+        if finished < attempts:
+            found.setdefault(f"{attempts - finished} of {attempts} runs failed", []).append(rung.method)
+        elif rung not in ladder.candidates:
+            found.setdefault(_seeds(attempts), []).append(rung.method)
+        elif ladder.best is not None and ladder.verdict(rung) == "undecided":
+            why = f"{_seeds(ladder.against_best(rung, PSNR).done)} in common with {ladder.best.method}"
+            found.setdefault(why, []).append(rung.method)
+    return "; ".join(f"{', '.join(methods)}: {why}" for why, methods in found.items())
+
+
+def _seeds(count: int) -> str:
+    return f"{count} seed{'s' * (count != 1)}"
