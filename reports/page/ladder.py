@@ -9,7 +9,7 @@ from typing import Any
 from ..charts.ladder import LadderChart
 from ..numbers.ladder import Ladder
 from ..tables.columns import Column
-from ..tables.ladder import KIND, TAKE, WORDS
+from ..tables.ladder import KIND
 from ..tables.notes import caption, notes
 from ..tables.recommendations import recommendation
 from ..tables.sections import Section
@@ -39,13 +39,14 @@ def ladder_data(section: Section, index: int, charts: Sequence[LadderChart]) -> 
 def _table(section: Section, ladder: Ladder, table: Table) -> dict[str, Any]:
     """A column a group of the table's: a score, below it what it gains; the differences to the best; the primitives."""
     groups = [list(members) for _, members in groupby(table.columns, key=lambda column: column.group or column.key)]
-    told = recommendation(ladder).text
     return {
         "title": table.title,
         "caption": caption(section, table),
         "headings": [_heading(columns) for columns in groups],
         "rows": [_row(ladder, row, groups) for row in table.rows],
-        "notes": [note for note in notes(section, table) if note != told],
+        "notes": [
+            note for note in notes(section, table) if note not in table.remarks[:2]
+        ],  # told above and in the rows
     }
 
 
@@ -60,11 +61,10 @@ def _heading(columns: Sequence[Column]) -> dict[str, str]:
 
 def _row(ladder: Ladder, row: Row, groups: Sequence[Sequence[Column]]) -> dict[str, Any]:
     rung = next(rung for rung in ladder.rungs if rung.method == row.method)
-    verdict = WORDS[ladder.verdict(rung)]
     return {
         "method": row.method,
         "part": rung.part,
-        "verdict": f"{TAKE}: {verdict}" if row.taken else verdict,
+        "verdict": row.verdict,
         "taken": row.taken,
         "dropped": bool(row.dropped),
         "runs": row.runs_text,

@@ -25,14 +25,12 @@ class Entry:
     tied: bool = False
     number: bool = True
     dropped: bool = False  # a method that trained without one of its losses
-    verdict: str = ""  # on a ladder's rung
-    taken: bool = False
+    taken: bool = False  # the rung that a ladder recommends
 
     @property
     def marked(self) -> str:
         """The text with its marks, without emphasis."""
-        marks = SUPERSCRIPTS.get(self.rank or 0, "") + DAGGER * self.dropped + " ≈" * self.tied
-        return self.text + marks + (f" ({self.verdict})" if self.verdict else "")
+        return self.text + SUPERSCRIPTS.get(self.rank or 0, "") + DAGGER * self.dropped + " ≈" * self.tied
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ def headings(table: Table) -> list[Heading]:
 
 def entries(table: Table, row: Row) -> list[Entry]:
     """One entry a heading."""
-    method = Entry(row.method, number=False, dropped=bool(row.dropped), verdict=row.verdict, taken=row.taken)
+    method = Entry(row.method, number=False, dropped=bool(row.dropped), taken=row.taken)
     line = [method, Entry(row.runs_text, number=False)]
     for column in table.columns:
         printed = Entry("" if column.key not in row.published else published_text(row, column))

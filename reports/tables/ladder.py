@@ -61,7 +61,10 @@ def ladder_table(ladder: Ladder) -> Table:
     columns = ladder_columns(ladder)
     rows = [_row(ladder, rung, columns) for rung in ladder.rungs]
     kept = tuple(c for c in columns if any(row.cells[c.key].text != "—" for row in rows))
-    remarks = (recommendation(ladder).text, *explanations(ladder))
+    verdicts = "; ".join(
+        f"{row.method} ({rung.part}): {row.verdict}" for rung, row in zip(ladder.rungs, rows, strict=True)
+    )
+    remarks = (recommendation(ladder).text, f"Rungs: {verdicts}.", *explanations(ladder))
     return Table(f"{ladder.title}: the ladder", KIND, kept, tuple(rows), (ladder.dataset,), remarks=remarks)
 
 
@@ -70,7 +73,7 @@ def _row(ladder: Ladder, rung: Rung, columns: tuple[Column, ...]) -> Row:
     verdict = f"{TAKE}: {WORDS[ladder.verdict(rung)]}" if taken else WORDS[ladder.verdict(rung)]
     cells = {column.key: Cell(column, _estimate(ladder, rung, column)) for column in columns}
     statuses = ladder.numbers.statuses((ladder.dataset,), rung.method)
-    return Row(rung.method, cells, Counter(statuses), verdict=f"{rung.part}; {verdict}", taken=taken)
+    return Row(rung.method, cells, Counter(statuses), verdict=verdict, taken=taken)
 
 
 def _estimate(ladder: Ladder, rung: Rung, column: Column) -> Estimate:

@@ -71,10 +71,8 @@ def _groups(titles: Sequence[Heading]) -> list[str]:
 
 
 def _marked(entry: Entry) -> str:
-    verdict = f" ({entry.verdict})" if entry.verdict else ""
-    text = _escaped(entry.text + DAGGER * entry.dropped + verdict) + (r" $\approx$" if entry.tied else "")
-    text = rf"\textbf{{{text}}}" if entry.taken else text
-    return f"{MARKS[entry.rank]}{{{text}}}" if entry.rank else text
+    text = _escaped(entry.text + DAGGER * entry.dropped) + (r" $\approx$" if entry.tied else "")
+    return f"{MARKS[1 if entry.taken else entry.rank]}{{{text}}}" if entry.taken or entry.rank else text
 
 
 def _escaped(text: str) -> str:

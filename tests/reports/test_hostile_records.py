@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import csv
 import json
+import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,9 +20,11 @@ from reports_runs import record, run_folder, write_record, write_runs
 
 from envgs_bench.cli.main import main
 from envgs_bench.reports import build_report
+from envgs_bench.reports.charts.ladder import steps
 from envgs_bench.reports.numbers.runs import read_runs
 from envgs_bench.reports.page.html import write_page
 from envgs_bench.reports.pictures.gallery import galleries
+from envgs_bench.reports.tables.ladder_csv import recommendations_table, rungs_table
 from envgs_bench.reports.tables.latex import latex
 from envgs_bench.reports.tables.markdown import markdown
 from envgs_bench.reports.tables.sections import split_sections
@@ -207,7 +210,7 @@ def test_a_record_with_anything_in_it_is_refused_or_reported(content: dict[str, 
     with TemporaryDirectory() as name:
         folder = Path(name)
         write_record(folder / "runs/a", content)
-        write_record(folder / "runs/b", record("toy/chrome_room", "2dgs", 0))
+        write_record(folder / "runs/b", record("toy/chrome_room", "2dgs_tuned", 0))
         found, broken = read_runs(folder / "runs")
         assert len(found) + len(broken) == 2
         sections = split_sections(found)
@@ -215,8 +218,17 @@ def test_a_record_with_anything_in_it_is_refused_or_reported(content: dict[str, 
         json.dumps(structured(sections, broken), allow_nan=False)
         assert all(line.isprintable() for line in markdown(sections, broken).split("\n"))
         assert latex(sections).isascii()
+        for section in sections:
+            rungs_table(section.ladders)
+            recommendations_table(section.ladders)
+            assert all(math.isfinite(step.level) for ladder in section.ladders for step in steps(ladder))
         write_page(
-            folder / "out", sections, broken, [galleries(section) for section in sections], [None] * len(sections)
+            folder / "out",
+            sections,
+            broken,
+            [galleries(section) for section in sections],
+            [None] * len(sections),
+            [()] * len(sections),
         )
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Sequence
-from itertools import product
+from html import unescape
+from itertools import groupby, product
 from pathlib import Path
 from typing import Any
 
@@ -327,14 +329,41 @@ def test_the_page_the_tables_and_the_csv_hold_the_same_numbers(tmp_path: Path) -
     for text in (html, markdown):
         assert "−1.00 [−1.10, −0.90]" in text
         assert "+0.25 [+0.25, +0.25]" in text
-    assert f"**{GROUND} (2DGS; take: best PSNR)**" in markdown
-    assert r"\textbf{2dgs\_tuned (2DGS; take: best PSNR)}" in (made.out / "table.tex").read_text()
+    assert f"| **{GROUND}** | 3/3 |" in markdown
+    assert f"Rungs: {GROUND} (2DGS): take: best PSNR; {MAP} (+ environment map): behind the best; " in markdown
+    assert r"\best{2dgs\_tuned} & 3/3 &" in (made.out / "table.tex").read_text()
     tables = json.loads((made.out / "table.json").read_text())["sections"][0]["tables"]
     (table,) = [table for table in tables if table["kind"] == "ladder"]
     cell = table["rows"][1]["cells"]["whole picture: psnr - the rung below"]
     assert cell["interval"] == pytest.approx([-1.1, -0.9])
     assert [row["taken"] for row in table["rows"]] == [True, False, False, False]
     assert 'id="section-0-ladder"' in html
+
+
+def rungs_on(page: str) -> list[list[str]]:
+    """The text of each cell of the page's ladder, row by row."""
+    (table,) = re.findall(r'<table class="rungs">.*?<tbody>(.*?)</tbody>', page, re.DOTALL)
+    rows = [re.findall(r"<t[hd].*?</t[hd]>", row, re.DOTALL) for row in table.split("<tr")[1:]]
+    return [[" ".join(unescape(re.sub(r"<[^>]*>", " ", cell)).split()) for cell in row] for row in rows]
+
+
+@pytest.mark.usefixtures("_no_other_charts")
+def test_the_page_prints_every_number_of_the_table(tmp_path: Path) -> None:
+    write_example(tmp_path / "runs")
+    made = report.build_report(tmp_path / "runs", tmp_path / "out")
+    table = titled(made.sections[0], f"{ROOM}: the ladder")
+    expected = [
+        [
+            f"{row.method} {RUNGS[row.method]} {row.verdict}",
+            row.runs_text,
+            *(
+                " ".join(row.cells[column.key].text for column in columns)
+                for _, columns in groupby(table.columns, key=lambda column: column.group or column.key)
+            ),
+        ]
+        for row in table.rows
+    ]
+    assert rungs_on(made.page.read_text()) == expected
 
 
 def test_the_chart_goes_up_from_the_ground_by_what_each_rung_adds(tmp_path: Path) -> None:
