@@ -72,7 +72,8 @@ def _groups(titles: Sequence[Heading]) -> list[str]:
 
 def _marked(entry: Entry) -> str:
     text = _escaped(entry.text + DAGGER * entry.dropped) + (r" $\approx$" if entry.tied else "")
-    return f"{MARKS[1 if entry.taken else entry.rank]}{{{text}}}" if entry.taken or entry.rank else text
+    rank = 1 if entry.taken else entry.rank
+    return f"{MARKS[rank]}{{{text}}}" if rank else text
 
 
 def _escaped(text: str) -> str:

@@ -146,6 +146,12 @@ WIDE = (1.1, -0.9, 0.4)  # a mean of 0.2 dB, whose interval holds 0.1
             id="what failed is not taken, whatever it would save",
         ),
         pytest.param(
+            {GROUND: (26.0, 26.0, 26.0, None), MAP: [20.0] * 4, TOP: [24.0] * 4},
+            {GROUND: "failed", MAP: "behind", TOP: "best"},
+            TOP,
+            id="what failed once is not the best either",
+        ),
+        pytest.param(
             {GROUND: (24.0, 24.0), MAP: (20.0, 20.0), TOP: (24.0, 24.0)},
             {GROUND: "undecided", MAP: "undecided", TOP: "undecided"},
             None,
