@@ -319,7 +319,8 @@ def mixed(tmp_path_factory: pytest.TempPathFactory) -> Section:
 def plain(text: str) -> str:
     """The number in a Markdown or LaTeX cell, without its marks."""
     text = re.sub(r"\\(best|second|third)\{(.*?)\}(?= |$)", r"\2", text.strip().removesuffix(r"\\").strip())
-    text = text.replace(r"$\pm$", "±").replace("$-$", "−").replace("---", "—").replace(r"$\approx$", "").replace("\\_", "_")
+    for markup, character in ((r"$\pm$", "±"), ("$-$", "−"), ("---", "—"), (r"$\approx$", ""), ("\\_", "_")):
+        text = text.replace(markup, character)
     return re.sub(r"[*¹²³≈]", "", text).strip()
 
 
