@@ -59,6 +59,15 @@ class Gates(BaseModel):
     behind_db: Annotated[float, Field(ge=0)]  # a method further behind it has lost its reason
 
 
+class BudgetChoice(BaseModel):
+    """The most that the model may have at any step, whichever the method; None: no such limit."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    primitives: Annotated[int, Field(ge=1)] | None = None
+    mb: Annotated[float, Field(gt=0)] | None = None  # 10⁶ bytes as float32
+
+
 class MethodChoice(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -81,6 +90,7 @@ class RunSettings(BaseModel):
     score_on: ScoredOn = "test"  # the views that are drawn, scored and timed
     dataset: dict[str, Any]  # name, kind and the data source's own settings: what `load_scene` takes
     perturb: PerturbationChoice | None = None
+    budget: BudgetChoice | None = None
     gates: Gates | None = None  # None in runs from before there were any
     protocol: str
     seed: Annotated[int, Field(ge=0, lt=2**32)]
@@ -102,6 +112,12 @@ class RunSettings(BaseModel):
     def _if_any(cls, choice: PerturbationChoice | None) -> PerturbationChoice | None:
         """None where nothing is perturbed: partners of all kinds are one run."""
         return None if choice is None or choice.kind == "none" or choice.severity == 0 else choice
+
+    @field_validator("budget", mode="after")
+    @classmethod
+    def _if_limited(cls, choice: BudgetChoice | None) -> BudgetChoice | None:
+        """None where nothing is limited: a run without a budget is one run, however that is said."""
+        return None if choice == BudgetChoice() else choice
 
     @field_validator("runs_dir", mode="after")
     @classmethod

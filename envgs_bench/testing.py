@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from envgs_bench.methods.budget import Budget
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
 
@@ -35,7 +36,7 @@ def check_method(kind: str, settings: Mapping[str, Any] | None = None, device: s
     refused; the same seed trains to the same picture (to 1e-3 on a GPU), and so does a training that is interrupted and
     goes on, where the method can. A method that uses the perceptual loss calls
     it where it is offered and trains without it where it is not. A step on a picture that is not finite is counted in
-    `skipped_steps` and changes no render.
+    `skipped_steps` and changes no render. A method that takes a budget of primitives is never above it.
 
     Args:
         kind: the method's name or import path, as in `method.kind`.
@@ -68,6 +69,7 @@ def check_method(kind: str, settings: Mapping[str, Any] | None = None, device: s
         resumed = goes_on.render(camera).color
         _expect_equal(picture, resumed, tolerance, "an interrupted training does not end where it would have")
     _check_skipping(create_method(kind, settings, device, seed=1), scene, steps)
+    _check_budget(create_method(kind, settings, device, seed=1), scene, steps)
 
 
 def tiny_scene() -> Scene:
@@ -169,6 +171,21 @@ def _check_skipping(method: Method, scene: Scene, steps: int) -> None:
     method.prepare()
     after = method.render(camera).color
     _expect(bool(torch.equal(before, after)), "a step whose loss is not finite was applied: it changes the picture")
+
+
+def _check_budget(method: Method, scene: Scene, steps: int) -> None:
+    """Half as many primitives as the scene has points, where the method takes a budget at all."""
+    most = POINTS // 2
+    try:
+        method.limit(Budget(primitives=most))
+    except ValueError:
+        return
+    method.initialize(scene, steps)
+    for step in range(steps + 1):
+        if step:
+            method.training_step(scene.train[step % len(scene.train)], step)
+        count = sum(method.primitives().values())
+        _expect(count <= most, f"{count} primitives after step {step}, of a budget of {most}")
 
 
 class NotFinite(View):

@@ -14,7 +14,7 @@ from torch.nn import functional
 from envgs_bench.core import Camera, Statistics
 from envgs_bench.core.vectors import unit
 
-from .parameters import GaussianParameters
+from .parameters import GaussianParameters, RowDraft
 
 Oversized = Literal["split", "prune", "keep"]
 
@@ -110,42 +110,44 @@ def densify(
     generator: torch.Generator,
     oversized: Oversized = "split",
 ) -> DensificationRecord:
-    """Clone, split, prune and cap the set in place; returns the empty record of the new set.
+    """Clone, split, prune and cap the set; returns the empty record of the new set.
 
     In this order: small primitives with a large gradient are cloned, large ones split in two (scales ÷ 1.6); those
     below `min_opacity` are pruned; what is `oversized` is treated as that says; and above `max_primitives` those with
     the least mean blending weight go. Parts share their parent's weight. With `max_growth`, either way of growing adds
     at most that share to the set, where the gradients or the weights are largest; at the cap a twentieth, which takes
-    the place of the least-weighted.
+    the place of the least-weighted. The set changes once, from what it was to what is left: it is never above the cap.
 
     Args:
         oversized: "split", in five, or pruned if among the least-weighted tenth (EnvGS); "prune", all of them (3DGS);
             "keep".
     """
+    draft = parameters.draft()
     weights = record.mean_weight()
     grows = _growing(record, rule)
-    small = _largest_scale(parameters) <= rule.clone_below * radius
+    small = _largest_scale(draft) <= rule.clone_below * radius
 
     clones = torch.nonzero(grows & small)[:, 0]
-    parameters.append(parameters.rows(clones))
+    draft.append(draft.rows(clones))
     weights[clones] /= 2
     weights = torch.cat([weights, weights[clones]])
     splits = functional.pad(grows & ~small, (0, len(clones)))
-    weights = _split(parameters, weights, splits, SPLIT_PARTS, generator)
+    weights = _split(draft, weights, splits, SPLIT_PARTS, generator)
 
-    opaque = parameters.tensors["opacity_logits"].detach().sigmoid() >= rule.min_opacity
-    weights = _keep(parameters, weights, opaque)
+    opaque = draft.tensors["opacity_logits"].sigmoid() >= rule.min_opacity
+    weights = _keep(draft, weights, opaque)
 
     if oversized != "keep":
-        large = _largest_scale(parameters) > rule.oversized_above * radius
+        large = _largest_scale(draft) > rule.oversized_above * radius
         if oversized == "prune":
-            weights = _keep(parameters, weights, ~large)
+            weights = _keep(draft, weights, ~large)
         elif bool(large.any()):
-            weights = _split_oversized(parameters, weights, large, rule, generator)
+            weights = _split_oversized(draft, weights, large, rule, generator)
 
-    if 0 < rule.max_primitives < len(parameters):
+    if 0 < rule.max_primitives < len(draft):
         top = torch.topk(weights, rule.max_primitives).indices.sort().values
-        _keep(parameters, weights, top)
+        _keep(draft, weights, top)
+    parameters.become(draft)
     return DensificationRecord(len(parameters), weights.device)
 
 
@@ -170,7 +172,7 @@ def _growing(record: DensificationRecord, rule: DensificationRule) -> Tensor:
 
 
 def _split_oversized(
-    parameters: GaussianParameters,
+    draft: RowDraft,
     weights: Tensor,
     large: Tensor,
     rule: DensificationRule,
@@ -178,12 +180,12 @@ def _split_oversized(
 ) -> Tensor:
     """Prune those of the rows `large` [N] that are among the least-weighted, split others in five; the weights."""
     unimportant = large & (weights <= _quantile(weights, UNIMPORTANT_SHARE))
-    weights = _keep(parameters, weights, ~unimportant)
+    weights = _keep(draft, weights, ~unimportant)
     large = large[~unimportant]
     if rule.max_growth:
         limit = math.ceil(rule.max_growth / (OVERSIZED_SPLIT_PARTS - 1) * len(large))
         large = _largest(large, weights, limit)
-    return _split(parameters, weights, large, OVERSIZED_SPLIT_PARTS, generator)
+    return _split(draft, weights, large, OVERSIZED_SPLIT_PARTS, generator)
 
 
 def _largest(rows: Tensor, values: Tensor, limit: int) -> Tensor:
@@ -194,8 +196,8 @@ def _largest(rows: Tensor, values: Tensor, limit: int) -> Tensor:
     return torch.zeros_like(rows).index_fill(0, chosen, True)
 
 
-def _largest_scale(parameters: GaussianParameters) -> Tensor:
-    return parameters.tensors["log_scales"].detach().amax(dim=1).exp()
+def _largest_scale(draft: RowDraft) -> Tensor:
+    return draft.tensors["log_scales"].amax(dim=1).exp()
 
 
 def _quantile(values: Tensor, share: float) -> Tensor:
@@ -203,27 +205,25 @@ def _quantile(values: Tensor, share: float) -> Tensor:
     return values.kthvalue(rank).values
 
 
-def _keep(parameters: GaussianParameters, weights: Tensor, rows: Tensor) -> Tensor:
-    parameters.keep(rows)
+def _keep(draft: RowDraft, weights: Tensor, rows: Tensor) -> Tensor:
+    draft.keep(rows)
     return weights[rows]
 
 
-def _split(
-    parameters: GaussianParameters, weights: Tensor, rows: Tensor, parts: int, generator: torch.Generator
-) -> Tensor:
+def _split(draft: RowDraft, weights: Tensor, rows: Tensor, parts: int, generator: torch.Generator) -> Tensor:
     """Replace the masked rows by `parts` smaller ones, drawn from each one's own Gaussian; returns the weights."""
     index = torch.nonzero(rows)[:, 0].repeat(parts)
     if not len(index):
         return weights
-    new = parameters.rows(index)
+    new = draft.rows(index)
     scales = new["log_scales"].exp()
     offsets = torch.randn(scales.shape, generator=generator).to(scales) * scales
     offsets = functional.pad(offsets, (0, 3 - offsets.shape[1]))
     new["means"] += _rotated(new["quaternions"], offsets)
     new["log_scales"] -= math.log(SPLIT_DIVISOR * math.sqrt(parts / 2))
-    parameters.append(new)
+    draft.append(new)
     weights = torch.cat([weights, weights[index] / parts])
-    return _keep(parameters, weights, ~functional.pad(rows, (0, len(index))))
+    return _keep(draft, weights, ~functional.pad(rows, (0, len(index))))
 
 
 def _rotated(quaternions: Tensor, vectors: Tensor) -> Tensor:

@@ -8,11 +8,12 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, Scene, Statistics
-from envgs_bench.parts import ENV
+from envgs_bench.core import Camera, Rendering, Scene, Statistics
+from envgs_bench.parts import BASE, ENV
 
 from .densification import DensificationRule, spatial_criterion
 from .initialization import quantile_box, random_points_in_grid, random_points_on_sphere
+from .parameters import primitive_bytes
 from .schedule import DENSIFY_FLOOR, ENV_RESET_FLOOR, RECOVERY
 from .traced import TracedReflection, TracedSettings
 
@@ -49,7 +50,6 @@ class EnvGS(TracedReflection):
 
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
-        self.sets.pop(ENV, None)
         self._box = environment_box(scene, self.settings)
 
     def start_reflection(self) -> None:
@@ -60,8 +60,7 @@ class EnvGS(TracedReflection):
         around = random_points_on_sphere((low + high) / 2, radius, s.env_far_count, self.generator)
         points = torch.cat([inside, around])
         colors = torch.rand(points.shape, generator=self.generator)
-        rule = self.densification_rule(ENV)
-        self.sets[ENV] = self.new_set(points, colors, rule, s.env_initial_opacity, beta=None, orientation="random")
+        self.sets[ENV] = self.new_set(ENV, points, colors, s.env_initial_opacity, beta=None, orientation="random")
 
     def position_rate(self, name: str, step: int) -> float:
         rate, s = super().position_rate(name, step), self.settings
@@ -88,10 +87,8 @@ class EnvGS(TracedReflection):
         happens = super().events(step)
         resets = {"stop": s.env_densify_until, "interval": s.env_opacity_reset_every, "floor": ENV_RESET_FLOOR}
         every = schedule.interval(s.env_densify_every, DENSIFY_FLOOR)
-        # As after a reset, opacities do not yet show what is needed.
-        young = step <= schedule.at(s.bootstrap) + RECOVERY
         if (
-            not young
+            not self._young(step)
             and not schedule.recovers(step, **resets)
             and schedule.densifies(step, start=s.bootstrap, stop=s.env_densify_until, every=every)
         ):
@@ -103,15 +100,32 @@ class EnvGS(TracedReflection):
     def after_step(self, step: int, events: set[str]) -> None:
         super().after_step(step, events)
         if "densify_env" in events:
-            self.sets[ENV].densify(self.radius, self.generator)
+            self.densify(ENV)
         if "reset_env_opacity" in events:
             self.sets[ENV].reset_opacity()
 
     def densification_rule(self, name: str) -> DensificationRule:
         rule, s = super().densification_rule(name), self.settings
         if name == ENV:
-            rule = replace(rule, gradient_threshold=s.env_densify_threshold, max_primitives=s.env_max_primitives)
+            rule = replace(rule, gradient_threshold=s.env_densify_threshold)
         return rule
+
+    def primitive_bytes(self) -> dict[str, int]:
+        return super().primitive_bytes() | {ENV: primitive_bytes(self.axes, self.settings.sh_degree, has_beta=False)}
+
+    def own_bound(self, name: str) -> int:
+        return self.settings.env_max_primitives if name == ENV else super().own_bound(name)
+
+    def contributions(self, rendering: Rendering, step: int) -> dict[str, Tensor]:
+        """By Eq. 5: of what a pixel shows of the scene, β comes from the environment and the rest from the base."""
+        if self._young(step):
+            return {}
+        covered, beta = rendering.alpha.detach().sum(), rendering.extras.detach().sum()
+        return {BASE: covered - beta, ENV: beta}
+
+    def _young(self, step: int) -> bool:
+        """Whether the environment is not there or so new that, as after a reset, nothing yet shows what is needed."""
+        return step <= self.schedule.at(self.settings.bootstrap) + RECOVERY
 
 
 def environment_box(scene: Scene, settings: EnvGSSettings) -> tuple[Tensor, Tensor]:

@@ -63,6 +63,9 @@ class EnvMap(ReflectiveMethod):
     def model_bytes(self) -> dict[str, int]:
         return super().model_bytes() | {ENV: 4 * self.texels.numel()}
 
+    def other_bytes(self) -> int:
+        return 4 * 6 * 3 * self.settings.envmap_size**2
+
     def _set_texels(self, texels: Tensor) -> None:
         self.texels = texels.detach().to(self.device).requires_grad_()
         self._layout = layout_of(texels.shape[1], self.device)

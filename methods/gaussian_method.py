@@ -16,13 +16,14 @@ from envgs_bench.core.vectors import unit
 from envgs_bench.parts import ALPHA, BASE, BETA, MONO, PERCEPTUAL, SETS
 
 from .base_growth import BaseGrowth, max_base_primitives
+from .budget import Budget, SharedBudget
 from .checkpoint import read_checkpoint, write_checkpoint
-from .densification import DensificationRule, screen_criterion
+from .densification import DensificationRule, Oversized, screen_criterion
 from .frustum import in_view
-from .initialization import ORIENTATIONS, Orientation, initial_orientation, initial_tensors
+from .initialization import ORIENTATIONS, Orientation, evenly_thinned, initial_orientation, initial_tensors
 from .losses import nearness, normal_distance, normal_loss, photometric_loss, training_psnr
 from .method import Method
-from .parameters import GaussianParameters, LearningRates
+from .parameters import GaussianParameters, LearningRates, primitive_bytes
 from .resident_views import ResidentViews
 from .schedule import DENSIFY_FLOOR, Schedule
 from .settings import GaussianSettings, check_words
@@ -50,6 +51,7 @@ class GaussianMethod(Method):
     | a training step draws | before_step, set_learning_rates, draw, losses |
     | and learns | optimizers, densification_criterion, densification_interval, events, after_step |
     | an image | draw |
+    | a budget is kept | primitive_bytes, other_bytes, own_bound, contributions |
     | a set is new or loaded | densification_rule, initial_learning_rates, initial_beta |
     | a checkpoint is written or read | state, restore |
     | a training is interrupted and goes on | training_state, resume |
@@ -75,12 +77,16 @@ class GaussianMethod(Method):
         self.radius = 1.0
         self.near = settings.near
         self.background = torch.zeros(3, device=self.device)
-        self._max_primitives = settings.max_primitives
+        self._max_base = settings.max_primitives
+        self._budget: SharedBudget | None = None
         self._on_white = False
         self.prepared: dict[str, GaussianSet] = {}
         self._maps: dict[str, Tensor] = {}
         self._norms: deque[tuple[list[str], Tensor]] = deque(maxlen=REMEMBERED_STEPS)
         self._views = ResidentViews(self.device, room=0)
+
+    def limit(self, budget: Budget) -> None:
+        self._budget = SharedBudget(budget, self.primitive_bytes(), self.other_bytes())
 
     def initialize(self, scene: Scene, steps: int) -> None:
         if not len(scene.points):
@@ -92,11 +98,14 @@ class GaussianMethod(Method):
         self.near = max(self.settings.near, scene.free_space)
         self.background = scene.background.to(self.device)
         self._on_white = bool((scene.background == 1).all())
-        self._max_primitives = max_base_primitives(self.settings, scene)
+        self._max_base = max_base_primitives(self.settings, scene)
+        if self._budget is not None:
+            self._budget.restart()
+        self.sets.clear()
         self.sets[BASE] = self.new_set(
+            BASE,
             scene.points,
             scene.point_colors,
-            self.densification_rule(BASE),
             opacity=self.settings.initial_opacity,
             beta=self.initial_beta(),
             orientation=cast(Orientation, self.settings.initial_orientation),
@@ -126,6 +135,9 @@ class GaussianMethod(Method):
             optimizer.found_inf = skipped  # type: ignore[attr-defined]  # torch's way to skip a fused step
             optimizer.step()
         self.skipped_steps = self.skipped_steps + skipped
+        if self._budget is not None:
+            given = self.contributions(rendering, step)
+            self._budget.measure({name: torch.where(finite, amount, 0.0) for name, amount in given.items()})
         for optimizer in self.optimizers():
             optimizer.zero_grad(set_to_none=True)
         with torch.no_grad():
@@ -189,6 +201,7 @@ class GaussianMethod(Method):
             "generator": self.generator.get_state(),
             "skipped_steps": self.skipped_steps,
             "norms": [[names, norms] for names, norms in self._norms],
+            "budget": self._budget.training_state() if self._budget is not None else None,
         }
 
     def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
@@ -203,6 +216,8 @@ class GaussianMethod(Method):
         skipped = state["skipped_steps"]
         self.skipped_steps = skipped.to(self.device) if isinstance(skipped, Tensor) else skipped
         self._norms.extend((names, norms) for names, norms in state["norms"])
+        if self._budget is not None:
+            self._budget.restore_training(state["budget"], self.device)
 
     @property
     def uses_perceptual(self) -> bool:
@@ -300,9 +315,39 @@ class GaussianMethod(Method):
     def after_step(self, step: int, events: set[str]) -> None:
         """Do what `events` names, after Adam's step and without gradients: densification and opacity resets."""
         if "densify_base" in events:
-            self.sets[BASE].densify(self.radius, self.generator, self._growth().oversized(step))
+            self.densify(BASE, self._growth().oversized(step))
         if "reset_base_opacity" in events:
             self.sets[BASE].reset_opacity()
+
+    def densify(self, name: str, oversized: Oversized = "split") -> None:
+        """Grow and shrink the set `name` by its rule; where there is a budget, that is shared anew before."""
+        if self._budget is not None:
+            self._budget.decide()
+        self.sets[name].rule = self.densification_rule(name)
+        self.sets[name].densify(self.radius, self.generator, oversized)
+
+    # What a budget is kept by
+
+    def primitive_bytes(self) -> dict[str, int]:
+        """The sets that the method trains, and the bytes of one primitive of each as float32."""
+        return {BASE: primitive_bytes(self.axes, self.settings.sh_degree, self.initial_beta() is not None)}
+
+    def other_bytes(self) -> int:
+        """Bytes of all that the method trains besides primitives, as float32, the most of them at any step."""
+        return 0
+
+    def own_bound(self, name: str) -> int:
+        """The most primitives that the settings give the set `name`; 0: any number."""
+        return self._max_base
+
+    def contributions(self, rendering: Rendering, step: int) -> dict[str, Tensor]:
+        """What each set gave to a training step's picture, scalars; empty where that says little as yet."""
+        return {BASE: rendering.alpha.detach().sum()}
+
+    def bound(self, name: str) -> int:
+        """The most primitives that the set `name` may have now, by settings and budget; 0: any number."""
+        own = {each: self.own_bound(each) for each in self.primitive_bytes()}
+        return own[name] if self._budget is None else self._budget.bound(name, self.primitives(), own)
 
     # What a set starts from, and what a checkpoint holds
 
@@ -310,7 +355,7 @@ class GaussianMethod(Method):
         """When a primitive of the set `name` is cloned, split or removed."""
         s = self.settings
         return DensificationRule(
-            s.densify_threshold, s.min_opacity, self._max_primitives, s.min_coverage, s.min_views, s.max_growth
+            s.densify_threshold, s.min_opacity, self.bound(name), s.min_coverage, s.min_views, s.max_growth
         )
 
     def initial_learning_rates(self) -> LearningRates:
@@ -370,14 +415,18 @@ class GaussianMethod(Method):
 
     def new_set(
         self,
+        name: str,
         points: Tensor,  # [N, 3]
         colors: Tensor,  # [N, 3] in [0, 1]
-        rule: DensificationRule,
         opacity: float,
         beta: float | None,
         orientation: Orientation,
     ) -> TrainedSet:
-        """A set with a primitive at each point; see `initial_tensors`."""
+        """The set `name` with a primitive at each point, or at as many as a budget leaves; see `initial_tensors`."""
+        rule = self.densification_rule(name)
+        if self._budget is not None and len(points) > rule.max_primitives:
+            rows = evenly_thinned(points, rule.max_primitives, self.generator)
+            points, colors = points[rows], colors[rows]
         points = points.to(self.device, torch.float32)
         tensors = initial_tensors(
             points,

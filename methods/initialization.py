@@ -21,6 +21,27 @@ PLANE_NEIGHBORS = 8
 MIN_SCALE = 1e-5  # × scene radius: coincident points still need an extent
 
 
+def evenly_thinned(points: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """Rows of `count` of the points [N, 3], ascending, as dense everywhere in proportion to the points as can be.
+
+    Every N / count-th point along a Z-order curve through them (Morton 1966), from a random start.
+    """
+    start = torch.rand((), generator=generator, dtype=torch.float64)
+    places = ((torch.arange(count) + start) * (len(points) / count)).long().clamp_max(len(points) - 1)
+    return _along_z_order(points.detach().cpu())[places].sort().values.to(points.device)
+
+
+def _along_z_order(points: Tensor) -> Tensor:
+    """The points' rows in the order of their cells' interleaved bits, 2¹⁶ cells an axis."""
+    low, high = points.double().aminmax(dim=0)
+    cells = ((points.double() - low) / (high - low).max().clamp_min(1e-30) * 0xFFFF).long()
+    codes = torch.zeros(len(points), dtype=torch.long)
+    for bit in range(16):
+        for axis in range(3):
+            codes |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
+    return codes.argsort(stable=True)
+
+
 def neighbor_distance(points: Tensor, radius: float) -> Tensor:
     """RMS distance of each of the points [N, 3] to its 3 nearest neighbors, [N], at least 1e-5 of `radius`.
 

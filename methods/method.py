@@ -12,13 +12,16 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, Rendering, Scene, View
 
+from .budget import Budget
+
 
 class Method(ABC):
     """A way to learn a scene from views and to draw it from new ones.
 
     The harness calls `initialize` once, `training_step` for step 1 to `steps`, then `prepare` and `render`; or `load`
-    in place of the training; or `resume` in place of `initialize`, and then the steps that an interruption left out. A
-    method gets plain values and knows of no data source and no configuration system.
+    in place of the training; or `resume` in place of `initialize`, and then the steps that an interruption left out. Of
+    a run with a budget it calls `limit` before all of these. A method gets plain values and knows of no data source and
+    no configuration system.
 
     Attributes:
         Settings: the method's frozen settings dataclass; every field has a default.
@@ -55,6 +58,14 @@ class Method(ABC):
     def perceptual_loss(self) -> str:
         """Which one `perceptual` is to be, a key of `envgs_bench.metrics.PERCEPTUAL_LOSSES`."""
         return "features"
+
+    def limit(self, budget: Budget) -> None:
+        """Be within `budget` from now on, at every step and picture: called once, before `initialize`, or never.
+
+        Raises:
+            ValueError: the method keeps to no budget, or needs more than that.
+        """
+        raise ValueError(f"{type(self).__name__} keeps to no budget: run it without, or give it a method `limit`")
 
     @abstractmethod
     def initialize(self, scene: Scene, steps: int) -> None:

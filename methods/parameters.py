@@ -28,6 +28,42 @@ class LearningRates:
     beta: float = 1e-2
 
 
+def primitive_bytes(axes: int, sh_degree: int, has_beta: bool) -> int:
+    """Bytes of one Gaussian's parameters as float32; `axes` is 2 for surfels, 3 for 3D Gaussians."""
+    position, quaternion, opacity = 3, 4, 1
+    return 4 * (position + quaternion + axes + opacity + 3 * (sh_degree + 1) ** 2 + has_beta)
+
+
+class RowDraft:
+    """What a set's rows are about to become. The set itself changes once, by `GaussianParameters.become`.
+
+    Attributes:
+        tensors: the fields without gradients.
+        origins: [N] the row of the set that each row is, −1 for a new one.
+    """
+
+    def __init__(self, tensors: Mapping[str, Tensor]) -> None:
+        self.tensors = dict(tensors)
+        self.origins = torch.arange(len(tensors["means"]), device=tensors["means"].device)
+
+    def __len__(self) -> int:
+        return len(self.origins)
+
+    def keep(self, rows: Tensor) -> None:
+        """Keep only the rows that a mask [N] or an index names, in that order."""
+        self.tensors = {name: value[rows] for name, value in self.tensors.items()}
+        self.origins = self.origins[rows]
+
+    def append(self, rows: Mapping[str, Tensor]) -> None:
+        """Add rows behind the present ones; `rows` holds every field."""
+        self.tensors = {name: torch.cat([value, rows[name].detach().to(value)]) for name, value in self.tensors.items()}
+        self.origins = torch.cat([self.origins, self.origins.new_full((len(rows["means"]),), -1)])
+
+    def rows(self, index: Tensor) -> dict[str, Tensor]:
+        """Copies of the rows that a mask [N] or an index names, every field."""
+        return {name: value[index].clone() for name, value in self.tensors.items()}
+
+
 class GaussianParameters:
     """N Gaussians as unconstrained tensors: what Adam moves, from which `gaussians()` makes a `GaussianSet`.
 
@@ -93,28 +129,23 @@ class GaussianParameters:
         with torch.no_grad():
             old.copy_(values)
 
-    def keep(self, rows: Tensor) -> None:
-        """Keep only the rows that a mask [N] or an index names, in that order."""
-        for name, old in list(self.tensors.items()):
-            self._swap(name, old.detach()[rows], lambda moment: moment[rows])
+    def draft(self) -> RowDraft:
+        """The present rows, for whoever is to change which there are."""
+        return RowDraft(self.detached())
 
-    def append(self, rows: Mapping[str, Tensor]) -> None:
-        """Add rows behind the present ones; `rows` holds every field."""
+    def become(self, draft: RowDraft) -> None:
+        """Take the draft's rows, all fields at once."""
 
-        def padded(moment: Tensor, new: Tensor) -> Tensor:
-            return torch.cat([moment, torch.zeros_like(new)])
+        def carried(moment: Tensor) -> Tensor:
+            zero = moment.new_zeros(1, *moment.shape[1:])  # the last row, which is the one that −1 names
+            return torch.cat([moment, zero])[draft.origins]
 
-        for name, old in list(self.tensors.items()):
-            new = rows[name].detach().to(old)
-            self._swap(name, torch.cat([old.detach(), new]), lambda moment, new=new: padded(moment, new))
+        for name in list(self.tensors):
+            self._swap(name, draft.tensors[name], carried)
 
     def detached(self) -> dict[str, Tensor]:
         """The present values without gradients, not copied."""
         return {name: value.detach() for name, value in self.tensors.items()}
-
-    def rows(self, index: Tensor) -> dict[str, Tensor]:
-        """Copies of the rows that a mask [N] or an index names, every field, without gradients."""
-        return {name: value.detach()[index].clone() for name, value in self.tensors.items()}
 
     def training_state(self) -> dict[str, Any]:
         """The fields and Adam's moments, by field: what `restore_training` becomes."""

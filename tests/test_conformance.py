@@ -48,6 +48,7 @@ def test_the_built_in_methods_pass(kind: str, settings: dict[str, Any]) -> None:
         ("breaches:DrawsLayersOfNaN", "layer 'beta' is not finite everywhere"),
         ("breaches:LoadsAnything", "load() of an empty folder raises neither"),
         ("breaches:ForgetsItsTraining", "an interrupted training does not end where it would have"),
+        ("breaches:ExceedsItsBudget", "101 primitives after step 0, of a budget of 100"),
         ("breaches:ForgetsItsCount", "primitives() is {'base': 2, 'env': 0} after load()"),
     ],
 )

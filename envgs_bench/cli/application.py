@@ -20,6 +20,7 @@ from envgs_bench.runs.interruption import INTERRUPTED, INTERRUPTION
 from envgs_bench.runs.job import located, run_job
 from envgs_bench.runs.output import unbreakable_output
 from envgs_bench.settings import SettingsError
+from envgs_bench.stages.budget import check_budget
 from envgs_bench.stages.perturbations import perturbation_of, perturbed_settings
 
 from .composition import CONF, explain, register_methods, settings_of
@@ -112,7 +113,7 @@ def _run_composed(config: DictConfig) -> None:
     except ValueError as error:
         raise SettingsError(f"protocol={settings.protocol}: {error}") from error
     perturbation_of(settings)  # refuses a kind or a severity that there is not,
-    perturbed_settings(settings)  # and one that changes what the method does not have
+    check_budget(perturbed_settings(settings))  # and one that changes what the method does not have
     alone = runs_here(DictConfig({"hydra": HydraConfig.get()}))
     if not alone:
         INTERRUPTION.follow(stop_file(), Sweep.current().pid)

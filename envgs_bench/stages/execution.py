@@ -13,7 +13,6 @@ from envgs_bench.core import Scene
 from envgs_bench.core.cuda.compiler import keep_kernels_in
 from envgs_bench.datasets.progress import listening
 from envgs_bench.methods.method import Method
-from envgs_bench.methods.registry import create_method
 from envgs_bench.metrics import Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
 from envgs_bench.parts import PERCEPTUAL
 from envgs_bench.probe import write_probe
@@ -21,6 +20,7 @@ from envgs_bench.records import RENDERS
 from envgs_bench.run_folder import CHECKPOINT, CURVE_NAME
 from envgs_bench.settings import RunSettings
 
+from .budget import limited_method
 from .cost import cost_of
 from .evaluation import evaluate, scored_views
 from .events import EventListener
@@ -55,7 +55,7 @@ def execute(
         _score_renders(settings, folder, results, protocol, report)
         return
     actual = perturbed_settings(settings)
-    method = create_method(actual.method.kind, actual.method.settings, settings.device, settings.seed)
+    method = limited_method(actual, settings.device)
     _offer_perceptual_loss(method)
     scene = _load(settings, results, report)
     _check_scene(scene)

@@ -9,7 +9,7 @@ from typing import Any
 from envgs_bench.records import Record
 
 from .runs import Run
-from .settings import as_number, flat_settings
+from .settings import as_number, flat_settings, method_settings
 
 ORDER = (  # by what they model of reflections, then what is left out, as in the paper's Table 4
     *("3dgs", "3dgs_tuned", "2dgs", "2dgs_tuned", "envmap_paper", "envmap", "envmap128", "envmap256"),
@@ -37,7 +37,7 @@ class Label:
 def label_runs(runs: list[Run]) -> dict[int, tuple[Label, Label]]:
     """(data set, method) of each run by its index, spelling out every setting that varies among runs of one name.
 
-    A data set's settings (size, views, noise…) are its own. A method's settings and the number of steps are spelled
+    A data set's settings (size, views, noise…) are its own. A method's settings, budget and number of steps are spelled
     out where they vary on one data set; a method may well be set up differently for another data set.
     """
     records = [run.record for run in runs]
@@ -45,10 +45,7 @@ def label_runs(runs: list[Run]) -> dict[int, tuple[Label, Label]]:
         [(record.dataset, flat_settings(record.config.get("dataset"))) for record in records], [""] * len(runs)
     )
     methods = _labels(
-        [
-            (record.method, flat_settings(record.config.get("method")) | {"steps": str(_steps(record))})
-            for record in records
-        ],
+        [(record.method, method_settings(record) | {"steps": str(_steps(record))}) for record in records],
         [str(dataset) for dataset in datasets],
     )
     return dict(enumerate(zip(datasets, methods, strict=True)))

@@ -5,6 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from envgs_bench.records import Record
+
+LIMITS = ("primitives", "mb")  # of a budget
+NO_LIMIT = "any"
+
 
 def flat_settings(settings: Any, prefix: str = "") -> dict[str, str]:
     """Nested settings with dotted keys and their values as text; locations and addresses are not settings."""
@@ -18,6 +23,14 @@ def flat_settings(settings: Any, prefix: str = "") -> dict[str, str]:
         elif key not in ("root", "path", "cache_dir", "name", "obtain"):
             flat[name] = str(value)
     return flat
+
+
+def method_settings(record: Record) -> dict[str, str]:
+    """All that a run's method was set up with, as text: its own settings, and the budget's limits."""
+    budget = record.config.get("budget")
+    limits = budget if isinstance(budget, Mapping) else {}
+    given = {f"budget.{key}": str(limits[key]) if limits.get(key) is not None else NO_LIMIT for key in LIMITS}
+    return flat_settings(record.config.get("method")) | given
 
 
 def as_number(text: str) -> float | None:

@@ -18,7 +18,7 @@ from ..numbers.labels import Label, label_runs, method_order
 from ..numbers.ladder import Ladder, ladders
 from ..numbers.published import PROTOCOL, paper_scene
 from ..numbers.runs import UNTIMED, Run
-from ..numbers.settings import flat_settings
+from ..numbers.settings import method_settings
 from ..numbers.stability import LabeledTrialRun, Stability
 from ..numbers.tidy import attempts_table, tidy_table
 from .ladder import ladder_table
@@ -133,7 +133,7 @@ class Section:
     def settings(self) -> dict[str, dict[str, str]]:
         """Every setting of each method, as text, its code's name ("kind") and the steps among them."""
         return {
-            item.method: flat_settings(item.run.record.config.get("method"))
+            item.method: method_settings(item.run.record)
             | {"kind": item.run.record.kind, "steps": str(item.run.record.steps)}
             for item in reversed(self.runs)
         }

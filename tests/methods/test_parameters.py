@@ -28,6 +28,18 @@ def step_with_distinct_gradients(parameters: GaussianParameters) -> None:
     parameters.optimizer.step()
 
 
+def keep(parameters: GaussianParameters, rows: torch.Tensor) -> None:
+    draft = parameters.draft()
+    draft.keep(rows)
+    parameters.become(draft)
+
+
+def append(parameters: GaussianParameters, rows: dict[str, torch.Tensor]) -> None:
+    draft = parameters.draft()
+    draft.append(rows)
+    parameters.become(draft)
+
+
 def moments(parameters: GaussianParameters, name: str) -> torch.Tensor:
     return parameters.optimizer.state[parameters.tensors[name]]["exp_avg"]
 
@@ -57,7 +69,7 @@ def test_moments_follow_the_rows_that_stay():
         name: (value.detach().clone(), moments(parameters, name).clone()) for name, value in parameters.tensors.items()
     }
     rows = torch.tensor([4, 1, 2])
-    parameters.keep(rows)
+    keep(parameters, rows)
     for name, (values, moment) in before.items():
         assert torch.equal(parameters.tensors[name], values[rows]), name
         assert torch.equal(moments(parameters, name), moment[rows]), name
@@ -69,7 +81,7 @@ def test_new_rows_start_without_moments():
     parameters = make_parameters()
     step_with_distinct_gradients(parameters)
     old = moments(parameters, "means").clone()
-    parameters.append(parameters.rows(torch.tensor([0, 5])))
+    append(parameters, parameters.draft().rows(torch.tensor([0, 5])))
     assert len(parameters) == 8
     assert torch.equal(moments(parameters, "means")[:6], old)
     assert not moments(parameters, "means")[6:].any()
@@ -81,7 +93,7 @@ def test_adam_goes_on_after_a_change_as_if_the_other_rows_had_never_existed():
     rows = torch.tensor([0, 2, 3])
     for parameters in (whole, changed):
         step_with_distinct_gradients(parameters)
-    changed.keep(rows)
+    keep(changed, rows)
     for _ in range(3):
         for parameters, index in ((whole, torch.arange(6)), (changed, rows)):
             for value in parameters.tensors.values():
@@ -122,10 +134,10 @@ def test_size_counts_every_stored_float():
 
 def test_an_empty_set_takes_steps_and_rows():
     parameters = make_parameters()
-    rows = parameters.rows(torch.tensor([1]))
-    parameters.keep(torch.zeros(6, dtype=torch.bool))
+    rows = parameters.draft().rows(torch.tensor([1]))
+    keep(parameters, torch.zeros(6, dtype=torch.bool))
     step_with_distinct_gradients(parameters)
-    parameters.append(rows)
+    append(parameters, rows)
     step_with_distinct_gradients(parameters)
     assert len(parameters) == 1
     assert torch.isfinite(parameters.tensors["means"]).all()

@@ -221,6 +221,16 @@ def test_runs_with_different_settings_never_share_a_row(tmp_path: Path) -> None:
     assert [row.runs_text for row in section.tables[0].rows] == ["2/2", "2/2", "1/1"]
 
 
+def test_runs_with_different_budgets_never_share_a_row(tmp_path: Path) -> None:
+    for primitives in (None, 2000, 500):
+        content = record("toy/chrome_room", "envgs", 0)
+        content["config"] |= {"budget": {"primitives": primitives, "mb": None}} if primitives else {"budget": None}
+        write_record(tmp_path / str(primitives), content)
+    (section,) = sections_of(tmp_path)
+    assert section.methods == ["envgs [primitives=500]", "envgs [primitives=2000]", "envgs [primitives=any]"]
+    assert section.knobs == [section.methods[:2]]
+
+
 def test_data_of_another_size_is_another_data_set(tmp_path: Path) -> None:
     for views in (24, 48):
         config = {"method": {"name": "envgs"}, "dataset": {"kind": "toy", "views": views}}

@@ -54,6 +54,7 @@ def settings(**changes: Any) -> RunSettings:
         {"dataset": {"name": None, "kind": "colmap", "root": "captures/fox", "width": 10}},
         {"protocol": "strict"},
         {"score_on": "validation"},
+        {"budget": {"primitives": 1000, "mb": None}},
         {"seed": 1},
         {"steps": 11},
         {"timing": {"frames": 51, "seconds": 1.0}},
@@ -91,6 +92,7 @@ def test_the_device_and_the_code_change_the_identity(monkeypatch: pytest.MonkeyP
         {"snapshot_minutes": 1},
         {"overrides": ["seed=0"]},
         {"device": "cpu"},
+        {"budget": {"primitives": None, "mb": None}},
     ],
 )
 def test_what_does_not_determine_the_result_leaves_the_identity(changes: dict[str, Any]) -> None:

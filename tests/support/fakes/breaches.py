@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import torch
 
 from envgs_bench.core import Camera, Rendering, Scene, View
+from envgs_bench.methods.budget import Budget
 
 from .methods import MeanColor
 
@@ -139,6 +140,14 @@ class LoadsAnything(MeanColor):
 class ForgetsItsTraining(MeanColor):
     def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
         self.initialize(scene, steps)
+
+
+class ExceedsItsBudget(MeanColor):
+    def limit(self, budget: Budget) -> None:
+        self.most = budget.primitives
+
+    def primitives(self) -> dict[str, int]:
+        return {"base": 101, "env": 0}
 
 
 class ForgetsItsCount(MeanColor):
