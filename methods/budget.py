@@ -11,8 +11,8 @@ from torch import Tensor
 from envgs_bench.parts import BASE
 
 LEAST_PRIMITIVES = 100  # of a model with a budget
-LEAST_SHARE = 0.1  # of the budget, for each set, whatever it contributes
-FIRST_SHARE = 0.25  # of each set but the base, until it can be measured what it contributes
+LEAST_SHARE = 0.05  # of the budget, for each set, whatever it contributes
+FIRST_SHARE = 0.15  # of each set but the base, until it can be measured what it contributes
 MEGA = 1_000_000
 
 

@@ -117,11 +117,12 @@ class EnvGS(TracedReflection):
         return self.settings.env_max_primitives if name == ENV else super().own_bound(name)
 
     def contributions(self, rendering: Rendering, step: int) -> dict[str, Tensor]:
-        """By Eq. 5: of what a pixel shows of the scene, β comes from the environment and the rest from the base."""
+        """How much the picture would change without the set: to the base's color alone, or to the background."""
         if self._young(step):
             return {}
-        covered, beta = rendering.alpha.detach().sum(), rendering.extras.detach().sum()
-        return {BASE: covered - beta, ENV: beta}
+        color = rendering.color.detach()
+        without = {BASE: self.background, ENV: rendering.layers[BASE].detach()}
+        return {name: (color - other).abs().sum() for name, other in without.items()}
 
     def _young(self, step: int) -> bool:
         """Whether the environment is not there or so new that, as after a reset, nothing yet shows what is needed."""

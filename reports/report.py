@@ -10,17 +10,20 @@ import pandas as pd
 
 from envgs_bench.plain_text import no_formula
 
+from .charts.budgets import draw_budgets
 from .charts.ladder import draw_ladders
 from .charts.pareto_chart import draw_charts
 from .charts.stability import draw_stability
 from .numbers.runs import BrokenRecord, read_runs
 from .outputs import delete_last_report, files_below, list_new_files
+from .page.budgets import BudgetPart
 from .page.html import write_page
 from .page.stability import StabilityPart
 from .pictures.error_maps import draw_error_maps
 from .pictures.gallery import Gallery, copy_pictures, galleries, slug
 from .pictures.sheets import draw_sheets
 from .pictures.worst_views import draw_worst_views
+from .tables.budgets import budgets_of, budgets_table
 from .tables.ladder_csv import recommendations_table, rungs_table
 from .tables.latex import latex
 from .tables.markdown import markdown
@@ -52,8 +55,9 @@ class Report:
 
 def build_report(runs: Path, out: Path) -> Report:
     """Write index.html, table.csv, .md, .tex and .json, pareto.png, charts/ and pictures/ of all runs under `runs`;
-    ladder.csv and ladder-summary.csv where a data set has two rungs of the ladder; stability.csv and
-    stability-summary.csv where runs are perturbed: those are in no other table, chart or picture.
+    ladder.csv and ladder-summary.csv where a data set has two rungs of the ladder; budgets.csv where rows differ in
+    what their models may have; stability.csv and stability-summary.csv where runs are perturbed: those are in no other
+    table, chart or picture.
 
     Runs that different protocols scored or different devices timed never share a table, nor do test and validation
     views: each group has a section of its own, and a table-<section>.csv of its own beside the first one's table.csv.
@@ -93,7 +97,8 @@ def build_report(runs: Path, out: Path) -> Report:
         draw_ladders(section.ladders, section.methods, out, f"charts/ladder-{index}")
         for index, section in enumerate(sections)
     ]
-    write_page(out, sections, broken, pictures, parts, steps)
+    budgets = [_budgets(section, out, index) for index, section in enumerate(sections)]
+    write_page(out, sections, broken, pictures, parts, steps, budgets)
     list_new_files(out, before)
     return Report(out, tuple(sections), tuple(broken))
 
@@ -109,6 +114,15 @@ def _stability(section: Section, out: Path, index: int) -> StabilityPart | None:
         return None
     charts = draw_stability(section, out, f"charts/stability-{index}")
     return StabilityPart(tuple(charts), tuple(draw_worst_views(section.stability, out, f"pictures/stability-{index}")))
+
+
+def _budgets(section: Section, out: Path, index: int) -> BudgetPart | None:
+    """The section's curves and maps over budgets, drawn, and their CSV; None where there are none."""
+    found = budgets_of(section)
+    if not found:
+        return None
+    _write_csv(budgets_table(found), out / section.csv_name(index, "budgets"))
+    return BudgetPart(found, tuple(draw_budgets(section, found, out, f"charts/budgets-{index}")))
 
 
 def _pictures(section: Section, out: Path, index: int | None) -> list[Gallery]:

@@ -19,6 +19,7 @@ from ..pictures.gallery import Gallery
 from ..tables.entries import DAGGER, LEGEND
 from ..tables.layouts import KINDS
 from ..tables.sections import Section
+from .budgets import BudgetPart, budget_data
 from .data import write_data
 from .ladder import ladder_data
 from .origin import commands, dropped_losses, failures, origins
@@ -37,6 +38,7 @@ def write_page(
     galleries: Sequence[Sequence[Gallery]],
     stability: Sequence[StabilityPart | None],
     ladders: Sequence[Sequence[LadderChart]],
+    budgets: Sequence[BudgetPart | None],
 ) -> Path:
     """Write index.html and assets/ into `out`; pictures and charts are those of each section, already drawn."""
     assets = out / "assets"
@@ -51,9 +53,10 @@ def write_page(
         )
         html = environment.get_template("index.html.j2").render(
             sections=[
-                _section(section, index, data["sections"][index], galleries[index])
+                _section(section, index, data["sections"][index], galleries[index], budgets[index])
                 | {"stability": stability_data(section, index, stability[index])}
                 | {"ladder": ladder_data(section, index, ladders[index])}
+                | {"budgets": budget_data(section, index, budgets[index])}
                 for index, section in enumerate(sections)
             ],
             broken=broken,
@@ -71,11 +74,14 @@ def write_page(
     return page
 
 
-def _section(section: Section, index: int, data: dict[str, Any], galleries: Sequence[Gallery]) -> dict[str, Any]:
+def _section(
+    section: Section, index: int, data: dict[str, Any], galleries: Sequence[Gallery], budgets: BudgetPart | None
+) -> dict[str, Any]:
     parts = {
         "Chart": bool(data["subjects"]),
         "Ladder": bool(section.ladders),
         "Tables": bool(section.runs),
+        "Budgets": budgets is not None,
         "Stability": bool(section.stability.cases),
         "Pictures": bool(galleries),
         "Training": bool(data["curves"]),

@@ -9,6 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from envgs_bench.core import Rendering, Statistics
 from envgs_bench.methods.budget import FIRST_SHARE, LEAST_PRIMITIVES, LEAST_SHARE, Budget, SharedBudget
 from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.initialization import evenly_thinned
@@ -129,9 +130,9 @@ def test_sets_share_by_what_they_contribute_and_none_starves() -> None:
     shared.measure({"base": torch.tensor(7.0), "env": torch.tensor(0.0)})
     shared.decide()
     assert shared.shares["env"] == pytest.approx(LEAST_SHARE)
-    assert shared.bound("env", {"base": 500, "env": 300}, NO_BOUND) == 100
+    assert shared.bound("env", {"base": 500, "env": 300}, NO_BOUND) == 50
     assert shared.bound("base", {"base": 500, "env": 300}, NO_BOUND) == 700  # until the environment has shrunk
-    assert shared.bound("base", {"base": 500, "env": 100}, NO_BOUND) == 900
+    assert shared.bound("base", {"base": 500, "env": 20}, NO_BOUND) == 950
 
 
 def test_a_set_leaves_what_its_own_bound_forbids_to_the_other() -> None:
@@ -141,23 +142,37 @@ def test_a_set_leaves_what_its_own_bound_forbids_to_the_other() -> None:
     assert shared.bound("env", {"base": 300, "env": 0}, {"base": 300, "env": 40}) == 40
 
 
-def test_the_environment_gets_the_share_of_the_picture_that_it_reflects(monkeypatch: pytest.MonkeyPatch) -> None:
-    """β is 0.9 over the left half of what the base covers, and next to nothing elsewhere."""
+@pytest.mark.parametrize("beta", [0.0, 0.1, 0.5, 1.0])
+def test_a_set_contributes_what_the_picture_would_lose_without_it(beta: float) -> None:
+    """A gray base before black under a white reflection: ½·β without the environment, ½ + ½·β without the base."""
+    method = create_method("envgs", METHODS["envgs"])
+    assert isinstance(method, GaussianMethod)
+    method.initialize(tiny_scene(), 1000)
+    gray, flat = torch.full((3, 4, 3), 0.5), torch.ones(3, 4)
+    rendering = Rendering(
+        color=torch.lerp(gray, torch.ones_like(gray), beta),
+        **{"alpha": flat, "depth": flat, "normal": gray, "extras": flat[..., None] * beta, "hits": flat.int()},
+        statistics=Statistics(weights=torch.ones(1)),
+        layers={"base": gray},
+    )
+    given = method.contributions(rendering, 500)
+    assert float(given["env"]) / 36 == pytest.approx(beta / 2)
+    assert float(given["base"]) / 36 == pytest.approx((1 + beta) / 2)
+    assert method.contributions(rendering, 105) == {}  # reflections start at 10: too early to say
+
+
+def test_the_environment_gives_way_where_it_contributes_nothing() -> None:
     scene = tiny_scene()
-    method = create_method("envgs", {**METHODS["envgs"], "beta_lr": 0.0}, seed=1)
+    method = create_method("envgs", {**METHODS["envgs"], "initial_beta": 1e-6, "beta_lr": 0.0}, seed=1)
     assert isinstance(method, GaussianMethod)
     method.limit(Budget(primitives=400))
     method.initialize(scene, STEPS)
-    shares = []
-    for step in range(1, 123):
-        base = method.sets["base"].parameters
-        left = base.tensors["means"].detach()[:, :1] < 0
-        base.replace("beta_logits", torch.where(left, 2.2, -9.0))
+    counts = []
+    for step in range(1, 121):
         method.training_step(scene.train[step % len(scene.train)], step)
-        assert method._budget is not None
-        shares.append(method._budget.shares["env"])
-    assert shares[100] == FIRST_SHARE  # while the environment is young
-    assert shares[-1] == pytest.approx(LEAST_SHARE + (1 - 2 * LEAST_SHARE) * 0.45, abs=0.1)
+        counts.append(method.primitives()["env"])
+    assert counts[100] == FIRST_SHARE * 400  # while it is young
+    assert 0 < counts[-1] <= LEAST_SHARE * 400 + 1
 
 
 @pytest.mark.slow

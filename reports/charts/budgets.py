@@ -1,0 +1,175 @@
+"""Charts of budgets: quality against primitives with the knees marked, and base against environment as a map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullLocator
+
+from envgs_bench.parts import BASE, ENV
+
+from ..numbers.budgets import QUANTITIES, BudgetCurve, BudgetMap, Quantity
+from ..tables.budgets import Budgets
+from ..tables.columns import MAIN_COLUMNS, in_region
+from ..tables.sections import Section
+from .chart_font import chart_fonts
+from .palette import Style, styles
+from .pareto_chart import DPI, FORMATS, RC
+from .pareto_panel import GRID, INK, SOFT
+
+WIDTH, HEIGHT = 4.2, 3.4  # a panel's with its margins, inches
+LEGEND = 0.7  # inches above the panels
+CELL, MARGIN = 0.62, 1.5  # a map's cell, and what stands around it, inches
+PRIMITIVES, BASE_COUNT, ENV_COUNT = (Quantity(n) for n in ("primitives", f"primitives_{BASE}", f"primitives_{ENV}"))
+
+
+@dataclass(frozen=True)
+class BudgetChart:
+    """A chart that was drawn: its title, and its PNG relative to the report; the PDF stands beside it."""
+
+    title: str
+    png: str
+
+    @property
+    def pdf(self) -> str:
+        return self.png.removesuffix("png") + "pdf"
+
+
+def draw_budgets(section: Section, budgets: Budgets, out: Path, folder: str) -> list[BudgetChart]:
+    """Write the curves of each data set and the maps below `out`/`folder`."""
+    style = styles(list(dict.fromkeys(curve.method for curve in budgets.curves)))
+    written = []
+    for number, dataset in enumerate(section.datasets):
+        curves = [curve for curve in budgets.curves if curve.dataset == dataset]
+        if curves:
+            written.append(_draw_curves(curves, style, out, f"{folder}/curves-{number}"))
+    for number, found in enumerate(budgets.maps):
+        if found.best is not None:
+            curves = [c for c in budgets.curves if (c.dataset, c.method) == (found.dataset, found.method)]
+            written.append(_draw_map(found, curves, out, f"{folder}/map-{number}"))
+    return written
+
+
+def _draw_curves(curves: Sequence[BudgetCurve], style: dict[str, Style], out: Path, stem: str) -> BudgetChart:
+    known = [q for q in QUANTITIES if any(c.estimate(row, q).mean is not None for c in curves for row in c.rows)]
+    with mpl.rc_context(RC | {"font.family": chart_fonts(), "font.size": 8.5}):
+        figure = Figure(figsize=(max(2, len(known)) * WIDTH, HEIGHT + LEGEND), layout="constrained")
+        title = f"{curves[0].dataset}: quality against primitives"
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11, color=INK)
+        for axis, quantity in zip(figure.subplots(1, max(1, len(known)), squeeze=False).flat, known, strict=False):
+            for curve in curves:
+                _draw_curve(axis, curve, quantity, style[curve.method])
+            axis.set_title(_axis_name(quantity), loc="left", fontsize=9)
+            axis.set_xscale("log", base=2)
+            axis.xaxis.set_major_formatter(FuncFormatter(lambda count, _: f"{count:,.0f}"))
+            axis.set_xlabel("primitives")
+            axis.grid(color=GRID, linewidth=0.8)
+            axis.set_axisbelow(True)
+            axis.tick_params(length=0)
+            axis.spines[["top", "right"]].set_visible(False)
+        shown = {curve.method: style[curve.method] for curve in curves}
+        lines = [mpl.lines.Line2D([], [], color=s.color, marker=s.marker, markersize=6) for s in shown.values()]
+        ring = mpl.lines.Line2D([], [], **_ring(SOFT))
+        figure.legend(
+            [*lines, ring],
+            [*shown, "knee"],
+            loc="outside upper right",
+            ncols=5,
+            frameon=False,
+            fontsize=8,
+            labelcolor=SOFT,
+        )
+        return _saved(figure, title, out, stem)
+
+
+def _draw_curve(axis: Axes, curve: BudgetCurve, quantity: Quantity, style: Style) -> None:
+    """By the primitives that the models had, not by what they might have had."""
+    points = []
+    for row in curve.rows:
+        count, estimate = curve.estimate(row, PRIMITIVES).mean, curve.estimate(row, quantity)
+        if count and estimate.mean is not None:
+            y = float(estimate.mean)
+            points.append((float(count), y, *(estimate.interval or (y, y)), row == curve.knee.row))
+    if not points:
+        return
+    xs, ys, low, high, knee = (np.array(values) for values in zip(*sorted(points), strict=True))
+    axis.fill_between(xs, low, high, color=style.color, alpha=0.18, lw=0)
+    axis.plot(xs, ys, color=style.color, marker=style.marker, markersize=5, markeredgecolor="white", linewidth=1.5)
+    axis.plot(xs[knee], ys[knee], **_ring(style.color))
+
+
+def _ring(color: str) -> dict[str, Any]:
+    return {
+        "linestyle": "none",
+        "marker": "o",
+        "markersize": 13,
+        "markerfacecolor": "none",
+        "markeredgecolor": color,
+        "markeredgewidth": 1.6,
+    }
+
+
+def _draw_map(found: BudgetMap, curves: Sequence[BudgetCurve], out: Path, stem: str) -> BudgetChart:
+    """PSNR in each cell; where the same method had a budget, what it made of that."""
+    values = np.array(
+        [[np.nan if (m := found.estimate(b, e).mean) is None else float(m) for b in found.base] for e in found.env]
+    )
+    size = (CELL * len(found.base) * 1.25 + MARGIN + 1, CELL * len(found.env) + MARGIN)
+    title = f"{found.dataset}, {found.method}: PSNR, dB, base × environment"
+    with mpl.rc_context(RC | {"font.family": chart_fonts(), "font.size": 8.5}):
+        figure = Figure(figsize=size, layout="constrained")
+        figure.suptitle(title, x=0.01, ha="left", fontsize=10, color=INK)
+        axis = figure.subplots()
+        image = axis.imshow(values, origin="lower", cmap="viridis", aspect="auto")
+        middle = (np.nanmin(values) + np.nanmax(values)) / 2
+        for (row, column), value in np.ndenumerate(values):
+            if np.isfinite(value):
+                best = (found.base[column], found.env[row]) == found.best
+                color = "black" if value > middle else "white"
+                axis.text(column, row, f"{value:.2f}", ha="center", va="center", color=color)
+                if best:
+                    axis.add_patch(
+                        mpl.patches.Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, edgecolor=INK, linewidth=2.5)
+                    )
+        _mark_shares(axis, found, curves)
+        axis.set_xticks(range(len(found.base)), [f"{bound:,}" for bound in found.base])
+        axis.set_yticks(range(len(found.env)), [f"{bound:,}" for bound in found.env])
+        axis.xaxis.set_minor_locator(NullLocator())
+        axis.tick_params(length=0)
+        axis.set_xlabel("base primitives, at most")
+        axis.set_ylabel("environment primitives, at most")
+        figure.colorbar(image, ax=axis, label="PSNR, dB")
+        return _saved(figure, title, out, stem)
+
+
+def _mark_shares(axis: Axes, found: BudgetMap, curves: Sequence[BudgetCurve]) -> None:
+    """Where budgets of the same method ended, between the map's bounds by their logarithms."""
+    for curve in curves:
+        for row in curve.rows:
+            counts = [curve.estimate(row, quantity).mean for quantity in (BASE_COUNT, ENV_COUNT)]
+            if all(counts):
+                place = [
+                    float(np.interp(np.log2(float(count or 1)), np.log2(bounds), range(len(bounds))))
+                    for count, bounds in zip(counts, (found.base, found.env), strict=True)
+                ]
+                axis.plot(*place, marker="D", markersize=7, color="white", markeredgecolor=INK, linestyle="none")
+
+
+def _axis_name(quantity: Quantity) -> str:
+    column = next(column for column in MAIN_COLUMNS if column.metric == quantity.metric)
+    return column.axis if quantity.region == "full" else in_region(column, quantity.region).axis
+
+
+def _saved(figure: Figure, title: str, out: Path, stem: str) -> BudgetChart:
+    (out / stem).parent.mkdir(parents=True, exist_ok=True)
+    for kind in FORMATS:
+        undated = {"CreationDate": None} if kind == "pdf" else {}
+        figure.savefig(out / f"{stem}.{kind}", dpi=DPI, facecolor="white", metadata=undated)
+    return BudgetChart(title, f"{stem}.png")
