@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib as mpl
 import numpy as np
@@ -131,13 +132,10 @@ def _draw_map(found: BudgetMap, curves: Sequence[BudgetCurve], out: Path, stem: 
         middle = (np.nanmin(values) + np.nanmax(values)) / 2
         for (row, column), value in np.ndenumerate(values):
             if np.isfinite(value):
-                best = (found.base[column], found.env[row]) == found.best
                 color = "black" if value > middle else "white"
                 axis.text(column, row, f"{value:.2f}", ha="center", va="center", color=color)
-                if best:
-                    axis.add_patch(
-                        mpl.patches.Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, edgecolor=INK, linewidth=2.5)
-                    )
+        _frame(axis, found, found.best, "solid")
+        _frame(axis, found, found.knee, "dashed")
         _mark_shares(axis, found, curves)
         axis.set_xticks(range(len(found.base)), [f"{bound:,}" for bound in found.base])
         axis.set_yticks(range(len(found.env)), [f"{bound:,}" for bound in found.env])
@@ -149,17 +147,29 @@ def _draw_map(found: BudgetMap, curves: Sequence[BudgetCurve], out: Path, stem: 
         return _saved(figure, title, out, stem)
 
 
+def _frame(axis: Axes, found: BudgetMap, at: tuple[int, int] | None, line: Literal["solid", "dashed"]) -> None:
+    if at is None:
+        return
+    corner = (found.base.index(at[0]) - 0.5, found.env.index(at[1]) - 0.5)
+    axis.add_patch(mpl.patches.Rectangle(corner, 1, 1, fill=False, edgecolor=INK, linewidth=2.5, linestyle=line))
+
+
 def _mark_shares(axis: Axes, found: BudgetMap, curves: Sequence[BudgetCurve]) -> None:
     """Where budgets of the same method ended, between the map's bounds by their logarithms."""
     for curve in curves:
         for row in curve.rows:
-            counts = [curve.estimate(row, quantity).mean for quantity in (BASE_COUNT, ENV_COUNT)]
-            if all(counts):
-                place = [
-                    float(np.interp(np.log2(float(count or 1)), np.log2(bounds), range(len(bounds))))
-                    for count, bounds in zip(counts, (found.base, found.env), strict=True)
-                ]
+            means = [curve.estimate(row, quantity).mean for quantity in (BASE_COUNT, ENV_COUNT)]
+            counts = [math.nan if mean is None else float(mean) for mean in means]
+            place = [_between(count, bounds) for count, bounds in zip(counts, (found.base, found.env), strict=True)]
+            if not any(map(math.isnan, place)):
                 axis.plot(*place, marker="D", markersize=7, color="white", markeredgecolor=INK, linestyle="none")
+
+
+def _between(count: float, bounds: Sequence[int]) -> float:
+    """Where a count lies between the bounds' cells, by logarithms; NaN beyond the first or the last."""
+    if not bounds[0] <= count <= bounds[-1]:
+        return math.nan
+    return float(np.interp(np.log2(count), np.log2(bounds), range(len(bounds))))
 
 
 def _axis_name(quantity: Quantity) -> str:

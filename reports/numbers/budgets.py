@@ -85,8 +85,7 @@ class BudgetCurve:
         best = max(means, key=lambda item: item[0])[1]
         for row in self.rows[: self.rows.index(best)]:
             change = self.estimate(row, PSNR, best)
-            interval = change.interval if change.done >= MIN_SEEDS else None
-            if interval is not None and change.complete and interval.low >= -TIED_DB:
+            if _ties(change):
                 return Knee(row, best, change)
         seeds = self.estimate(best, PSNR).done
         if seeds < MIN_SEEDS:
@@ -113,18 +112,28 @@ class BudgetMap:
     def env(self) -> list[int]:
         return sorted({env for _, env in self.rows})
 
-    def estimate(self, base: int, env: int, quantity: Quantity = PSNR) -> Estimate:
-        """Empty where that was not tried."""
+    def estimate(
+        self, base: int, env: int, quantity: Quantity = PSNR, against: tuple[int, int] | None = None
+    ) -> Estimate:
+        """Over the finished runs, or, paired by seed, minus those `against`; empty where that was not tried."""
         row = self.rows.get((base, env))
         if row is None:
             return Estimate()
-        return self.numbers.estimate((self.dataset,), row, quantity.region, quantity.metric)
+        other = self.rows[against] if against else ""
+        return self.numbers.estimate((self.dataset,), row, quantity.region, quantity.metric, other)
 
     @property
     def best(self) -> tuple[int, int] | None:
         """The bounds with the largest mean PSNR, of equal ones the smallest; None where no run finished."""
         means = {at: mean for at in sorted(self.rows) if (mean := self.estimate(*at).mean) is not None}
         return max(means, key=lambda at: means[at]) if means else None
+
+    @property
+    def knee(self) -> tuple[int, int] | None:
+        """The bounds of the smallest sum that surely lose at most TIED_DB against the best; None where none do."""
+        best = self.best
+        smaller = sorted((at for at in self.rows if best and sum(at) < sum(best)), key=lambda at: (sum(at), at))
+        return next((at for at in smaller if _ties(self.estimate(*at, PSNR, best))), None)
 
 
 def budget_curves(datasets: Sequence[str], labels: Mapping[str, Label], numbers: Numbers) -> list[BudgetCurve]:
@@ -171,6 +180,12 @@ def budget_maps(datasets: Sequence[str], labels: Mapping[str, Label], numbers: N
             if min(len({at[axis] for at in tried}) for axis in (0, 1)) > 1:
                 maps.append(BudgetMap(dataset, _name(family, families), tried, numbers))
     return maps
+
+
+def _ties(change: Estimate) -> bool:
+    """Whether a change in PSNR from the best, paired by seed, is surely no larger loss than TIED_DB."""
+    interval = change.interval if change.done >= MIN_SEEDS and change.complete else None
+    return interval is not None and interval.low >= -TIED_DB
 
 
 def _without(label: Label, keys: Sequence[str]) -> Label:

@@ -72,12 +72,18 @@ def curve_sentence(curve: BudgetCurve) -> str:
 
 
 def map_sentence(found: BudgetMap) -> str:
-    """Which bounds were best."""
+    """Which bounds were best, and which smaller ones are as good."""
     if found.best is None:
         return f"{found.method}: no run finished."
     base, env = found.best
     mean = found.estimate(base, env).mean
-    return f"{found.method}: best with at most {base:,} in the base and {env:,} in the environment, {mean:.2f} dB."
+    words = f"{found.method}: best with at most {base:,} in the base and {env:,} in the environment, {mean:.2f} dB"
+    if found.knee is None:
+        return f"{words}."
+    lost = found.estimate(*found.knee, PSNR, found.best)
+    assert lost.mean is not None
+    base, env = found.knee
+    return f"{words}; {base:,} and {env:,} are {-lost.mean:.2f} below."
 
 
 def budgets_table(budgets: Budgets) -> pd.DataFrame:

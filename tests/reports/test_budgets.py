@@ -125,7 +125,19 @@ def test_a_map_has_a_cell_for_every_pair_of_bounds(tmp_path: Path) -> None:
     assert (made.base, made.env, made.best) == ([500, 1000], [50, 100, 200], (1000, 100))
     assert made.estimate(500, 200).mean is None
     assert float(made.estimate(500, 50).mean or 0) == pytest.approx(20.01)
+    assert made.knee is None
     assert map_sentence(made) == "envgs: best with at most 1,000 in the base and 100 in the environment, 21.01 dB."
+
+
+def test_a_maps_knee_is_the_smallest_sum_that_surely_loses_no_more(tmp_path: Path) -> None:
+    write_map(tmp_path)
+    for seed in range(3):  # of two that tie, the smaller sum
+        for env, lost in ((25, 0.2), (30, 0.05), (40, 0.01)):
+            own = {"max_primitives": 1000, "env_max_primitives": env}
+            write(tmp_path, "envgs", 21.0 - lost + seed / 100, seed, {"primitives": 10_000, "mb": None}, **own)
+    (made,) = found(tmp_path).maps
+    assert made.knee == (1000, 30)
+    assert map_sentence(made).endswith("; 1,000 and 30 are 0.05 below.")
 
 
 def test_the_report_has_all_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
