@@ -3,7 +3,7 @@
 import torch
 
 from envgs_bench.methods.initialization import initial_tensors
-from envgs_bench.methods.parameters import SH_DC, GaussianParameters, LearningRates, sh_from_rgb
+from envgs_bench.methods.parameters import SH_DC, GaussianParameters, LearningRates, primitive_bytes, sh_from_rgb
 
 
 def make_parameters(n: int = 6, beta: float | None = 0.2) -> GaussianParameters:
@@ -130,6 +130,7 @@ def test_learning_rates_are_the_recipes():
 def test_size_counts_every_stored_float():
     assert make_parameters(6, beta=0.2).size_bytes == 6 * 4 * (3 + 4 + 2 + 1 + 27 + 1)
     assert make_parameters(6, beta=None).size_bytes == 6 * 4 * (3 + 4 + 2 + 1 + 27)
+    assert (primitive_bytes(2, 2, True), primitive_bytes(3, 3, False)) == (4 * 38, 4 * 59)
 
 
 def test_an_empty_set_takes_steps_and_rows():
