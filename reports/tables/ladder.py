@@ -21,7 +21,7 @@ WORDS: dict[Verdict, str] = {
     "tied": "tied with the best",
     "behind": "behind the best",
     "undecided": "too few seeds",
-    "failed": "failed in some run",
+    "failed": "some run did not finish",
 }
 TAKE = "take"
 SCORED_REGIONS = tuple(name for name in REGIONS if name in ("reflective", "near_field"))
@@ -91,7 +91,7 @@ def explanations(ladder: Ladder) -> list[str]:
         "below, or to the best, which is the rung with the highest mean PSNR.",
         f"Taken is the rung with the shortest frame time (within {SAME_FRAME_TIME:.0%} of it: with the fewest "
         f"primitives) among those that no such interval shows to be worse than the best by more than {bounds}. A rung "
-        f"that failed in some run, or that has fewer than {FEWEST_SEEDS} seeds, is not taken.",
+        f"of which some run did not finish, or that has fewer than {FEWEST_SEEDS} seeds, is not taken.",
     ]
     if ladder.passed_over:
         found.append(f"Of rows of one rung, that with the most runs. Left out: {', '.join(ladder.passed_over)}.")

@@ -97,7 +97,7 @@ def _absent(ladder: Ladder) -> str:
     for rung in ladder.rungs:
         finished, attempts = ladder.finished(rung), ladder.attempts(rung)
         if finished < attempts:
-            found.setdefault(f"{attempts - finished} of {attempts} runs failed", []).append(rung.method)
+            found.setdefault(f"{attempts - finished} of {attempts} runs did not finish", []).append(rung.method)
         elif rung not in ladder.candidates:
             found.setdefault(_seeds(attempts), []).append(rung.method)
         elif ladder.best is not None and ladder.verdict(rung) == "undecided":

@@ -246,7 +246,7 @@ def test_the_rung_below_is_the_next_that_finished(tmp_path: Path) -> None:
     below = ladder.below(rung(ladder, TOP))
     assert below is not None
     assert below.name == GROUND
-    assert recommendation(ladder).text.endswith(f"Left out: {MAP}: 3 of 3 runs failed.")
+    assert recommendation(ladder).text.endswith(f"Left out: {MAP}: 3 of 3 runs did not finish.")
 
 
 def test_rungs_of_other_lengths_make_ladders_of_their_own(tmp_path: Path) -> None:
