@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import inf
 from typing import Literal
 
 from .estimates import Estimate, Numbers
 from .labels import Label, method_order
 from .runs import Run
+from .settings import as_number
 from .statistics import FEWEST_SEEDS
 
 RUNGS = {  # method -> the part that it adds, from the ground up
@@ -203,10 +205,11 @@ def _of_dataset(numbers: Numbers, dataset: str, rows: dict[str, tuple[Label, int
 
 
 def _whole(given: Iterable[Conditions]) -> list[Conditions]:
-    """The different conditions that are no part of others, in a fixed order."""
-    distinct = {tuple(sorted(one.items())): one for one in given}
-    return [
-        one
-        for _, one in sorted(distinct.items())
-        if not any(one.items() < other.items() for other in distinct.values())
-    ]
+    """The different conditions that are no part of others, numbers ascending."""
+    distinct = list({tuple(sorted(one.items())): one for one in given}.values())
+    return sorted((one for one in distinct if not any(one.items() < other.items() for other in distinct)), key=_order)
+
+
+def _order(conditions: Conditions) -> list[tuple[str, float, str]]:
+    numbers = {key: as_number(value) for key, value in conditions.items()}
+    return [(key, inf if (number := numbers[key]) is None else number, conditions[key]) for key in sorted(conditions)]

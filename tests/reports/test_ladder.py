@@ -271,14 +271,14 @@ def test_lengths_that_no_two_rungs_share_make_no_ladder(tmp_path: Path) -> None:
 
 def test_a_knob_of_several_rungs_sets_ladders_apart_and_one_rungs_own_does_not(tmp_path: Path) -> None:
     for seed in range(3):
-        for cap in (5, 9):
+        for cap in (5, 10):
             write(tmp_path, GROUND, seed, 20.0 + cap, settings={"cap": cap})
             for share in (0.0, 0.5)[: 2 - (seed == 2)]:
                 write(tmp_path, TOP, seed, 24.0 + cap, settings={"cap": cap, "beta_filter": share})
         write(tmp_path, MAP, seed, 22.0)
     (section,) = sections_of(tmp_path)
-    assert [ladder.settings for ladder in section.ladders] == ["cap=5", "cap=9"]
-    for cap, ladder in zip((5, 9), section.ladders, strict=True):
+    assert [ladder.settings for ladder in section.ladders] == ["cap=5", "cap=10"]
+    for cap, ladder in zip((5, 10), section.ladders, strict=True):
         methods = [f"{GROUND} [cap={cap}]", MAP, f"{TOP} [beta_filter=0.0, cap={cap}]"]
         assert [rung.method for rung in ladder.rungs] == methods
         assert ladder.passed_over == (f"{TOP} [beta_filter=0.5, cap={cap}]",)
