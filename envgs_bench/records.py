@@ -134,8 +134,10 @@ class Timing(_Part):
 
 class Cost(_Part):
     primitives: dict[str, Count]  # set, one of parts.SETS -> count at the end
-    bytes: dict[str, Count]  # set -> size of what rendering needs
-    model_bytes: Count  # the sum of `bytes`
+    bytes: dict[str, Count]  # set -> size of what rendering needs, as float32 in memory
+    model_bytes: Count  # the sum of `bytes`: in memory, no file's
+    checkpoint_bytes: Count | None = None  # files: what the run wrote of its model, lossless; None in older records
+    compact_bytes: Count | None = None  # a file: the model in the layout compact, lossy; None where it has none
     train_seconds: Finite  # without evaluation
     peak_host_bytes: Count
     peak_device_bytes: Count | None  # None on a CPU

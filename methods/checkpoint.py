@@ -1,10 +1,13 @@
-"""A model on disk: one folder, one file of tensors."""
+"""A model on disk: one folder, one file of tensors; or in its place the smaller, lossy one of `storage/compact.py`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import torch
+from torch import Tensor
+
+from .storage import compact
 
 FILE_NAME = "model.pt"
 
@@ -18,13 +21,15 @@ def write_checkpoint(folder: Path, method: str, state: dict) -> None:
 
 
 def read_checkpoint(folder: Path, method: str, device: torch.device) -> dict:
-    """What `write_checkpoint` wrote, on `device`.
+    """What `write_checkpoint` wrote, on `device`; where there is no model.pt, what `compact.write_compact` wrote.
 
     Raises:
-        FileNotFoundError: there is no model.pt.
+        FileNotFoundError: there is neither.
         ValueError: the file cannot be read, or another method wrote it.
     """
     path = folder / FILE_NAME
+    if not path.is_file() and (folder / compact.FILE_NAME).is_file():
+        return on_device(compact.read_compact(folder, method), device)
     if not path.is_file():
         raise FileNotFoundError(f"no checkpoint: {path} does not exist")
     try:
@@ -37,3 +42,14 @@ def read_checkpoint(folder: Path, method: str, device: torch.device) -> dict:
     if written_by != method:
         raise ValueError(f"{path} holds a model of {written_by}, expected one of {method}")
     return state
+
+
+def on_device(state: dict, device: torch.device) -> dict:
+    """The state with its tensors on `device`."""
+
+    def moved(value: object) -> object:
+        if isinstance(value, Tensor):
+            return value.to(device)
+        return on_device(value, device) if isinstance(value, dict) else value
+
+    return {name: moved(value) for name, value in state.items()}

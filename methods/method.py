@@ -122,7 +122,7 @@ class Method(ABC):
 
     @abstractmethod
     def model_bytes(self) -> dict[str, int]:
-        """Bytes of each set's parameters stored as float32, under the same keys."""
+        """Bytes of each set's parameters as float32 in memory, under the same keys: no file's size."""
 
     def training_state(self) -> dict[str, Any] | None:
         """All that the next training step depends on, after any step; None of a method that cannot go on from it.

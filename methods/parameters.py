@@ -98,7 +98,7 @@ class GaussianParameters:
 
     @property
     def size_bytes(self) -> int:
-        """Bytes of the stored parameters as float32."""
+        """Bytes of the parameters as float32 in memory."""
         return 4 * sum(value.numel() for value in self.tensors.values())
 
     def gaussians(self, sh_degree: int | None = None) -> GaussianSet:

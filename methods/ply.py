@@ -68,7 +68,11 @@ def read_ply(path: Path) -> dict[str, Tensor]:
         ValueError: no readable PLY, a compressed one, properties missing, an SH degree above 3, or values that no
             Gaussian has; the message names the file and the properties.
     """
-    vertices = _vertices(path)
+    return vertex_tensors(_vertices(path), path)
+
+
+def vertex_tensors(vertices: PlyElement, path: Path | str) -> dict[str, Tensor]:
+    """As `read_ply`, of the element `vertex` of the file at `path`, which errors name."""
     present = number_names(vertices)
     rest, scales = (sorted(n for n in present if n.startswith(prefix)) for prefix in ("f_rest_", "scale_"))
     axes = 3 if "scale_2" in scales else 2
@@ -122,7 +126,7 @@ def _vertices(path: Path) -> PlyElement:
     return elements["vertex"]
 
 
-def _check_values(path: Path, tensors: Mapping[str, Tensor]) -> None:
+def _check_values(path: Path | str, tensors: Mapping[str, Tensor]) -> None:
     for name, values in tensors.items():
         bad = int((~values.isfinite()).flatten(1).any(1).sum()) if values.ndim > 1 else int((~values.isfinite()).sum())
         if bad:

@@ -31,6 +31,7 @@ def _list_names() -> int:
 
     from envgs_bench.core import available_backends
     from envgs_bench.datasets.registry import BUILT_IN
+    from envgs_bench.methods.storage.layouts import LAYOUTS
     from envgs_bench.metrics import PROTOCOLS
     from envgs_bench.stages.perturbations import OF_SCENES, OF_SETTINGS
 
@@ -45,5 +46,6 @@ def _list_names() -> int:
     table.add_row("protocol=", ", ".join(PROTOCOLS))
     table.add_row("experiment=", ", ".join(config_names("experiment")))
     table.add_row("backends", ", ".join(backends))
+    table.add_row("layouts of models", ", ".join(LAYOUTS))
     Console(width=120).print(table, highlight=False)
     return 0

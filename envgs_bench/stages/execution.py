@@ -21,7 +21,7 @@ from envgs_bench.run_folder import CHECKPOINT, CURVE_NAME
 from envgs_bench.settings import RunSettings
 
 from .budget import limited_method
-from .cost import cost_of
+from .cost import cost_of, with_files
 from .evaluation import evaluate, scored_views
 from .events import EventListener
 from .perturbations import load_run_scene, perturbed_settings
@@ -79,7 +79,7 @@ def execute(
     results.metrics, results.masked = evaluate(method, views, protocol, folder, report)
     report({"stage": "timing"})
     results.timing = time_frames(method, views, settings.timing)
-    results.cost = cost_of(method, training)
+    results.cost = with_files(cost_of(method, training), method, folder / CHECKPOINT)
     write_probe(folder, probe(method, scene, views))
     snapshots.remove()
 

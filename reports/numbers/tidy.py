@@ -12,7 +12,9 @@ from .runs import Run
 
 COLUMNS = ["dataset", "method", "seed", "region", "metric", "value"]
 TIMES = ("frame_ms", "frame_ms_p95", "fps", "prepare_ms")
-COSTS = ("train_seconds", "model_bytes", "peak_host_bytes", "peak_device_bytes", "peak_primitives", "skipped_steps")
+MEMORY = ("model_bytes", "peak_host_bytes", "peak_device_bytes")
+FILES = ("checkpoint_bytes", "compact_bytes")
+COSTS = ("train_seconds", *MEMORY, *FILES, "peak_primitives", "skipped_steps")
 
 
 def tidy_table(runs: Sequence[tuple[str, str, Run]]) -> pd.DataFrame:

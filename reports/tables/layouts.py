@@ -9,6 +9,7 @@ from ..numbers.estimates import Numbers
 from ..numbers.labels import Label
 from ..numbers.published import paper_method, paper_scene, published_source, published_values
 from .columns import (
+    FILE_MEGABYTES,
     FLIP,
     FRAME_MS,
     LPIPS,
@@ -96,7 +97,7 @@ def overview(contents: Contents, everything: str) -> list[Table]:
     if len(whole) < 2:
         return []
     columns = [c for name, members in groups.items() for c in over(members, SCORES, name)]
-    columns += over(whole, (FRAME_MS, TRAIN_SECONDS, MEGABYTES, *PAPER_SPEED), everything)
+    columns += over(whole, (FRAME_MS, TRAIN_SECONDS, MEGABYTES, FILE_MEGABYTES, *PAPER_SPEED), everything)
     return [contents.table("Overview", "overview", columns)]
 
 

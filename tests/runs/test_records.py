@@ -70,6 +70,8 @@ CONTENT = {
         "primitives": {"base": 10, "env": 0},
         "bytes": {"base": 400, "env": 0},
         "model_bytes": 400,
+        "checkpoint_bytes": 500,
+        "compact_bytes": 50,
         "train_seconds": 1.5,
         "peak_host_bytes": 1000,
         "peak_device_bytes": None,
@@ -97,6 +99,9 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert Record.model_validate(older).scored_on == "test"
     assert Record.model_validate(older).dropped_losses == {}
     assert (Record.model_validate(older).perturbation, Record.model_validate(older).warnings) == (None, [])
+    cost = {key: value for key, value in CONTENT["cost"].items() if key not in ("checkpoint_bytes", "compact_bytes")}
+    unstored = Record.model_validate(CONTENT | {"cost": cost}).cost
+    assert (unstored.checkpoint_bytes, unstored.compact_bytes) == (None, None)
     record = read_record(tmp_path)
     assert record == read_record(path)
     assert record.metrics.per_view[0].scores["normal_degrees"] == 3.5

@@ -187,14 +187,14 @@ def test_a_run_without_beta_is_refused(trained: Path, tmp_path: Path, capsys: py
     method.save(tmp_path / "checkpoint")
     assert main(["masks", str(tmp_path), "--region", "reflective", "--out", str(tmp_path)]) == 1
     assert "method fake knows no β; take a run of method=envgs" in capsys.readouterr().err
-    assert main(["ply", str(tmp_path), "--out", str(tmp_path)]) == 1
+    assert main(["store", str(tmp_path), "--layout", "ply", "--out", str(tmp_path)]) == 1
     assert "method fake has no sets of Gaussians to write" in capsys.readouterr().err
 
 
 def test_the_sets_of_a_run_are_written_as_ply(
     trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["ply", str(trained), "--out", str(tmp_path / "sets")]) == 0
+    assert main(["store", str(trained), "--layout", "ply", "--out", str(tmp_path / "sets")]) == 0
     assert capsys.readouterr().out.split() == [str(tmp_path / "sets" / f"{name}.ply") for name in ("base", "env")]
     record = read_record(trained)
     assert record.cost is not None

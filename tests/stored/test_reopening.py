@@ -40,7 +40,7 @@ def test_a_config_that_is_none_is_named(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "config.yaml").write_text(content)
     start = time.perf_counter()
-    assert main(["ply", str(tmp_path), "--out", str(tmp_path / "out")]) == 1
+    assert main(["store", str(tmp_path), "--layout", "ply", "--out", str(tmp_path / "out")]) == 1
     assert time.perf_counter() - start < 20
     said = capsys.readouterr().err
     assert f"{tmp_path}/config.yaml: " in said

@@ -1,0 +1,106 @@
+"""Layouts: in what files a trained model can be stored, what each of them cannot hold, and how it is read back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from torch import Tensor
+
+from ..gaussian_method import GaussianMethod
+from ..ply import read_ply, write_ply
+from .compact import State, read_compact, write_compact
+from .splats import SPLAT_LAYOUTS, decode_splats, encode_splats
+
+OWN_PLACE = ("background",)  # the state's tensors that a data set knows, so that a file of Gaussians need not
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One way to store a model.
+
+    Attributes:
+        what: it, in words.
+        write: writes a method's model into a folder, made where missing, and returns the files. What `lacks` names is
+            left out. Raises ValueError where the model cannot be stored.
+        read: the state, as of `GaussianMethod.state`, that files written by `write` hold; what of it is no Gaussian's
+            comes from the method's own, where the layout has no place for it.
+        lacks: what of a method's model the layout has no place for, in words.
+    """
+
+    what: str
+    write: Callable[[GaussianMethod, Path], list[Path]]
+    read: Callable[[GaussianMethod, Path], State]
+    lacks: Callable[[GaussianMethod], list[str]]
+
+
+def _nothing(method: GaussianMethod) -> list[str]:
+    return []
+
+
+def _maps(method: GaussianMethod) -> list[str]:
+    """The state's tensors that are no set's: a cube map's texels."""
+    return [name for name, value in method.state().items() if isinstance(value, Tensor) and name not in OWN_PLACE]
+
+
+def _beta_and_maps(method: GaussianMethod) -> list[str]:
+    return [*(["β"] if any("beta_logits" in tensors for tensors in _sets(method).values()) else []), *_maps(method)]
+
+
+def _write_compact(method: GaussianMethod, folder: Path) -> list[Path]:
+    return [write_compact(folder, type(method).__name__, method.state())]
+
+
+def _read_compact(method: GaussianMethod, folder: Path) -> State:
+    return read_compact(folder, type(method).__name__)
+
+
+def _write_ply(method: GaussianMethod, folder: Path) -> list[Path]:
+    paths = {name: folder / f"{name}.ply" for name in method.sets}
+    for name, tensors in _sets(method).items():
+        write_ply(paths[name], tensors)
+    return list(paths.values())
+
+
+def _read_ply(method: GaussianMethod, folder: Path) -> State:
+    return method.state() | {"sets": {name: read_ply(folder / f"{name}.ply") for name in method.sets}}
+
+
+def _write_splats(layout: str, method: GaussianMethod, folder: Path) -> list[Path]:
+    contents = {name: encode_splats(layout, tensors) for name, tensors in _sets(method).items()}
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = {name: folder / f"{name}.{SPLAT_LAYOUTS[layout]}" for name in contents}
+    for name, content in contents.items():
+        paths[name].write_bytes(content)
+    return list(paths.values())
+
+
+def _read_splats(layout: str, method: GaussianMethod, folder: Path) -> State:
+    def tensors(name: str) -> dict[str, Tensor]:
+        return decode_splats(layout, (folder / f"{name}.{SPLAT_LAYOUTS[layout]}").read_bytes(), method.axes)
+
+    return method.state() | {"sets": {name: tensors(name) for name in method.sets}}
+
+
+def _sets(method: GaussianMethod) -> dict[str, dict[str, Tensor]]:
+    return {name: trained.parameters.detached() for name, trained in method.sets.items()}
+
+
+def _splats(layout: str, what: str) -> Layout:
+    return Layout(what, partial(_write_splats, layout), partial(_read_splats, layout), _beta_and_maps)
+
+
+LAYOUTS = {
+    "ply": Layout("float32, lossless, a file a set, as 3DGS and 2DGS write it", _write_ply, _read_ply, _maps),
+    "compact": Layout("one small lossy file for the whole model", _write_compact, _read_compact, _nothing),
+    "spz": _splats("spz", "Niantic's, lossy, a file a set, for viewers"),
+    "sog": _splats("sog", "PlayCanvas's, lossy, a file a set, for viewers"),
+    "compressed-ply": _splats("compressed-ply", "PlayCanvas's compressed PLY, lossy, a file a set, for viewers"),
+}
+
+
+def stored_bytes(paths: list[Path]) -> int:
+    """Bytes of the files together."""
+    return sum(path.stat().st_size for path in paths)
