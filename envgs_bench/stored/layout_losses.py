@@ -141,7 +141,7 @@ def as_markdown(losses: Sequence[LayoutLoss]) -> str:
         layout = f"{loss.layout} (no place for {', '.join(loss.lacks)})" if loss.lacks else loss.layout
         cells = [
             *(loss.dataset, loss.method, str(loss.seed), layout),
-            *(f"{loss.file_bytes / 1e6:.2f}", f"{loss.times_smaller:.1f}"),
+            *(f"{loss.file_bytes / 1e6:.2f}", "—" if loss.lacks else f"{loss.times_smaller:.1f}"),
             *(_shown(loss.change.get("psnr"), "+.3f"), _shown(loss.change.get("lpips"), "+.4f")),
             *(f"{loss.write_seconds:.2f}", _shown(loss.read_seconds, ".2f")),
         ]

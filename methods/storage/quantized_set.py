@@ -30,6 +30,7 @@ from .planes import planes_of, planes_of_steps, values_of, whole_numbers
 # The sizes of the steps, chosen by what they cost and lose one by one (docs/storage.md).
 POSITION_STEP = 0.1  # of the median over the primitives of their smallest scale
 STEPS = {"log_scales": 1 / 20, "quaternions": 1 / 256, "sh_dc": 1 / 16, "sh_rest": 1 / 16}
+LARGEST = 88.0  # logarithm of a scale: float32 knows none that is larger
 LOGITS = ("opacity_logits", "beta_logits")
 LEVELS = 255  # the highest level of a sigmoid; the lowest is 0
 END = 0.25  # levels: what the lowest and the highest are read as, from 0 and from 255, since their logits are infinite
@@ -50,7 +51,7 @@ def quantize(tensors: Mapping[str, Tensor]) -> tuple[Header, Arrays]:
             raise ValueError(f"{name} are not all finite: such a model cannot be stored")
     means, log_scales = rows.pop("means").astype(np.float64), rows["log_scales"]
     median = np.median(log_scales.astype(np.float64).min(1)) if len(means) else 0.0
-    origin, step = grid = grid_of(means, POSITION_STEP * float(np.exp(median)))
+    origin, step = grid = grid_of(means, POSITION_STEP * float(np.exp(min(median, LARGEST))))
     codes = codes_on(grid, means)
     order = np.argsort(codes, kind="stable")
     arrays: Arrays = {}
@@ -66,7 +67,7 @@ def quantize(tensors: Mapping[str, Tensor]) -> tuple[Header, Arrays]:
             arrays[name] = levels.astype(np.uint8)
             fields[name]["levels"] = LEVELS
         elif name in STEPS:
-            arrays[name], steps = planes_of_steps(values, STEPS[name], name)
+            arrays[name], steps = planes_of_steps(values, _step(name, values), name)
             fields[name] |= steps
         else:
             arrays[name] = values.astype("<f4")
@@ -97,6 +98,12 @@ def dequantize(header: Header, arrays: Mapping[str, NDArray[Any]]) -> dict[str, 
             values = arrays[name]
         tensors[name] = torch.from_numpy(np.ascontiguousarray(values.reshape(shape), np.float32))
     return tensors
+
+
+def _step(name: str, values: NDArray[Any]) -> float:
+    """The field's own; at most its values' root mean square, where a short training has left them small."""
+    square = float(np.square(values, dtype=np.float64).mean()) if values.size else 0.0
+    return min(STEPS[name], square**0.5) if name == "sh_rest" and square else STEPS[name]
 
 
 def _without_largest(quaternions: NDArray[np.float32]) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:

@@ -11,13 +11,16 @@ Only what was written here is read back: gaussforge 0.6.0 ends the process on ma
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from plyfile import PlyData
 from torch import Tensor
+from torch.nn import functional
+
+from envgs_bench.ply_file import read_elements
 
 from ..ply import vertex_tensors
 from .morton import along_curve
@@ -40,13 +43,14 @@ def encode_splats(layout: str, tensors: Mapping[str, Tensor]) -> bytes:
     order = along_curve(rows["means"])
     count, axes = rows["log_scales"].shape
     scales = rows["log_scales"] if axes == 3 else np.column_stack([rows["log_scales"], np.full(count, FLAT)])
+    quaternions = functional.normalize(turned["quaternions"].detach().cpu().float(), dim=1).numpy()
     rest = rows["sh_rest"]
     if layout == "compressed-ply":
         # gaussforge 0.6.0 writes coefficients in the order that it is given them in, and reads, as other programs do,
         # all of red first.
         rest = rest.swapaxes(1, 2)
     fields = {
-        **{"positions": rows["means"], "scales": scales, "rotations": rows["quaternions"]},
+        **{"positions": rows["means"], "scales": scales, "rotations": quaternions},
         **{"alphas": rows["opacity_logits"], "colors": rows["sh_dc"], "sh": rest},
     }
     degree = round((rest.size // max(count, 1) // 3 + 1) ** 0.5) - 1
@@ -62,9 +66,12 @@ def decode_splats(layout: str, content: bytes, axes: int) -> dict[str, Tensor]:
         ValueError: the library is not installed or cannot read the file.
     """
     ply = _data(layout, _library().convert(content, SPLAT_LAYOUTS[layout], "ply"))
-    vertices = PlyData.read(io.BytesIO(ply))["vertex"]
-    vertices.data["opacity"] = vertices.data["opacity"].clip(-MOST_LOGIT, MOST_LOGIT)
-    tensors = vertex_tensors(vertices, f"a set in the layout {layout}")
+    with TemporaryDirectory() as folder:  # plyfile reads a file at once, and a stream row by row
+        path = Path(folder) / "set.ply"
+        path.write_bytes(ply)
+        vertices = read_elements(path)["vertex"]
+        vertices.data["opacity"] = vertices.data["opacity"].clip(-MOST_LOGIT, MOST_LOGIT)
+        tensors = vertex_tensors(vertices, path)
     tensors = _half_turn(tensors) if layout == "spz" else tensors
     return tensors | {"log_scales": tensors["log_scales"][:, :axes].contiguous()}
 
