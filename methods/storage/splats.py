@@ -91,7 +91,7 @@ def _library() -> Any:
         import gaussforge
     except ImportError as error:
         names = ", ".join(SPLAT_LAYOUTS)
-        raise ValueError(f"{names} need the library gaussforge: pip install 'gaussforge==0.6.0'") from error
+        raise ValueError(f"{names} need the library gaussforge: pip install 'envgs-bench[viewers]'") from error
     return gaussforge.GaussForge()
 
 
