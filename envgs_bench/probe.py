@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ class Probe:
 
 def write_probe(run: Path, probe: Probe) -> None:
     """Leave the probe in the run's folder: depths of 4 bytes, all else of 2."""
-    tensors = {
+    tensors: dict[str, NDArray[Any]] = {
         "radius": np.array([probe.radius], np.float32),
         "depth": probe.depth.astype(np.float32),
         "normal": probe.normal.astype(np.float16),

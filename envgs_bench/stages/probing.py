@@ -26,17 +26,19 @@ OFFSET = 1e-3  # a reflected ray starts this far above the surface, × scene rad
 def probe(method: Method, scene: Scene, views: Sequence[View]) -> Probe:
     """Probe a prepared method along rays of `views` of the scene."""
     chosen = views[:: -(-len(views) // VIEWS)]
-    depths, normals, origins, directions = [], [], [], []
+    depths, normals = [], []
+    rays = []  # reflected, their origins and directions
     for view in chosen:
         rendering = method.render(view.camera.to(method.device))
         picked = _some(view.camera.width * view.camera.height, PIXELS // len(chosen))
         depths.append(rendering.depth.cpu().reshape(-1)[picked])
         normals.append(functional.normalize(rendering.normal.cpu().reshape(-1, 3)[picked], dim=-1))
-        for rays, found in zip((origins, directions), _reflected_rays(view, scene.radius), strict=True):
-            rays.append(found)
-    few = _some(sum(map(len, origins)), REFLECTED)
-    starts, ways = (torch.cat(rays)[few].to(method.device) for rays in (origins, directions))
-    reflected = method.reflected(starts, ways) if len(few) else None
+        rays.append(_reflected_rays(view, scene.radius))
+    origins, directions = (torch.cat(parts) for parts in zip(*rays, strict=True))
+    few = _some(len(origins), REFLECTED)
+    reflected = None
+    if len(few):
+        reflected = method.reflected(origins[few].to(method.device), directions[few].to(method.device))
     return Probe(
         radius=scene.radius,
         depth=torch.cat(depths).numpy(),
