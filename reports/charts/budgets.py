@@ -25,7 +25,8 @@ from .palette import Style, styles
 from .pareto_chart import DPI, FORMATS, RC
 from .pareto_panel import GRID, INK, SOFT
 
-WIDTH, HEIGHT = 4.2, 3.4  # a panel's with its margins, inches
+COLUMNS = 2  # panels in a row
+WIDTH, HEIGHT = 4.8, 3.2  # a panel's with its margins, inches
 LEGEND = 0.7  # inches above the panels
 CELL, MARGIN = 0.62, 1.5  # a map's cell, and what stands around it, inches
 PRIMITIVES, BASE_COUNT, ENV_COUNT = (Quantity(n) for n in ("primitives", f"primitives_{BASE}", f"primitives_{ENV}"))
@@ -61,10 +62,14 @@ def draw_budgets(section: Section, budgets: Budgets, out: Path, folder: str) -> 
 def _draw_curves(curves: Sequence[BudgetCurve], style: dict[str, Style], out: Path, stem: str) -> BudgetChart:
     known = [q for q in QUANTITIES if any(c.estimate(row, q).mean is not None for c in curves for row in c.rows)]
     with mpl.rc_context(RC | {"font.family": chart_fonts(), "font.size": 8.5}):
-        figure = Figure(figsize=(max(2, len(known)) * WIDTH, HEIGHT + LEGEND), layout="constrained")
+        rows = max(1, -(-len(known) // COLUMNS))
+        figure = Figure(figsize=(COLUMNS * WIDTH, rows * HEIGHT + LEGEND), layout="constrained")
         title = f"{curves[0].dataset}: quality against primitives"
         figure.suptitle(title, x=0.01, ha="left", fontsize=11, color=INK)
-        for axis, quantity in zip(figure.subplots(1, max(1, len(known)), squeeze=False).flat, known, strict=False):
+        axes = figure.subplots(rows, COLUMNS, squeeze=False).flat
+        for axis in list(axes)[len(known) :]:
+            axis.set_axis_off()
+        for axis, quantity in zip(axes, known, strict=False):
             for curve in curves:
                 _draw_curve(axis, curve, quantity, style[curve.method])
             axis.set_title(_axis_name(quantity), loc="left", fontsize=9)

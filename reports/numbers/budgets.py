@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from envgs_bench.parts import BASE, ENV
@@ -173,13 +173,20 @@ def budget_maps(datasets: Sequence[str], labels: Mapping[str, Label], numbers: N
         if all(bound is not None and math.isfinite(bound) for bound in bounds):
             base, env = (int(bound or 0) for bound in bounds)
             families.setdefault(_without(label, MAP_KEYS), {})[base, env] = row
+    families = {family: rows for family, rows in families.items() if _is_grid(rows)}
     maps = []
     for dataset in datasets:
         for family, rows in families.items():
             tried = {at: row for at, row in rows.items() if numbers.statuses((dataset,), row)}
-            if min(len({at[axis] for at in tried}) for axis in (0, 1)) > 1:
+            if _is_grid(tried):
                 maps.append(BudgetMap(dataset, _name(family, families), tried, numbers))
     return maps
+
+
+def _is_grid(places: Collection[tuple[int, int]]) -> bool:
+    """Whether there are two bounds or more of each set."""
+    base, env = {at[0] for at in places}, {at[1] for at in places}
+    return min(len(base), len(env)) > 1
 
 
 def _ties(change: Estimate) -> bool:

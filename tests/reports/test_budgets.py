@@ -142,13 +142,15 @@ def test_a_maps_knee_is_the_smallest_sum_that_surely_loses_no_more(tmp_path: Pat
 
 def test_the_report_has_all_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("envgs_bench.reports.report.draw_charts", lambda *_: [])  # those of other parts
-    write_curve(tmp_path / "runs", {at: [20 - 100 / at, 21 - 100 / at, 22 - 100 / at] for at in (250, 500, 1000)})
+    write_curve(tmp_path / "runs", {at: [20 - 400 / at, 21 - 400 / at, 22 - 400 / at] for at in (250, 500, 1000)})
     write_curve(tmp_path / "runs", {at: [19.0, 20.0, 21.0] for at in (250, 500, 1000)}, "2dgs")
     write_map(tmp_path / "map")
     out = tmp_path / "out"
     html = build_report(tmp_path, out).page.read_text()
     assert 'id="section-0-budgets"' in html
-    assert "2dgs: 250 primitives, " in html
+    assert "<li>2dgs: 250 primitives, " in html
+    assert "<li>envgs: no knee, still better at the largest budget; best: 1,000 primitives.</li>" in html
+    assert "<li>envgs: best with at most 1,000 in the base" in html
     for name in ("curves-0", "map-0"):
         assert f"charts/budgets-0/{name}.png" in html
         assert (out / f"charts/budgets-0/{name}.pdf").is_file()
@@ -156,7 +158,7 @@ def test_the_report_has_all_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     psnr = {
         (r["method"], r["limit"]): r for r in rows if r["quantity"] == "psnr" and r["budget"] == "budget.primitives"
     }
-    assert float(psnr["envgs", "500.0"]["value"]) == pytest.approx(20.8)
+    assert float(psnr["envgs", "500.0"]["value"]) == pytest.approx(20.2)
     assert {r["value"] for r in rows if r["quantity"] == "knee" and r["method"] == "2dgs"} == {"250.0"}
     cells = [r for r in rows if r["env_limit"] and r["quantity"] == "psnr"]
     assert len(cells) == 5
