@@ -29,6 +29,7 @@ COLUMNS = 2  # panels in a row
 WIDTH, HEIGHT = 4.8, 3.2  # a panel's with its margins, inches
 LEGEND = 0.7  # inches above the panels
 CELL, MARGIN = 0.62, 1.5  # a map's cell, and what stands around it, inches
+NARROWEST = 6.2  # of a map, inches: its title has to fit
 PRIMITIVES, BASE_COUNT, ENV_COUNT = (Quantity(n) for n in ("primitives", f"primitives_{BASE}", f"primitives_{ENV}"))
 
 
@@ -127,11 +128,11 @@ def _draw_map(found: BudgetMap, curves: Sequence[BudgetCurve], out: Path, stem: 
     values = np.array(
         [[np.nan if (m := found.estimate(b, e).mean) is None else float(m) for b in found.base] for e in found.env]
     )
-    size = (CELL * len(found.base) * 1.25 + MARGIN + 1, CELL * len(found.env) + MARGIN)
-    title = f"{found.dataset}, {found.method}: PSNR, dB, base × environment"
+    size = (max(NARROWEST, CELL * len(found.base) * 1.25 + MARGIN + 1), CELL * len(found.env) + MARGIN)
+    title = f"{found.dataset}, {found.method}: base × environment"
     with mpl.rc_context(RC | {"font.family": chart_fonts(), "font.size": 8.5}):
         figure = Figure(figsize=size, layout="constrained")
-        figure.suptitle(title, x=0.01, ha="left", fontsize=10, color=INK)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=9, color=INK)
         axis = figure.subplots()
         image = axis.imshow(values, origin="lower", cmap="viridis", aspect="auto")
         middle = (np.nanmin(values) + np.nanmax(values)) / 2
