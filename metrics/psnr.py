@@ -1,9 +1,11 @@
-"""PSNR: peak signal-to-noise ratio, by scikit-image."""
+"""PSNR: peak signal-to-noise ratio.
+
+scikit-image has the same formula, bit for bit, but its module imports SciPy's statistics: 0.5 s a run.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from skimage.metrics import peak_signal_noise_ratio
 from torch import Tensor
 
 CEILING_DB = 100.0  # what equal images score: infinity has no mean and no place in JSON
@@ -19,6 +21,7 @@ def psnr(prediction: Tensor, target: Tensor, mask: Tensor | None = None) -> floa
         mask: [H, W] bool with at least one pixel inside; the error is averaged over these pixels only.
     """
     images = [image.double() if mask is None else image[mask].double() for image in (target, prediction)]
+    expected, drawn = (image.cpu().numpy() for image in images)
     with np.errstate(divide="ignore"):
-        decibels = peak_signal_noise_ratio(*(image.cpu().numpy() for image in images), data_range=1)
+        decibels = 10 * np.log10(1 / np.mean((expected - drawn) ** 2))
     return min(CEILING_DB, float(decibels))

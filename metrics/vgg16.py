@@ -6,7 +6,6 @@ import os
 from functools import cache
 
 import torch
-from kornia.feature.dedode.vgg import cfgs, make_layers
 from torch import Tensor, nn
 
 from .weights import WEIGHTS_VARIABLE, WeightsUnavailable, find_weights
@@ -20,6 +19,8 @@ class Vgg16(nn.Module):
     source: str  # where the weights come from, once there are any
 
     def __init__(self) -> None:
+        from kornia.feature.dedode.vgg import cfgs, make_layers  # takes 0.2 s: where there are weights
+
         super().__init__()
         *layers, _ = make_layers(cfgs["D"])  # the last pooling is the classifier's
         self.features = nn.Sequential(*layers)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
-from scipy import ndimage
 from torch import Tensor
 
 from envgs_bench.core import Scene, View
@@ -60,6 +59,8 @@ def _opaque(view: View, scene: str) -> Tensor:
 
 def _on_background(scene: Scene) -> Tensor:
     """[P] bool: which points project to the background of some training view, EDGE pixels clear of what is opaque."""
+    from scipy import ndimage
+
     found = torch.zeros(len(scene.points), dtype=torch.bool)
     for view in scene.train:
         empty = torch.from_numpy(~ndimage.binary_dilation(_opaque(view, scene.name).numpy(), iterations=EDGE))

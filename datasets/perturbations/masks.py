@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from scipy import ndimage
 from torch import Tensor
 
 from envgs_bench.core import Scene, View
@@ -18,11 +17,15 @@ from envgs_bench.core import Scene, View
 
 def grow(scene: Scene, pixels: float, rng: object) -> Scene:
     """Every mask of a test or validation view dilated by so many pixels, along rows and columns."""
+    from scipy import ndimage
+
     return _with_masks(scene, lambda mask: ndimage.binary_dilation(mask, iterations=int(pixels)))
 
 
 def shrink(scene: Scene, pixels: float, rng: object) -> Scene:
     """Every mask of a test or validation view eroded by so many pixels; the picture's border erodes nothing."""
+    from scipy import ndimage
+
     return _with_masks(scene, lambda mask: ndimage.binary_erosion(mask, iterations=int(pixels), border_value=1))
 
 

@@ -11,11 +11,12 @@ import torch
 from envgs_bench.core import Scene, View
 
 from ..errors import DatasetError
-from ..toy.normal_noise import noisy_normals
 
 
 def turn(scene: Scene, mean_degrees: float, rng: np.random.Generator) -> Scene:
     """Each training view's normals turned smoothly, a whole region at a time: see `noisy_normals`."""
+    from ..toy.normal_noise import noisy_normals
+
     streams = rng.spawn(len(scene.train))
 
     def change(view: View, index: int) -> View:

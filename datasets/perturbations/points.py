@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from envgs_bench.core import Scene
@@ -22,6 +21,8 @@ def thin_out(scene: Scene, share: float, rng: np.random.Generator) -> Scene:
 
 def keep_nearest(scene: Scene, share: float, rng: np.random.Generator) -> Scene:
     """The `share` of the points that are nearest to any training camera."""
+    from scipy.spatial import cKDTree
+
     distance = cKDTree(_centers(scene).numpy()).query(scene.points.numpy())[0]
     return _kept(scene, np.sort(np.argsort(distance, kind="stable")[: _count(scene, share)]))
 

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from scipy.spatial.transform import Rotation
 
 from envgs_bench.core import Camera, Scene, View
 
@@ -24,6 +23,8 @@ def turn(scene: Scene, mean_degrees: float, rng: np.random.Generator) -> Scene:
 
     Normals turn with it: an estimator gives them in the camera's frame, and the wrong pose puts them into the world's.
     """
+    from scipy.spatial.transform import Rotation
+
     vectors = np.radians(mean_degrees) / MEAN_LENGTH * rng.normal(size=(len(scene.train), 3))
     turns = Rotation.from_rotvec(vectors).as_matrix()
     return replace(scene, train=[_turned(view, matrix) for view, matrix in zip(scene.train, turns, strict=True)])

@@ -1,4 +1,7 @@
-"""Which perturbations of a scene there are. Test views stay as they are, but for what describes the scene itself."""
+"""Which perturbations of a scene there are. Test views stay as they are, but for what describes the scene itself.
+
+Every run imports all of them, so what takes long to import is imported by those that use it.
+"""
 
 from __future__ import annotations
 

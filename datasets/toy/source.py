@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
-import torch
 from pydantic import Field
 
-from envgs_bench.core import Camera, Scene, View
+from envgs_bench.core import Scene
 
-from ..progress import streamed
 from ..settings import SourceSettings, parse_dataset_settings
-from ..split import split_views, validation_of
 from ..store.cache import cached_scene
-from ..store.scene_file import on_disk
-from .cameras import cameras_around
-from .lighting import bake
-from .normal_noise import noisy_normals
-from .points import sfm_points
-from .render import geometry, picture
-from .scenes import SCENES
-from .world import World
 
 VERSION = 8  # raise it with every change that alters a scene
 
@@ -65,49 +52,10 @@ def load_toy(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     choice = parse_dataset_settings(ToySettings, settings)
     name = choice.name or f"toy/{choice.scene}"
     key = {"source": "toy", "version": VERSION, **choice.model_dump(), "name": name}
-    return cached_scene(cache_dir, name, key, lambda: _make(choice, name))
 
+    def make() -> Scene:
+        from .making import make_scene  # which takes 1 s to import: most runs find their scene in the cache
 
-def _make(choice: ToySettings, name: str) -> Scene:
-    # one generator for each thing that is random, so that a change of one leaves the others as they are
-    streams = np.random.SeedSequence(choice.seed).spawn(4 + choice.views)
-    for_scene, for_light, for_points, *for_views, for_normals = (np.random.default_rng(stream) for stream in streams)
-    description = SCENES[choice.scene](for_scene)
-    world = World(description.parts, description.sky, description.bounces)
-    bake(world, for_light)
-    cameras = cameras_around(description.orbit, choice.views, choice.width, choice.height)
+        return make_scene(choice, name)
 
-    def make_view(index: int) -> View:
-        return _view(world, cameras[index], f"{index:04d}", choice.supersampling, for_views[index])
-
-    views = on_disk(streamed("tracing views", make_view, range(choice.views)))
-    train, test = split_views(views, name)
-    val = validation_of(train)  # with exact normals, as test views
-    points, colors = sfm_points(train, choice.noise, description.far_points, for_points)
-    if choice.normal_noise:
-        train = on_disk(_with_estimated_normals(view, choice.normal_noise, for_normals) for view in train)
-    as_bytes = np.round(255 * colors) / 255  # a point's color has 8 bits wherever structure from motion stores it
-    cloud = torch.from_numpy(points).float(), torch.from_numpy(as_bytes).float()
-    return Scene(name, train, test, *cloud, val=val)
-
-
-def _view(world: World, camera: Camera, name: str, supersampling: int, rng: np.random.Generator) -> View:
-    exact = geometry(world, camera)
-    regions = {"reflective": exact.reflective, "near_field": exact.near_field}
-    if world.ior.any():
-        regions["transmissive"] = exact.transmissive
-    return View(
-        name=name,
-        camera=camera,
-        image=torch.from_numpy(picture(world, camera, supersampling, rng)),
-        masks={region: torch.from_numpy(mask) for region, mask in regions.items()},
-        normal=torch.from_numpy(exact.normal).float(),
-        depth=torch.from_numpy(exact.depth).float(),
-    )
-
-
-def _with_estimated_normals(view: View, mean_degrees: float, rng: np.random.Generator) -> View:
-    assert view.normal is not None
-    directions = view.camera.rays()[1].double().numpy()
-    normals = noisy_normals(view.normal.double().numpy(), directions, mean_degrees, rng)
-    return replace(view, normal=torch.from_numpy(normals).float())
+    return cached_scene(cache_dir, name, key, make)

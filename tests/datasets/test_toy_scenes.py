@@ -15,7 +15,7 @@ from toy_scenes import coarse_toys
 
 from envgs_bench.core import Scene, View
 from envgs_bench.datasets import DatasetError, load_scene
-from envgs_bench.datasets.toy import source
+from envgs_bench.datasets.toy import making
 from envgs_bench.datasets.toy.normal_noise import noisy_normals
 from envgs_bench.datasets.toy.points import sfm_points
 from envgs_bench.datasets.toy.scenes import SCENES
@@ -280,7 +280,7 @@ def test_the_seed_decides_everything(load: Load, tmp_path: Path) -> None:
 
 def test_a_cached_scene_is_not_made_again(load: Load, monkeypatch: pytest.MonkeyPatch) -> None:
     load("sky_ball")
-    monkeypatch.setattr(source, "_make", lambda *_: pytest.fail("made again"))
+    monkeypatch.setattr(making, "make_scene", lambda *_: pytest.fail("made again"))
     assert len(load("sky_ball").train) == 14
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 
 from envgs_bench.core import Camera, GaussianSet, Scene, View, rasterize
 from envgs_bench.testing import tiny_scene
@@ -26,6 +25,8 @@ def tiny(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
 def garden(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     """gsplat's test_garden.npz: a structure-from-motion cloud and three cameras; pictures are drawn from the cloud."""
+    from scipy.spatial import cKDTree
+
     with np.load(Path(settings["root"]) / "test_garden.npz") as data:
         content = {name: torch.from_numpy(np.asarray(data[name])) for name in data.files}
     points, colors = content["means3d"].float(), content["colors"].float() / 255

@@ -1,0 +1,68 @@
+"""Making a toy scene: described, lit, traced, and split."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from envgs_bench.core import Camera, Scene, View
+
+from ..progress import streamed
+from ..split import split_views, validation_of
+from ..store.scene_file import on_disk
+from .cameras import cameras_around
+from .lighting import bake
+from .normal_noise import noisy_normals
+from .points import sfm_points
+from .render import geometry, picture
+from .scenes import SCENES
+from .source import ToySettings
+from .world import World
+
+
+def make_scene(choice: ToySettings, name: str) -> Scene:
+    """The scene that these settings describe."""
+    # one generator for each thing that is random, so that a change of one leaves the others as they are
+    streams = np.random.SeedSequence(choice.seed).spawn(4 + choice.views)
+    for_scene, for_light, for_points, *for_views, for_normals = (np.random.default_rng(stream) for stream in streams)
+    description = SCENES[choice.scene](for_scene)
+    world = World(description.parts, description.sky, description.bounces)
+    bake(world, for_light)
+    cameras = cameras_around(description.orbit, choice.views, choice.width, choice.height)
+
+    def make_view(index: int) -> View:
+        return _view(world, cameras[index], f"{index:04d}", choice.supersampling, for_views[index])
+
+    views = on_disk(streamed("tracing views", make_view, range(choice.views)))
+    train, test = split_views(views, name)
+    val = validation_of(train)  # with exact normals, as test views
+    points, colors = sfm_points(train, choice.noise, description.far_points, for_points)
+    if choice.normal_noise:
+        train = on_disk(_with_estimated_normals(view, choice.normal_noise, for_normals) for view in train)
+    as_bytes = np.round(255 * colors) / 255  # a point's color has 8 bits wherever structure from motion stores it
+    cloud = torch.from_numpy(points).float(), torch.from_numpy(as_bytes).float()
+    return Scene(name, train, test, *cloud, val=val)
+
+
+def _view(world: World, camera: Camera, name: str, supersampling: int, rng: np.random.Generator) -> View:
+    exact = geometry(world, camera)
+    regions = {"reflective": exact.reflective, "near_field": exact.near_field}
+    if world.ior.any():
+        regions["transmissive"] = exact.transmissive
+    return View(
+        name=name,
+        camera=camera,
+        image=torch.from_numpy(picture(world, camera, supersampling, rng)),
+        masks={region: torch.from_numpy(mask) for region, mask in regions.items()},
+        normal=torch.from_numpy(exact.normal).float(),
+        depth=torch.from_numpy(exact.depth).float(),
+    )
+
+
+def _with_estimated_normals(view: View, mean_degrees: float, rng: np.random.Generator) -> View:
+    assert view.normal is not None
+    directions = view.camera.rays()[1].double().numpy()
+    normals = noisy_normals(view.normal.double().numpy(), directions, mean_degrees, rng)
+    return replace(view, normal=torch.from_numpy(normals).float())
