@@ -104,7 +104,8 @@ class RunSettings(BaseModel):
     runs_dir: Path
     cache_dir: Path
     force: bool
-    retry_failed: bool
+    # Run again what ended so; failed stands for any status but ok.
+    retry: Literal["failed", "diverged", "out_of_memory", "timeout"] | None = None
     overrides: list[str] = []  # what was given on the command line, for the record
 
     @field_validator("perturb", mode="after")
@@ -173,7 +174,10 @@ def read_settings(folder: Path) -> RunSettings:
     """
     path = folder / CONFIG_NAME
     try:
-        return parse_settings(yaml.load(read_regular_text(path, MOST_BYTES), _Loader))
+        content = yaml.load(read_regular_text(path, MOST_BYTES), _Loader)
+        if isinstance(content, dict):
+            content.pop("retry_failed", None)  # of runs from before there was `retry`
+        return parse_settings(content)
     except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
         raise SettingsError(f"{path}: cannot be read as YAML ({error}); run the job again") from error
     except ValueError as error:  # settings that are none, and dates that are no days

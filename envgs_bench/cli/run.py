@@ -27,7 +27,8 @@ Keys of every run:
   timeout_minutes, memory_gb, device_memory_fraction   limits of a run: it ends with status timeout or out_of_memory
   snapshot_minutes=5  how often a training is saved; one that was interrupted goes on from there
   force=true          run again from the start what is already there, replacing it where it ends with status ok
-  retry_failed=true   run again what ended with another status than ok
+  retry=failed        go on with what ended with another status than ok; retry=timeout, out_of_memory or diverged with
+                      what ended so
 
 Hydra's own options work too: -m, --cfg job (show the composed configuration), --config-dir DIR (more methods and
 data sets as YAML files), hydra/launcher=joblib (jobs in parallel).

@@ -31,7 +31,7 @@ def run_id(settings: RunSettings, device: str) -> str:
     does not count, what is read there does, names and contents of the files: a corrected data set is a new run, a moved
     one or one with a README beside its photographs is not. VGG-16's weights count, which both a loss and a metric need:
     a run without them is run again once they are there. What changes no result does not count: folders, gates, force,
-    retry_failed, the limits of time and memory, when snapshots are saved.
+    retry, the limits of time and memory, when snapshots are saved.
     """
     determining = {
         "method": [settings.method.name, settings.method.kind, _method(settings)],

@@ -50,8 +50,8 @@ def run_job(settings: RunSettings, folder: Path, display: Display, interruption:
     """Run what `settings` say in `folder`, unless its record is there already; raises for nothing that happens there.
 
     A run with status ok is reused unless `force`; it stays in place until the one that replaces it is ok too. One that
-    was interrupted goes on from its snapshot; one that ended otherwise does so only with `retry_failed`, and starts
-    again with `force`. An unreadable record is replaced only with `force`.
+    was interrupted goes on from its snapshot; one that ended otherwise does so only with `retry`, and starts again
+    with `force`. An unreadable record is replaced only with `force`.
 
     Ctrl-C ends the run, with a record of status interrupted.
     """
@@ -102,9 +102,9 @@ def earlier_outcome(folder: Path, settings: RunSettings) -> Outcome | None:
         return outcome_of(folder, settings, "unreadable", str(error))
     if status == "ok":
         return outcome_of(folder, settings, "reused")
-    if status == "interrupted" or settings.retry_failed:
+    if status == "interrupted" or settings.retry in ("failed", status):
         return None
-    return outcome_of(folder, settings, "not retried", "retry_failed=true runs it again")
+    return outcome_of(folder, settings, "not retried", "retry=failed runs it again")
 
 
 def _run_claimed(

@@ -87,7 +87,7 @@ def test_pipes_and_links_in_place_of_a_runs_files(tmp_path: Path) -> None:
     (folder / "notes.md").write_text("mine")
     (folder / LOG_NAME).unlink()
     os.mkfifo(folder / LOG_NAME)
-    assert run(tmp_path / "runs", "method.kind=fakes.methods:Raises", "retry_failed=true") == 1
+    assert run(tmp_path / "runs", "method.kind=fakes.methods:Raises", "retry=failed") == 1
     assert (elsewhere / "mine.png").exists()
     assert (folder / "notes.md").read_text() == "mine"
     assert "the surfels are in a bad mood" in (folder / LOG_NAME).read_text()

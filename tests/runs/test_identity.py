@@ -37,7 +37,6 @@ def content(**changes: Any) -> dict[str, Any]:
         "runs_dir": "runs",
         "cache_dir": None,
         "force": False,
-        "retry_failed": False,
     }
     return {**given, **changes}
 
@@ -85,7 +84,7 @@ def test_the_device_and_the_code_change_the_identity(monkeypatch: pytest.MonkeyP
         {"runs_dir": "elsewhere"},
         {"cache_dir": "elsewhere"},
         {"force": True},
-        {"retry_failed": True},
+        {"retry": "failed"},
         {"timeout_minutes": 3},
         {"memory_gb": 3},
         {"device_memory_fraction": 0.5},

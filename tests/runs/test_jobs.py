@@ -61,10 +61,14 @@ def test_a_failed_run_is_retried_only_when_asked(tmp_path: Path, capsys: pytest.
     assert run(tmp_path, RAISES) == 1
     out = capsys.readouterr().out
     assert "failed (not retried)" in out
-    assert "RuntimeError: the surfels are in a bad mood (retry_failed=true runs it again)" in out
+    assert "RuntimeError: the surfels are in a bad mood (retry=failed runs it again)" in out
     assert record.read_bytes() == before
 
-    assert run(tmp_path, RAISES, "retry_failed=true") == 1
+    assert run(tmp_path, RAISES, "retry=timeout") == 1
+    assert record.read_bytes() == before
+    capsys.readouterr()
+
+    assert run(tmp_path, RAISES, "retry=failed") == 1
     assert "not retried" not in capsys.readouterr().out
     assert record.read_bytes() != before
 

@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-import json
 import os
 import random
 import shutil
 import signal
+import threading
 import time
+from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
-import torch
 from fakes.runs import only_folder, records, run, set_environment
-from fakes.whole_sweeps import Start, alive, statuses, training, until
+from fakes.whole_sweeps import Start, alive, statuses, sweep_of, training, until
 
-from envgs_bench.records import find_records, read_record
+from envgs_bench.records import Record, RecordError, find_records, read_record
+from envgs_bench.run_folder import RECORD_NAME, REPLACEMENT
+from envgs_bench.settings import read_settings
+from envgs_bench.stages.execution import execute
+from envgs_bench.stages.results import Results
 
-STEPS = 400
-SEEDS = "seed=0,1,2"
+STEPS = 150
 LEARNS = ("method.kind=fakes.methods:Waits", "method.settings.rate=0.01", f"steps={STEPS}", "snapshot_minutes=0.005")
+REAL = ("method=2dgs,envmap", "seed=0,1", "steps=100", "snapshot_minutes=0.005", "retry=failed")
+OF_THIS_ATTEMPT = ("record.json", "config.yaml", "curve.csv", "log.txt")  # they hold times, folders, what was printed
 
 
 @pytest.fixture(autouse=True)
@@ -29,66 +36,153 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FAKE_STEP_SECONDS", "0.01")
 
 
-def results(runs: Path) -> dict[int, tuple[object, torch.Tensor, str]]:
-    """Of each seed, what must be the same bit for bit: scores, what was learned, and the curve but for its seconds."""
-    found = {}
-    for path in find_records(runs):
-        record = read_record(path)
+def results(runs: Path) -> dict[str, Any]:
+    """Of each finished run, what must be the same bit for bit: scores, pictures, model, the curve but for its seconds.
+
+    Of one that is just being replaced, nothing: that is done by whoever comes next.
+    """
+    found: dict[str, Any] = {}
+    for path in finished(runs):
+        record, folder = read_record(path), path.parent
+        if (folder / REPLACEMENT).exists():
+            continue
         assert record.metrics is not None
-        curve = (path.parent / "curve.csv").read_text().splitlines()
-        rows = [line.split(",")[:1] + line.split(",")[2:] for line in curve]
-        color = torch.load(path.parent / "checkpoint" / "color.pt", weights_only=True)
-        found[record.seed] = record.metrics.model_dump(), color.tolist(), json.dumps(rows)
+        assert record.cost is not None
+        curve = (folder / "curve.csv").read_text().splitlines()
+        files = [file for file in folder.rglob("*") if file.is_file() and file.name not in OF_THIS_ATTEMPT]
+        found[str(folder.relative_to(runs))] = {
+            "metrics": record.metrics.model_dump(),
+            "masked": {region: scores.model_dump() for region, scores in record.masked.items()},
+            "primitives": record.cost.primitives,
+            "curve": [line.split(",")[:1] + line.split(",")[2:] for line in curve],
+            **{str(file.relative_to(folder)): file.read_bytes() for file in files},
+        }
     return found
 
 
-def finished_records(runs: Path) -> list[Path]:
-    return [path for path in find_records(runs) if read_record(path).status == "ok"] if runs.is_dir() else []
+def finished(runs: Path) -> dict[Path, bytes]:
+    """The records of what has ended with status ok."""
+    found = find_records(runs) if runs.is_dir() else []
+    return {path: path.read_bytes() for path in found if read_record(path).status == "ok"}
 
 
-def kill_somebody(tmp_path: Path, start: Start, draw: random.Random) -> None:
-    """Start the sweep and kill, at a random moment, the worker, all of the sweep but the worker, or both."""
-    sweep = start(SEEDS, *LEARNS)
-    until(lambda: alive(tmp_path) or sweep.poll() is not None)
-    time.sleep(draw.uniform(0, 8))
-    victims = draw.choice(["worker", "sweep", "both"])
-    if victims != "sweep":
-        for process in alive(tmp_path):
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    root = tmp_path_factory.mktemp("undisturbed")
+    with pytest.MonkeyPatch.context() as patch:
+        set_environment(patch)
+        assert run(root, *REAL, flags=("-m",)) == 0
+    return results(root)
+
+
+def kill_somebody(root: Path, start: Start, draw: random.Random, *overrides: str) -> str:
+    """Start the sweep and kill, by SIGKILL at a random moment, a run, the sweep's own process, or all; say which.
+
+    The moment is a random time after something that the sweep has come to, so that a slow machine, too, comes to all.
+    A sweep whose run was killed goes on, and is killed a little later.
+    """
+    before, began = len(finished(root / "runs")), time.time()
+    come_to: dict[str, Callable[[], object]] = {
+        "starting": lambda: True,
+        "a process": lambda: alive(root),
+        "training": lambda: training(root),
+        "a snapshot": lambda: any(path.stat().st_mtime > began for path in root.rglob("snapshot.safetensors")),
+        "a result": lambda: len(finished(root / "runs")) > before or list(root.rglob(f"{REPLACEMENT}/{RECORD_NAME}")),
+    }
+    (moment,) = draw.choices(list(come_to), weights=[1, 1, 2, 3, 3])
+    shell = start(*REAL, *overrides)
+
+    def it_is_time() -> bool:
+        with suppress(OSError, RecordError):  # files come and go
+            return shell.poll() is not None or bool(come_to[moment]())
+        return False
+
+    until(it_is_time, 300)
+    time.sleep(draw.uniform(0, 2))
+    victim = draw.choice(["run", "sweep", "all"])
+    if shell.poll() is not None:
+        victim = "nobody, it had ended"
+    if victim in ("run", "all"):
+        for process in alive(root):
             process.kill()
-    with suppress(ProcessLookupError):
-        os.killpg(sweep.pid, signal.SIGTERM if victims == "worker" else signal.SIGKILL)
-    sweep.communicate(timeout=120)
-    until(lambda: not alive(tmp_path))
+    if victim == "run":
+        time.sleep(draw.uniform(0, 3))
+    if victim == "sweep":
+        with suppress(Exception):  # it may have ended at this moment
+            sweep_of(shell).kill()
+    else:
+        with suppress(ProcessLookupError):
+            os.killpg(shell.pid, signal.SIGKILL)
+    shell.communicate(timeout=300)
+    until(lambda: not alive(root))
+    return victim
 
 
-def kill_rounds(tmp_path: Path, start: Start, rounds: int, draw: random.Random) -> None:
-    """As many kills at random moments, the folder begun anew where all is done; the results are those of no kill."""
-    runs = tmp_path / "runs"
-    assert run(tmp_path / "whole", *LEARNS, SEEDS, flags=("-m",)) == 0
-    expected = results(tmp_path / "whole")
+def _went_on(found: list[Record]) -> int:
+    """How many of these runs went on from a snapshot, once or more often."""
+    return sum("went_on_from_steps" in (record.provenance.model_extra or {}) for record in found)
 
+
+def kill_rounds(root: Path, start: Start, rounds: int, draw: random.Random, expected: dict[str, Any]) -> Counter[str]:
+    """As many kills; where all is done, it is run again with force, or begun anew. How often what happened."""
+    runs = root / "runs"
+    seen: Counter[str] = Counter()
     for _ in range(rounds):
-        finished = {path: path.read_bytes() for path in finished_records(runs)}
-        kill_somebody(tmp_path, start, draw)
-        assert {path: path.read_bytes() for path in finished} == finished
-        if len(finished) == 3:
-            shutil.rmtree(runs)
-    assert run(runs, *LEARNS, SEEDS, "retry_failed=true", flags=("-m",)) == 0
-    assert statuses(runs) == ["ok"] * 3
+        before, again = finished(runs), ()
+        if len(before) == len(expected):
+            seen["all done"] += 1
+            if draw.random() < 0.5:
+                again = ("force=true",)
+            else:
+                seen["went on"] += _went_on(records(runs))
+                shutil.rmtree(runs)
+                before = {}
+        seen[kill_somebody(root, start, draw, *again)] += 1
+        after, done = finished(runs), results(runs)
+        seen["results"] += len(after.keys() - before.keys())
+        assert before.keys() <= after.keys()
+        if not again:
+            assert {path: after[path] for path in before} == before  # neither lost nor run twice
+        assert done == {name: expected[name] for name in done}
+    assert run(runs, *REAL, flags=("-m",)) == 0
     assert results(runs) == expected
-    resumed = sum(len((record.provenance.model_extra or {}).get("went_on_from_steps", [])) for record in records(runs))
-    assert resumed
-
-
-@pytest.mark.slow
-def test_a_sweep_that_was_killed_goes_on(tmp_path: Path, start: Start) -> None:
-    kill_rounds(tmp_path, start, 3, random.Random(1))
+    seen["went on"] += _went_on(records(runs))
+    return seen
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
-def test_a_sweep_that_was_killed_ten_times_goes_on(tmp_path: Path, start: Start, seed: int) -> None:
-    kill_rounds(tmp_path, start, 10, random.Random(100 + seed))
+def test_a_sweep_that_was_killed_ten_times_goes_on(
+    tmp_path: Path, start: Start, undisturbed: dict[str, Any], seed: int
+) -> None:
+    seen = kill_rounds(tmp_path, start, 10, random.Random(100 + seed), undisturbed)
+    assert seen["went on"]
+    print(f"what happened, how often: {dict(seen)}")
+
+
+def test_a_run_that_was_killed_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It ends where it ends in this process, in one go."""
+    runs = tmp_path / "runs"
+
+    def kill() -> None:
+        until(lambda: list(runs.rglob("snapshot.safetensors")))
+        for process in alive(runs):
+            process.kill()
+
+    threading.Thread(target=kill).start()
+    assert run(runs, *LEARNS) == 1
+    assert statuses(runs) == ["out_of_memory"]  # as it seems from outside
+    assert run(runs, *LEARNS, "retry=failed") == 0
+    folder = only_folder(runs)
+    (step,) = (read_record(folder).provenance.model_extra or {})["went_on_from_steps"]
+    assert 0 < step < STEPS
+    monkeypatch.setenv("FAKE_STEP_SECONDS", "0")
+    whole = Results("tiny", STEPS)
+    (tmp_path / "whole").mkdir()
+    execute(read_settings(folder), tmp_path / "whole", whole, lambda event: None)
+    assert whole.metrics == read_record(folder).metrics
+    learned = (tmp_path / "whole" / "checkpoint" / "color.pt", folder / "checkpoint" / "color.pt")
+    assert learned[0].read_bytes() == learned[1].read_bytes()
 
 
 @pytest.mark.slow
@@ -101,13 +195,16 @@ def test_two_sweeps_of_one_folder_share_the_work(tmp_path: Path, start: Start) -
     assert [log.count("learning the mean color") for log in logs] == [1] * 4
 
 
-def test_ctrl_c_saves_where_it_was_and_the_same_command_goes_on(tmp_path: Path, start: Start) -> None:
+def test_ctrl_c_saves_where_it_was_and_the_same_command_goes_on(tmp_path: Path) -> None:
     """Of a long step's middle nothing is saved: the snapshot is of the step's end."""
-    sweep = start(*LEARNS, "snapshot_minutes=60")
-    until(lambda: training(tmp_path))
-    time.sleep(0.5)
-    os.killpg(sweep.pid, signal.SIGINT)
-    sweep.communicate(timeout=60)
+
+    def interrupt() -> None:
+        until(lambda: training(tmp_path))
+        time.sleep(0.5)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt).start()
+    assert run(tmp_path / "runs", *LEARNS, "snapshot_minutes=60") == 130
     folder = only_folder(tmp_path / "runs")
     assert (folder / "snapshot.safetensors").is_file()
     assert run(tmp_path / "runs", *LEARNS) == 0

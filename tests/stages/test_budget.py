@@ -18,7 +18,7 @@ def settings(method: str, **budget: Any) -> RunSettings:
             "dataset": {"name": "tiny", "kind": "toy"},
             "budget": {"primitives": None, "mb": None, **budget},
             **{"protocol": "envgs", "seed": 0, "steps": 10, "device": "cpu", "timing": {"frames": 1, "seconds": 1}},
-            **{"timeout_minutes": None, "runs_dir": "runs", "cache_dir": None, "force": False, "retry_failed": False},
+            **{"timeout_minutes": None, "runs_dir": "runs", "cache_dir": None, "force": False},
         }
     )
 

@@ -112,7 +112,7 @@ def execute(
         "dataset": {"name": "tiny", "kind": "tiny"},
         "timing": {"frames": 1, "seconds": 0.01},
         **{"protocol": "envgs", "seed": 0, "steps": steps, "device": "cpu", "timeout_minutes": None},
-        **{"runs_dir": folder, "cache_dir": folder, "force": False, "retry_failed": False},
+        **{"runs_dir": folder, "cache_dir": folder, "force": False},
     }
     results = Results("tiny", steps)
     execution.execute(parse_settings(run), folder, results, lambda event: None)

@@ -26,7 +26,7 @@ def settings(kind: str = "none", severity: int = 1, method: str = "envgs", **cha
         "perturb": {"kind": kind, "severity": severity},
         "timing": {"frames": 1, "seconds": 0.01},
         **{"protocol": "envgs", "seed": 0, "steps": 900, "device": "cpu", "timeout_minutes": None},
-        **{"runs_dir": "runs", "cache_dir": None, "force": False, "retry_failed": False},
+        **{"runs_dir": "runs", "cache_dir": None, "force": False},
     }
     return parse_settings({**given, **changes})
 

@@ -76,7 +76,7 @@ CONFIGS = [
             "dataset": {"kind": "toy", "scene": "chrome_room"},
             **{"protocol": "envgs", "seed": 0, "steps": 10, "device": "cpu", "timeout_minutes": None},
             **{"timing": {"frames": 5, "seconds": 1.0}, "runs_dir": "runs", "cache_dir": "cache"},
-            **{"force": False, "retry_failed": False, "overrides": ["seed=0"]},
+            **{"force": False, "overrides": ["seed=0"]},
         },
         sort_keys=False,
     )
