@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from fakes.runs import CONF, QUICK, environment
+from fakes.runs import CONF, QUICK, environment, run, set_environment
 from fakes.whole_sweeps import Start, alive
 
 
@@ -44,3 +44,13 @@ def start(tmp_path: Path) -> Iterator[Start]:
         process.communicate()
     for process in alive(tmp_path):
         process.kill()
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A runs_dir with one finished run, of no overrides, to be copied."""
+    runs_dir = tmp_path_factory.mktemp("finished")
+    with pytest.MonkeyPatch.context() as patch:
+        set_environment(patch)
+        assert run(runs_dir) == 0
+    return runs_dir

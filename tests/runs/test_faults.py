@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -56,7 +57,7 @@ def test_a_full_disk_is_an_outcome_and_the_sweep_goes_on(small_disk: Path, capsy
     assert shown.count("failed") >= 2
     assert "No space left on device" in shown
     (small_disk / "filler").unlink()
-    assert run(small_disk / "runs", fill, "seed=0,1", "steps=3", "method.settings.crash_at=9", flags=("-m",)) == 0
+    assert run(small_disk / "runs", fill, "steps=3", "method.settings.crash_at=9") == 0
 
 
 def test_a_folder_that_is_deleted_meanwhile_is_an_outcome(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -94,8 +95,10 @@ def test_pipes_and_links_in_place_of_a_runs_files(tmp_path: Path) -> None:
     assert not (folder / "renders").exists()
 
 
-def test_a_pipe_in_place_of_a_record_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(tmp_path) == 0
+def test_a_pipe_in_place_of_a_record_is_named(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
     record = only_folder(tmp_path) / RECORD_NAME
     record.unlink()
     os.mkfifo(record)
@@ -103,8 +106,8 @@ def test_a_pipe_in_place_of_a_record_is_named(tmp_path: Path, capsys: pytest.Cap
     assert f"{record}: cannot be read: it is a named pipe, expected a file" in capsys.readouterr().out
 
 
-def test_a_linked_folder_is_never_emptied(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(tmp_path / "runs") == 0
+def test_a_linked_folder_is_never_emptied(finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(finished, tmp_path / "runs")
     folder = only_folder(tmp_path / "runs")
     kept = tmp_path / "kept"
     folder.rename(kept)
@@ -116,9 +119,9 @@ def test_a_linked_folder_is_never_emptied(tmp_path: Path, capsys: pytest.Capture
     assert run(tmp_path / "runs") == 0
 
 
-def test_a_forced_run_that_fails_leaves_the_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_forced_run_that_fails_leaves_the_result(finished: Path, tmp_path: Path) -> None:
     """The same run fails the second time, as of a full disk: its result stays, and what happened is said."""
-    assert run(tmp_path) == 0
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
     folder = only_folder(tmp_path)
     before = (folder / RECORD_NAME).read_bytes()
     assert run(tmp_path, "force=true", "timeout_minutes=0.0001") == 1
@@ -163,8 +166,8 @@ def test_a_run_under_way_is_no_unreadable_one(tmp_path: Path, start, capsys: pyt
     assert "s left" in shown
 
 
-def test_a_dry_run_says_what_would_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(tmp_path, "seed=0") == 0
+def test_a_dry_run_says_what_would_run(finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
     assert run(tmp_path, "seed=0", "method.kind=fakes.methods:Raises") == 1
     before = sorted(tmp_path.rglob("*"))
     capsys.readouterr()

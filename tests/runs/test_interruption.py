@@ -16,7 +16,7 @@ from envgs_bench.claim import holder_of
 from envgs_bench.records import read_record
 
 JOBLIB = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
-LONG = ("steps=20000", "method.settings.tells_psnr=false")
+LONG = ("steps=5000", "method.settings.tells_psnr=false")
 WAITS = ("method.kind=fakes.methods:Waits", "steps=1000")
 
 

@@ -195,20 +195,29 @@ def test_two_sweeps_of_one_folder_share_the_work(tmp_path: Path, start: Start) -
     assert [log.count("learning the mean color") for log in logs] == [1] * 4
 
 
-def test_ctrl_c_saves_where_it_was_and_the_same_command_goes_on(tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+def test_ctrl_c_and_kill_save_where_it_was_and_the_same_command_goes_on(tmp_path: Path, how: signal.Signals) -> None:
     """Of a long step's middle nothing is saved: the snapshot is of the step's end."""
+    runs = tmp_path / "runs"
 
     def interrupt() -> None:
         until(lambda: training(tmp_path))
         time.sleep(0.5)
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), how)
 
     threading.Thread(target=interrupt).start()
-    assert run(tmp_path / "runs", *LEARNS, "snapshot_minutes=60") == 130
-    folder = only_folder(tmp_path / "runs")
+    assert run(runs, *LEARNS, "snapshot_minutes=60", "seed=0,1", flags=("-m",)) == 130
+    (record,) = records(runs)  # the sweep ended there
+    assert record.status == "interrupted"
+    assert record.seed == 0
+    assert record.cost is not None
+    folder = only_folder(runs)
+    assert (folder / "checkpoint" / "color.pt").is_file()
+    assert (folder / "curve.csv").read_text().startswith("step,")
     assert (folder / "snapshot.safetensors").is_file()
-    assert run(tmp_path / "runs", *LEARNS) == 0
-    record = read_record(folder)
+
+    assert run(runs, *LEARNS) == 0
+    (record,) = records(runs)
     assert record.status == "ok"
     (step,) = (record.provenance.model_extra or {})["went_on_from_steps"]
     assert 0 < step < STEPS
