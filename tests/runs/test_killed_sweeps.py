@@ -27,6 +27,7 @@ from envgs_bench.stages.results import Results
 STEPS = 150
 LEARNS = ("method.kind=fakes.methods:Waits", "method.settings.rate=0.01", f"steps={STEPS}", "snapshot_minutes=0.005")
 REAL = ("method=2dgs,envmap", "seed=0,1", "steps=100", "snapshot_minutes=0.005", "retry=failed")
+VICTIMS = ("run", "sweep", "all")
 OF_THIS_ATTEMPT = ("record.json", "config.yaml", "curve.csv", "log.txt")  # they hold times, folders, what was printed
 
 
@@ -39,17 +40,22 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
 def results(runs: Path) -> dict[str, Any]:
     """Of each finished run, what must be the same bit for bit: scores, pictures, model, the curve but for its seconds.
 
-    Of one that is just being replaced, nothing: that is done by whoever comes next.
+    Nothing of one whose replacement is finished: whoever comes next puts it in its place. One that is not finished
+    stays where it is, to go on with force.
     """
     found: dict[str, Any] = {}
     for path in finished(runs):
         record, folder = read_record(path), path.parent
-        if (folder / REPLACEMENT).exists():
+        if finished(folder / REPLACEMENT):
             continue
         assert record.metrics is not None
         assert record.cost is not None
         curve = (folder / "curve.csv").read_text().splitlines()
-        files = [file for file in folder.rglob("*") if file.is_file() and file.name not in OF_THIS_ATTEMPT]
+        files = [
+            file
+            for file in folder.rglob("*")
+            if file.is_file() and file.name not in OF_THIS_ATTEMPT and folder / REPLACEMENT not in file.parents
+        ]
         found[str(folder.relative_to(runs))] = {
             "metrics": record.metrics.model_dump(),
             "masked": {region: scores.model_dump() for region, scores in record.masked.items()},
@@ -99,7 +105,7 @@ def kill_somebody(root: Path, start: Start, draw: random.Random, *overrides: str
 
     until(it_is_time, 300)
     time.sleep(draw.uniform(0, 2))
-    victim = draw.choice(["run", "sweep", "all"])
+    victim = draw.choice(VICTIMS)
     if shell.poll() is not None:
         victim = "nobody, it had ended"
     if victim in ("run", "all"):
@@ -127,7 +133,7 @@ def kill_rounds(root: Path, start: Start, rounds: int, draw: random.Random, expe
     """As many kills; where all is done, it is run again with force, or begun anew. How often what happened."""
     runs = root / "runs"
     seen: Counter[str] = Counter()
-    for _ in range(rounds):
+    while sum(seen[victim] for victim in VICTIMS) < rounds:
         before, again = finished(runs), ()
         if len(before) == len(expected):
             seen["all done"] += 1
