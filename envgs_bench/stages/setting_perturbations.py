@@ -13,7 +13,7 @@ from envgs_bench.records import RENDERS
 from envgs_bench.settings import RunSettings, SettingsError
 
 RATES = ("_lr", "_lr_final")  # how the names of learning rates end
-MIN_PIXELS = 8  # a toy picture's smallest edge
+MIN_PIXELS = 16  # a toy picture's smallest edge: LPIPS is defined from there on
 
 
 def _scale_rates(settings: RunSettings, factor: float, rng: np.random.Generator) -> RunSettings:
@@ -88,6 +88,6 @@ PERTURBATIONS: dict[str, Perturbation[RunSettings]] = {
     "blended_normals": Perturbation(_blend_normals, (0,), "L_norm takes normals as they are blended, as long as alpha"),
     "steps_fewer": Perturbation(_scale_steps, (1 / 3, 1 / 10, 1 / 30), "steps × {:.2g}"),
     "steps_more": Perturbation(_scale_steps, (3.0, 10.0, 100 / 3), "steps × {:.3g}"),
-    "pixels_fewer": Perturbation(_resize, (1 / 2, 1 / 4, 1 / 8), "pictures {:g} × as wide"),
+    "pixels_fewer": Perturbation(_resize, (3 / 4, 1 / 2, 2 / 5), "pictures {:g} × as wide"),
     "pixels_more": Perturbation(_resize, (2.0, 4.0, 10.0), "pictures {:g} × as wide"),
 }

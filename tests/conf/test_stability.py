@@ -74,4 +74,4 @@ def test_lengths_reach_from_300_to_100_000_steps_and_widths_from_64_to_1_600_pix
         for severity in (1, 2, 3)
     ]
     assert {300, 1_000, 3_000, 9_000, 30_000, 100_000} <= {run.steps for run in changed}
-    assert {20, 40, 80, 160, 320, 640, 1_600} <= {run.dataset["width"] for run in changed}
+    assert {64, 80, 120, 320, 640, 1_600} <= {run.dataset["width"] for run in changed}

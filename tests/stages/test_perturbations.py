@@ -90,10 +90,10 @@ def test_the_scene_is_perturbed_as_it_is_read_and_the_cache_holds_it_unperturbed
         (
             "rates_up",
             1,
-            {"position_lr": 3 * 1.6e-4, "position_lr_final": 3 * 1.6e-6, "beta_lr": 0.03, "scale_lr": 0.015},
+            {"position_lr": 3 * 1.6e-4, "position_lr_final": 3 * 1.6e-6, "beta_lr": 0.03, "scale_lr": 0.03},
         ),
         ("rates_down", 2, {"sh_lr": 2.5e-4, "rotation_lr": 1e-4}),
-        ("needles", 3, {"scale_lr": 0.15}),
+        ("needles", 3, {"scale_lr": 0.3}),
         ("cap", 3, {"max_primitives": 1000, "env_max_primitives": 1000}),
         ("no_resets", 1, {"opacity_reset_every": 0}),
         ("no_joint", 1, {"joint": False}),
@@ -111,10 +111,12 @@ def test_settings_of_a_method_are_perturbed(kind: str, severity: int, expected: 
 def test_steps_and_sizes_are_perturbed() -> None:
     assert [perturbed_settings(settings("steps_fewer", s)).steps for s in (1, 2, 3)] == [300, 90, 30]
     assert perturbed_settings(settings("steps_more", 1)).steps == 2700
-    toy = perturbed_settings(settings("pixels_fewer", 1, dataset=TOY)).dataset
-    assert (toy["width"], toy["height"]) == (16, 12)
+    toy = perturbed_settings(settings("pixels_fewer", 2, dataset=TOY | {"width": 80, "height": 60})).dataset
+    assert (toy["width"], toy["height"]) == (40, 30)
+    toy = perturbed_settings(settings("pixels_fewer", 2, dataset=TOY)).dataset
+    assert (toy["width"], toy["height"]) == (16, 16), "LPIPS is not defined below"
     capture = {"kind": "colmap", "root": "fox", "downsample": 4}
-    assert perturbed_settings(settings("pixels_fewer", 2, dataset=capture)).dataset["downsample"] == 16
+    assert perturbed_settings(settings("pixels_fewer", 3, dataset=capture)).dataset["downsample"] == 10
     assert perturbed_settings(settings("pixels_more", 3, dataset=capture)).dataset["downsample"] == 1
 
 
