@@ -22,8 +22,10 @@ from envgs_bench.cli.main import main
 from envgs_bench.reports import build_report
 from envgs_bench.reports.charts.ladder import steps
 from envgs_bench.reports.numbers.runs import read_runs
+from envgs_bench.reports.page.budgets import BudgetPart
 from envgs_bench.reports.page.html import write_page
 from envgs_bench.reports.pictures.gallery import galleries
+from envgs_bench.reports.tables.budgets import budgets_of, budgets_table
 from envgs_bench.reports.tables.ladder_csv import recommendations_table, rungs_table
 from envgs_bench.reports.tables.latex import latex
 from envgs_bench.reports.tables.markdown import markdown
@@ -188,10 +190,16 @@ def places(node: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
         yield from places(value, (*at, key))
 
 
+def within_budget(primitives: int) -> dict[str, Any]:
+    content = record("toy/chrome_room", "envgs", 0)
+    content["config"]["budget"] = {"primitives": primitives, "mb": None}
+    return content
+
+
 @st.composite
 def damaged(draw: st.DrawFn) -> dict[str, Any]:
     """A record with up to three of its parts replaced or deleted."""
-    content = copy.deepcopy(record("toy/chrome_room", "envgs", 0))
+    content = copy.deepcopy(within_budget(500))
     for _ in range(draw(st.integers(1, 3))):
         *above, last = draw(st.sampled_from(sorted(places(content), key=str)))
         node = content
@@ -211,8 +219,9 @@ def test_a_record_with_anything_in_it_is_refused_or_reported(content: dict[str, 
         folder = Path(name)
         write_record(folder / "runs/a", content)
         write_record(folder / "runs/b", record("toy/chrome_room", "2dgs_tuned", 0))
+        write_record(folder / "runs/c", within_budget(1000))
         found, broken = read_runs(folder / "runs")
-        assert len(found) + len(broken) == 2
+        assert len(found) + len(broken) == 3
         sections = split_sections(found)
         (folder / "out").mkdir()
         json.dumps(structured(sections, broken), allow_nan=False)
@@ -221,6 +230,7 @@ def test_a_record_with_anything_in_it_is_refused_or_reported(content: dict[str, 
         for section in sections:
             rungs_table(section.ladders)
             recommendations_table(section.ladders)
+            budgets_table(budgets_of(section))
             assert all(math.isfinite(step.level) for ladder in section.ladders for step in steps(ladder))
         write_page(
             folder / "out",
@@ -229,6 +239,7 @@ def test_a_record_with_anything_in_it_is_refused_or_reported(content: dict[str, 
             [galleries(section) for section in sections],
             [None] * len(sections),
             [()] * len(sections),
+            [BudgetPart(budgets_of(section), ()) for section in sections],
         )
 
 
