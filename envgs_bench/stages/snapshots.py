@@ -73,6 +73,7 @@ class Snapshots:
     def remove(self) -> None:
         """The run is finished."""
         self._path.unlink(missing_ok=True)
+        _part_of(self._path).unlink(missing_ok=True)  # of a process that was killed while it saved
 
 
 def write_state(path: Path, state: State) -> None:
@@ -95,7 +96,7 @@ def write_state(path: Path, state: State) -> None:
         return value
 
     text = json.dumps({"layout": LAYOUT, "state": reduced(state)})
-    part = path.with_name(f".{path.name}.part")
+    part = _part_of(path)
     try:
         save_file(_apart(tensors), part, metadata={"json": text})
         with part.open("rb") as stream:
@@ -104,6 +105,11 @@ def write_state(path: Path, state: State) -> None:
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+def _part_of(path: Path) -> Path:
+    """Where the file lies until it is whole."""
+    return path.with_name(f".{path.name}.part")
 
 
 def read_state(path: Path) -> State:
