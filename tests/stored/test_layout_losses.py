@@ -22,7 +22,7 @@ from envgs_bench.testing import tiny_scene
 SETTINGS = {
     **{"dataset": {"name": "tiny", "kind": "fakes.datasets:tiny"}, "protocol": "strict", "seed": 3, "steps": 12},
     **{"device": "cpu", "timing": {"frames": 1, "seconds": 0.01}, "timeout_minutes": None, "runs_dir": "runs"},
-    **{"cache_dir": "cache", "force": False, "retry_failed": False},
+    **{"cache_dir": "cache", "force": False},
 }
 KINDS = {"envgs": {"env_grid": 3, "env_per_cell": 4}, "2dgs": {}}
 
