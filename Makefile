@@ -34,8 +34,9 @@ demo: install weights
 	$(BIN)/envgs-bench report out/demo/runs --out out/demo
 	@cat out/demo/table.md
 
+# A process a core, up to four; a file's tests stay together, since they share what is slow to make.
 test: install weights
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist loadfile
 
 test-slow: install
 	$(BIN)/python -m pytest -m slow
