@@ -24,7 +24,7 @@ ENVGS = {"env_grid": 5, "env_far_count": 100}
 STEPS = 150
 SCENES = ("glass", "facing_mirrors", "thin_rails", "sky_ball", "wavy_mirror", "lacquered_table")
 FAST = ("facing_mirrors", "views", "points_at_cameras")  # the others are marked slow
-LOST = {  # dB: what breaks a training of 150 steps today, and by how much at most (three views: −0.86 to −1.20, as drawn)
+LOST = {  # dB: what breaks a training of 150 steps, by how much at most; three views: −0.86 to −1.20, as they are drawn
     **{"views": -1.4, "points_random": -0.5, "points_at_cameras": -5.5, "points_near_cameras": -5.0},
 }
 SAYS = {"points_at_cameras": ["learns_nothing"], "points_near_cameras": ["learns_nothing"]}
