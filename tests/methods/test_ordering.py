@@ -4,7 +4,7 @@
 |---|---|---|---|---|
 | 20 views of 64×48, 500 steps, no bound by pixels | 0 (1, 2 threads) | 23.20, 22.89 | 19.94, 20.04 | 20.43, 20.15 |
 | the same with scales that learn half as fast | 0 (1, 2 threads) | 22.92, 22.78 | 19.37, 19.16 | 19.58, 20.06 |
-| 48 views of 160×120, 3,000 steps, likewise | 0, 1, 2 | 26.41, 26.31, 26.39 | 22.69, 22.68, 22.82 | 22.48, 22.26, 22.56 |
+| 48 of 160×120, 3,000 steps, likewise | 0, 1, 2 | 26.41, 26.31, 26.39 | 22.69, 22.68, 22.82 | 22.48, 22.26, 22.56 |
 
 Small pictures and short runs teach the environment map less than they teach 2DGS, which is above it there; the paper's
 order, EnvGS, environment map, 2DGS, needs larger pictures and time.
