@@ -19,6 +19,7 @@ from envgs_bench.settings import RunSettings
 
 from .display import Display
 from .draft import Draft
+from .gpus import Place, placed
 from .interruption import Interruption
 from .log import BoundedLog, log_tail
 from .processes import CLAIM_VARIABLE, end_all_of, end_group, environment_of
@@ -36,15 +37,22 @@ def run_process(
     folder: Path, settings: RunSettings, claim: Claim, display: Display, interruption: Interruption
 ) -> None:
     """Start the run's process, show its progress, and see to it that there is a record when it is gone."""
+    with placed(settings.device) as place:
+        _run_placed(folder, settings, claim, place, display, interruption)
+
+
+def _run_placed(
+    folder: Path, settings: RunSettings, claim: Claim, place: Place, display: Display, interruption: Interruption
+) -> None:
     draft = Draft(folder, settings)
     process = subprocess.Popen(
         [sys.executable, "-P", "-u", "-m", f"{__package__}.worker", str(folder)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        env={**environment_of(folder), CLAIM_VARIABLE: str(claim.handle)},
+        env={**environment_of(folder), CLAIM_VARIABLE: str(claim.handle), **place.environment},
         start_new_session=True,  # Ctrl-C reaches this process, which passes it on
-        pass_fds=(claim.handle,),  # the folder is the run's until both are gone
+        pass_fds=(claim.handle, *place.handles),  # the folder is the run's until both are gone, and so is the GPU
     )
     assert process.stderr is not None
     log = BoundedLog(process.stderr, folder)
