@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from .morton import morton_codes
 from .parameters import inverse_sigmoid, sh_from_rgb
 
 Orientation = Literal["surface", "random", "world"]
@@ -36,11 +37,7 @@ def _along_z_order(points: Tensor) -> Tensor:
     """The points' rows in the order of their cells' interleaved bits, 2¹⁶ cells an axis."""
     low, high = points.double().aminmax(dim=0)
     cells = ((points.double() - low) / (high - low).max().clamp_min(1e-30) * 0xFFFF).long()
-    codes = torch.zeros(len(points), dtype=torch.long)
-    for bit in range(16):
-        for axis in range(3):
-            codes |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
-    return codes.argsort(stable=True)
+    return torch.from_numpy(morton_codes(cells.numpy())).argsort(stable=True)
 
 
 def neighbor_distance(points: Tensor, radius: float) -> Tensor:

@@ -6,5 +6,5 @@
 | compact | model.npz | ours, lossy: every set, β and the cube map, what a checkpoint holds (`compact.py`) |
 | spz, sog, compressed-ply | <set>.… | lossy, for viewers: 3D Gaussians without β (`splats.py`) |
 
-`layouts.py` lists them, `quantized_set.py` and `morton.py` are what `compact.py` is made of.
+`layouts.py` lists them, `quantized_set.py` and `planes.py` are what `compact.py` is made of.
 """

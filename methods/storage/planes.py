@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..morton import Integers
+
 MOST_STEPS = 1 << 53  # beyond, float64 knows no whole numbers apart
 
-Integers = NDArray[np.int64]
 Planes = NDArray[np.uint8]
 
 

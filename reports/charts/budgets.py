@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,8 +20,9 @@ from ..tables.budgets import Budgets
 from ..tables.columns import MAIN_COLUMNS, in_region
 from ..tables.sections import Section
 from .chart_font import chart_fonts
+from .drawn import TitledChart, write_figure
 from .palette import Style, styles
-from .pareto_chart import DPI, FORMATS, RC
+from .pareto_chart import RC
 from .pareto_panel import GRID, INK, SOFT
 
 COLUMNS = 2  # panels in a row
@@ -33,19 +33,7 @@ NARROWEST = 6.2  # of a map, inches: its title has to fit
 PRIMITIVES, BASE_COUNT, ENV_COUNT = (Quantity(n) for n in ("primitives", f"primitives_{BASE}", f"primitives_{ENV}"))
 
 
-@dataclass(frozen=True)
-class BudgetChart:
-    """A chart that was drawn: its title, and its PNG relative to the report; the PDF stands beside it."""
-
-    title: str
-    png: str
-
-    @property
-    def pdf(self) -> str:
-        return self.png.removesuffix("png") + "pdf"
-
-
-def draw_budgets(section: Section, budgets: Budgets, out: Path, folder: str) -> list[BudgetChart]:
+def draw_budgets(section: Section, budgets: Budgets, out: Path, folder: str) -> list[TitledChart]:
     """Write the curves of each data set and the maps below `out`/`folder`."""
     style = styles(list(dict.fromkeys(curve.method for curve in budgets.curves)))
     written = []
@@ -60,7 +48,7 @@ def draw_budgets(section: Section, budgets: Budgets, out: Path, folder: str) -> 
     return written
 
 
-def _draw_curves(curves: Sequence[BudgetCurve], style: dict[str, Style], out: Path, stem: str) -> BudgetChart:
+def _draw_curves(curves: Sequence[BudgetCurve], style: dict[str, Style], out: Path, stem: str) -> TitledChart:
     known = [q for q in QUANTITIES if any(c.estimate(row, q).mean is not None for c in curves for row in c.rows)]
     with mpl.rc_context(RC | {"font.family": chart_fonts(), "font.size": 8.5}):
         rows = max(1, -(-len(known) // COLUMNS))
@@ -123,7 +111,7 @@ def _ring(color: str) -> dict[str, Any]:
     }
 
 
-def _draw_map(found: BudgetMap, curves: Sequence[BudgetCurve], out: Path, stem: str) -> BudgetChart:
+def _draw_map(found: BudgetMap, curves: Sequence[BudgetCurve], out: Path, stem: str) -> TitledChart:
     """PSNR in each cell; where the same method had a budget, what it made of that."""
     values = np.array(
         [[np.nan if (m := found.estimate(b, e).mean) is None else float(m) for b in found.base] for e in found.env]
@@ -183,9 +171,6 @@ def _axis_name(quantity: Quantity) -> str:
     return column.axis if quantity.region == "full" else in_region(column, quantity.region).axis
 
 
-def _saved(figure: Figure, title: str, out: Path, stem: str) -> BudgetChart:
-    (out / stem).parent.mkdir(parents=True, exist_ok=True)
-    for kind in FORMATS:
-        undated = {"CreationDate": None} if kind == "pdf" else {}
-        figure.savefig(out / f"{stem}.{kind}", dpi=DPI, facecolor="white", metadata=undated)
-    return BudgetChart(title, f"{stem}.png")
+def _saved(figure: Figure, title: str, out: Path, stem: str) -> TitledChart:
+    write_figure(figure, out / stem)
+    return TitledChart(f"{stem}.png", title)

@@ -18,9 +18,10 @@ from ..numbers.ladder import RUNGS, Ladder, Rung
 from ..numbers.statistics import Interval
 from ..tables.columns import FRAME_MS, PSNR
 from .chart_font import chart_fonts
+from .drawn import DrawnChart, write_figure
 from .label_placement import Box, along, place_labels
 from .palette import Style, styles
-from .pareto_chart import DPI, FORMATS, RC
+from .pareto_chart import RC
 from .pareto_panel import GRAY, GRID, INK, SOFT
 
 PANELS = 12  # in one file
@@ -39,15 +40,8 @@ SIZE_ON_PAGE = 98  # pixels an inch
 
 
 @dataclass(frozen=True)
-class LadderChart:
-    """A chart that was drawn: its PNG relative to the report, beside the PDF, and how wide it is on a page, pixels."""
-
-    png: str
-    width: int
-
-    @property
-    def pdf(self) -> str:
-        return self.png.removesuffix("png") + "pdf"
+class LadderChart(DrawnChart):
+    width: int  # on a page, pixels
 
 
 @dataclass(frozen=True)
@@ -93,7 +87,6 @@ def draw_ladders(ladders: Sequence[Ladder], methods: Sequence[str], out: Path, s
 
 
 def _write(panels: list[tuple[Ladder, list[Step]]], style: dict[str, Style], out: Path, stem: str) -> LadderChart:
-    (out / stem).parent.mkdir(parents=True, exist_ok=True)
     columns = min(COLUMNS, len(panels))
     rows = -(-len(panels) // columns)
     wide = WIDTHS.get(columns, WIDTH)
@@ -119,9 +112,7 @@ def _write(panels: list[tuple[Ladder, list[Step]]], style: dict[str, Style], out
         _legend(figure, panels, style)
         for axis, (_, found) in zip(axes.flat, panels, strict=False):
             _name_steps(figure, axis, found)
-        for kind in FORMATS:
-            undated = {"CreationDate": None} if kind == "pdf" else {}
-            figure.savefig(out / f"{stem}.{kind}", dpi=DPI, facecolor="white", metadata=undated)
+        write_figure(figure, out / stem)
     return LadderChart(f"{stem}.png", round(SIZE_ON_PAGE * size[0]))
 
 

@@ -12,11 +12,10 @@ from matplotlib.figure import Figure
 from ..tables.columns import ACCURACIES, COSTS, FRAME_MS, PSNR, Column
 from ..tables.sections import Section
 from .chart_font import chart_fonts
+from .drawn import write_figure
 from .pareto_panel import GRAY, INK, SOFT, Panel, draw_panel, name_marks
 
 MAX_ROWS = 4  # data sets drawn one by one; more are drawn as their means
-FORMATS = ("png", "pdf")
-DPI = 200
 WIDTH, HEIGHT = 5.6, 2.9  # a panel's, inches
 LEFT, RIGHT, BOTTOM, TOP = 0.85, 0.2, 0.62, 0.72  # around it, for what stands beside its axes
 REGIONS = ("near_field", "reflective", "foreground")  # the first that the data set has is drawn beside the full image
@@ -70,14 +69,8 @@ def _pareto_rows(sections: Sequence[Section]) -> list[list[Panel]]:
 
 
 def _write(rows: list[list[Panel]], stem: Path) -> list[Path]:
-    stem.parent.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(RC | {"font.family": chart_fonts()}):
-        figure = _figure(rows)
-        paths = [stem.with_name(f"{stem.name}.{kind}") for kind in FORMATS]
-        for path in paths:
-            undated = {"CreationDate": None} if path.suffix == ".pdf" else {}  # equal records make equal files
-            figure.savefig(path, dpi=DPI, facecolor="white", metadata=undated)
-    return paths
+        return write_figure(_figure(rows), stem)
 
 
 def _figure(rows: list[list[Panel]]) -> Figure:

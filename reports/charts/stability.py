@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,9 @@ from ..numbers.stability import Case, Stability
 from ..tables.columns import PSNR, in_region
 from ..tables.sections import Section
 from .chart_font import chart_fonts
+from .drawn import TitledChart, write_figure
 from .palette import Style, styles
-from .pareto_chart import DPI, FORMATS, RC
+from .pareto_chart import RC
 from .pareto_panel import GRID, INK, SOFT
 
 COLUMNS = 4  # panels in a row
@@ -27,19 +27,7 @@ LEGEND = 0.9  # inches above the panels
 QUANTITIES = {"psnr": PSNR.axis, "psnr_reflective": in_region(PSNR, "reflective").axis}
 
 
-@dataclass(frozen=True)
-class StabilityChart:
-    """A chart that was drawn: its title, and its PNG relative to the report; the PDF stands beside it."""
-
-    title: str
-    png: str
-
-    @property
-    def pdf(self) -> str:
-        return self.png.removesuffix("png") + "pdf"
-
-
-def draw_stability(section: Section, out: Path, folder: str) -> list[StabilityChart]:
+def draw_stability(section: Section, out: Path, folder: str) -> list[TitledChart]:
     """Write the dose-response curves of each data set and the profiles below `out`/`folder`; none without trials."""
     stability = section.stability
     style = styles(list(dict.fromkeys([*section.methods, *stability.methods])))
@@ -132,7 +120,7 @@ def _band(axis: Axes, points: Sequence[tuple[float, Estimate]], style: Style, ma
 
 def _write(
     panels: Sequence[Draw], names: Sequence[str], style: dict[str, Style], title: str, out: Path, stem: str
-) -> StabilityChart:
+) -> TitledChart:
     (out / stem).parent.mkdir(parents=True, exist_ok=True)
     rows = -(-len(panels) // COLUMNS)
     columns = min(COLUMNS, len(panels))
@@ -154,10 +142,8 @@ def _write(
         lines = [mpl.lines.Line2D([], [], color=s.color, marker=s.marker, markersize=6) for s in style.values()]
         names_of = [_short(method, 30) for method in style]
         figure.legend(lines, names_of, loc="outside upper right", ncols=4, frameon=False, fontsize=8, labelcolor=SOFT)
-        for kind in FORMATS:
-            undated = {"CreationDate": None} if kind == "pdf" else {}
-            figure.savefig(out / f"{stem}.{kind}", dpi=DPI, facecolor="white", metadata=undated)
-    return StabilityChart(title, f"{stem}.png")
+        write_figure(figure, out / stem)
+    return TitledChart(f"{stem}.png", title)
 
 
 def _short(name: str, length: int) -> str:

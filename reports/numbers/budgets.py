@@ -11,11 +11,11 @@ from envgs_bench.parts import BASE, ENV
 from .estimates import Estimate, Numbers
 from .labels import Label
 from .settings import LIMITS, as_number
+from .statistics import FEWEST_SEEDS
 
 KEYS = tuple(f"budget.{limit}" for limit in LIMITS)
 MAP_KEYS = ("settings.max_primitives", "settings.env_max_primitives")  # of base and environment, as labels have them
 TIED_DB = 0.1  # a budget is as good as the best if it surely loses no more
-MIN_SEEDS = 3  # of which an interval says anything
 
 
 @dataclass(frozen=True)
@@ -88,8 +88,8 @@ class BudgetCurve:
             if _ties(change):
                 return Knee(row, best, change)
         seeds = self.estimate(best, PSNR).done
-        if seeds < MIN_SEEDS:
-            return Knee(None, best, Estimate(), f"{seeds} of at least {MIN_SEEDS} seeds")
+        if seeds < FEWEST_SEEDS:
+            return Knee(None, best, Estimate(), f"{seeds} of at least {FEWEST_SEEDS} seeds")
         if best == self.rows[-1]:
             return Knee(None, best, Estimate(), "still better at the largest budget")
         return Knee(best, best, Estimate())
@@ -191,7 +191,7 @@ def _is_grid(places: Collection[tuple[int, int]]) -> bool:
 
 def _ties(change: Estimate) -> bool:
     """Whether a change in PSNR from the best, paired by seed, is surely no larger loss than TIED_DB."""
-    interval = change.interval if change.done >= MIN_SEEDS and change.complete else None
+    interval = change.interval if change.done >= FEWEST_SEEDS and change.complete else None
     return interval is not None and interval.low >= -TIED_DB
 
 

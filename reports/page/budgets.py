@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from ..charts.budgets import BudgetChart
-from ..numbers.budgets import MIN_SEEDS, TIED_DB
+from ..charts.drawn import TitledChart
+from ..numbers.budgets import TIED_DB
+from ..numbers.statistics import FEWEST_SEEDS
 from ..tables.budgets import Budgets, curve_sentence, map_sentence
 from ..tables.sections import Section
 
@@ -16,7 +17,7 @@ class BudgetPart:
     """What was found and drawn for a section."""
 
     budgets: Budgets
-    charts: tuple[BudgetChart, ...]
+    charts: tuple[TitledChart, ...]
 
 
 def budget_data(section: Section, index: int, part: BudgetPart | None) -> dict[str, Any] | None:
@@ -34,6 +35,6 @@ def budget_data(section: Section, index: int, part: BudgetPart | None) -> dict[s
         "charts": part.charts,
         "csv": section.csv_name(index, "budgets"),
         "tied": f"{TIED_DB:g} dB",
-        "seeds": MIN_SEEDS,
+        "seeds": FEWEST_SEEDS,
         "with_map": bool(part.budgets.maps),
     }

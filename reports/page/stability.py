@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..charts.stability import StabilityChart
+from ..charts.drawn import TitledChart
 from ..numbers.breaking_points import BreakingPoint, breaking_points
 from ..numbers.profiles import improvement_tasks, probability_of_improvement
 from ..numbers.stability import Case, Cell, Stability
@@ -39,7 +39,7 @@ NAMES = {SURVIVED: SURVIVED, **FAILURES, **UNTRIED}
 class StabilityPart:
     """What was drawn for a section."""
 
-    charts: tuple[StabilityChart, ...]
+    charts: tuple[TitledChart, ...]
     sheets: tuple[WorstViewSheet, ...]
 
 

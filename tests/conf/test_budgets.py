@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 from sweeps import one_run, swept
 
-from envgs_bench.reports.numbers.budgets import MIN_SEEDS
+from envgs_bench.reports.numbers.statistics import FEWEST_SEEDS
 from envgs_bench.stages.budget import check_budget
 
 
@@ -28,7 +28,7 @@ def test_sizes_are_in_octaves(name: str, key: str) -> None:
 def test_every_seed_is_reached_in_turn_and_there_are_enough_for_a_knee(name: str) -> None:
     choices = swept(name)
     assert next(iter(choices)) == "seed"
-    assert len(choices["seed"]) >= MIN_SEEDS
+    assert len(choices["seed"]) >= FEWEST_SEEDS
     smallest = min(map(int, choices["budget.primitives"]))
     for method in choices["method"]:
         run = one_run(name, method=method, budget__primitives=str(smallest))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .planes import Integers
+Integers = NDArray[np.int64]
 
 BITS = 21  # of each axis: three fill 63 bits
 
