@@ -17,7 +17,7 @@ from envgs_bench.parts import ALPHA, BASE, BETA, MONO, PERCEPTUAL, SETS
 
 from .base_growth import BaseGrowth, max_base_primitives
 from .budget import Budget, SharedBudget
-from .checkpoint import read_checkpoint, write_checkpoint
+from .checkpoint import on_device, read_checkpoint, write_checkpoint
 from .densification import DensificationRule, Oversized, screen_criterion
 from .frustum import in_view
 from .initialization import ORIENTATIONS, Orientation, evenly_thinned, initial_orientation, initial_tensors
@@ -208,7 +208,7 @@ class GaussianMethod(Method):
         self.initialize(scene, steps)
         for name, trained in state["sets"].items():
             if name not in self.sets:  # made during the training: of any row, as all rows are replaced
-                tensors = trained["parameters"]["tensors"]
+                tensors = on_device(trained["parameters"]["tensors"], self.device)
                 parameters = GaussianParameters(tensors, self.initial_learning_rates(), self.radius)
                 self.sets[name] = TrainedSet(parameters, self.densification_rule(name))
             self.sets[name].restore_training(trained)

@@ -51,6 +51,7 @@ def train(
     interruptions: tuple[int, ...],
     spoiled: tuple[int, ...] = (),
     events: list[dict[str, Any]] | None = None,
+    device: str = "cpu",
 ) -> tuple[Any, Training]:
     """The method after STEPS steps, each part of them by a new method and a new Training, as in a new process.
 
@@ -61,7 +62,7 @@ def train(
     for last in (*interruptions, STEPS):
         torch.manual_seed(last)  # whatever the process before it drew
         stop = Stop()
-        method = create_method(kind, SETTINGS[kind], "cpu", seed=3)
+        method = create_method(kind, SETTINGS[kind], device, seed=3)
         training = Training(method, tiny_scene(), STEPS, seed=3)
 
         step = method.training_step
@@ -96,6 +97,20 @@ def test_an_interrupted_training_ends_bitwise_where_it_would_have(kind: str, tmp
     assert resumed.peak_primitives == undisturbed.peak_primitives
     assert rows(tmp_path / "parts") == rows(tmp_path / "whole")
     assert len(whole.sets["base"].parameters) != len(tiny_scene().points)  # it was densified
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+@pytest.mark.parametrize("kind", list(SETTINGS))
+def test_an_interrupted_training_goes_on_on_its_gpu_cuda(kind: str, tmp_path: Path) -> None:
+    """A snapshot holds tensors on the CPU, those of sets that were made in mid-training among them."""
+    method, training = train(kind, tmp_path / "parts", INTERRUPTED_AFTER, device="cuda")
+    assert training.went_on_from == list(INTERRUPTED_AFTER)
+    for trained in method.sets.values():
+        assert {tensor.device.type for tensor in trained.parameters.tensors.values()} == {"cuda"}
+    whole, _ = train(kind, tmp_path / "whole", (), device="cuda")
+    camera = tiny_scene().test[0].camera.to("cuda")
+    difference = (method.render(camera).color - whole.render(camera).color).abs().mean()
+    assert float(difference) < 0.02  # mean absolute; additions of a GPU come in another order each time
 
 
 def test_an_interrupted_training_warns_of_what_it_would_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
