@@ -7,7 +7,7 @@
 
 namespace envgs {
 
-constexpr int kLeaf = 4;       // surfels
+constexpr int kLeaf = LEAF_SURFELS;
 constexpr int kMaxLevels = 5;  // enough for 2²⁴ surfels
 
 struct TracedSurfel {
@@ -20,6 +20,7 @@ struct TracedSurfel {
 // Surfels by slot, their place in the BVH. A leaf keeps the first 16 bytes of all its surfels, then the next: threads
 // that read a surfel each of one leaf read side by side.
 struct PackedSurfels {
+    static_assert(4 * sizeof(float4) == 4 * SURFEL_FLOATS, "store() writes four float4s a surfel");
     float4* packed;
 
     ENVGS_FN float4* first(u32 slot) const { return packed + (slot / kLeaf * (4 * kLeaf) + slot % kLeaf); }
@@ -67,6 +68,7 @@ struct CenterStatistics {
     float sum[3], squares[3];
     float count;
 };
+static_assert(sizeof(CenterStatistics) == 4 * CENTER_STATISTIC_INTS);
 
 // The box that positions are quantized in: three standard deviations about the centers' mean, so that a few stray
 // primitives do not take the curve's resolution from all others.

@@ -7,12 +7,11 @@ from torch import Tensor
 
 from ..differentiable import SetTensors
 from .launch import aligned, blocks_for, kernels
+from .layout import CONSTANTS
 from .sorting import radix_sort
 
 MAX_SURFELS = 1 << 24
-SURFEL_FLOATS = 16
-LEAF = 4  # surfels
-HILBERT_BITS = 30
+LEAF = CONSTANTS["LEAF_SURFELS"]
 
 
 class SurfelBvh:
@@ -28,10 +27,10 @@ class SurfelBvh:
             raise ValueError(f"the CUDA tracer takes at most {MAX_SURFELS:,} surfels, got {self.count:,}")
         device = tensors.means.device
         self._kernels = kernels(("bvh.cu",), device, SH_COEFFICIENTS=1, EXTRAS=0)
-        self.statistics = torch.zeros(13, dtype=torch.int32, device=device)
+        self.statistics = torch.zeros(CONSTANTS["CENTER_STATISTIC_INTS"], dtype=torch.int32, device=device)
         self.statistics[:3] = -1
         self.levels = level_sizes(self.count)
-        self.surfels = torch.empty(LEAF * self.levels[0] * SURFEL_FLOATS, device=device)
+        self.surfels = torch.empty(LEAF * self.levels[0] * CONSTANTS["SURFEL_FLOATS"], device=device)
         self.boxes = torch.empty(3, sum(self.levels), 2, device=device)
         self.order = self._order(tensors)
         self._pack(tensors, arrange=True)

@@ -3,6 +3,8 @@
 
 using namespace envgs;
 
+static_assert(sizeof(PinholeCamera) == 4 * CAMERA_FLOATS);
+
 // One thread. The camera stays on the device, so that drawing never waits for it.
 extern "C" __global__ void make_camera(
     const float* world_to_camera,  // [4, 4] rigid

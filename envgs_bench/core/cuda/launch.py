@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from .compiler import compile_kernels, cuda_core
+from .layout import CONSTANTS
 
 
 class Kernels:
@@ -40,8 +41,8 @@ class Kernels:
 
 @lru_cache(maxsize=64)
 def kernels(sources: tuple[str, ...], device: torch.device, **macros: object) -> Kernels:
-    """The same Kernels for the same request."""
-    return Kernels(sources, device, **macros)
+    """The same Kernels for the same request; besides `macros` they see layout.py's constants."""
+    return Kernels(sources, device, **CONSTANTS, **macros)
 
 
 def blocks_for(items: int, threads: int) -> int:

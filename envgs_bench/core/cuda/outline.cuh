@@ -7,7 +7,7 @@
 
 namespace envgs {
 
-constexpr int kTile = 16;
+constexpr int kTile = TILE;
 constexpr float kOutlineSlack = 0.02f;  // px, for rounding
 
 // (p − c)ᵀ·[xx xy; xy yy]⁻¹·(p − c) ≤ 1. With yy < 0 the outline is not known: all of the pixel box may be touched.
@@ -29,6 +29,7 @@ struct alignas(16) Outline {
     float x, y, radius;  // the low-pass's disc about the projected center; radius < 0 where there is none
     PixelRect box;
 };
+static_assert(sizeof(Outline) == 4 * OUTLINE_FLOATS);
 
 struct XInterval {
     float low, high;

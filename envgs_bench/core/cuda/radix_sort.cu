@@ -5,8 +5,9 @@
 
 using namespace envgs;
 
-constexpr int kThreads = 256, kWarps = kThreads / 32, kItems = 16, kTileKeys = kThreads * kItems;
-constexpr int kDigits = 256;
+constexpr int kDigits = DIGITS, kTileKeys = KEYS_PER_BLOCK;
+constexpr int kThreads = kDigits, kWarps = kThreads / 32, kItems = kTileKeys / kThreads;
+static_assert(kItems * kThreads == kTileKeys);
 
 // Counts the keys' digits for all passes.
 extern "C" __global__ void radix_histograms(

@@ -56,6 +56,7 @@ struct alignas(16) VisiblePrimitive {
     Vec3<float> color, normal;
     float extras[kExtras > 0 ? kExtras : 1];
 };
+static_assert(sizeof(VisiblePrimitive) == 4 * VISIBLE_FLOATS);
 
 // What the backward pass adds up for a primitive over its pixels; an array of float to the warp sums.
 struct PrimitiveSums {
@@ -65,8 +66,8 @@ struct PrimitiveSums {
     float extras[kExtras + 1];
 };
 constexpr int kSums = sizeof(PrimitiveSums) / 4 - 1;
-constexpr int kSumsStride = 32;
-static_assert(kSums <= kSumsStride, "one sum a thread of a warp");
+constexpr int kSumsStride = PRIMITIVE_SUM_FLOATS;
+static_assert(kSums <= kSumsStride && kSumsStride == 32, "one sum a thread of a warp");
 
 // Device-side counters of one image.
 struct Counters {
@@ -74,5 +75,6 @@ struct Counters {
     u32 drawn_instances;  // no more than there is room for
     u64 instances;
 };
+static_assert(sizeof(Counters) == 4 * COUNTER_INTS);
 
 }  // namespace envgs

@@ -10,13 +10,10 @@ from ..camera import Camera
 from ..differentiable import Gradients, PassOutput, Planes, SetTensors
 from ..gaussians import GaussianSet
 from .launch import Kernels, aligned, blocks_for, kernels, zeroed
+from .layout import CONSTANTS, visible_floats
 from .sorting import radix_sort
 
-TILE = 16
-SUMS = 32  # floats a primitive in the backward pass
-OUTLINE_FLOATS = 12
-SPLAT_FLOATS = {2: 18, 3: 9}  # number of columns of scales: floats of a splat
-CAMERA_FLOATS = 64
+TILE = CONSTANTS["TILE"]
 MIN_CAPACITY = 1 << 20
 BYTES_PER_INSTANCE = 24  # keys and slots, before and after a sorting pass
 
@@ -32,12 +29,14 @@ class RasterPass:
         self.camera, self.options = camera, options
         self.background = options.background.contiguous()
         self.device = gaussians.device
+        self.visible_floats = visible_floats(tensors.scales.shape[1], tensors.extras.shape[1])
         self.tiles_x, self.tiles_y = blocks_for(camera.width, TILE), blocks_for(camera.height, TILE)
 
     def _kernels(self, *sources: str) -> Kernels:
         kind = "SurfelKind" if self.tensors.scales.shape[1] == 2 else "Gaussian3dKind"
         sh, extras = self.tensors.sh.shape[1], self.tensors.extras.shape[1]
-        return kernels(sources, self.device, KIND=kind, SH_COEFFICIENTS=sh, EXTRAS=extras)
+        return kernels(sources, self.device, KIND=kind, SH_COEFFICIENTS=sh, EXTRAS=extras,
+                       VISIBLE_FLOATS=self.visible_floats)  # fmt: skip
 
     def forward(self, keep: bool) -> PassOutput:
         camera, count = self.camera, len(self.tensors.means)
@@ -47,7 +46,7 @@ class RasterPass:
         launch = self._kernels("camera.cu", "primitives.cu", "tile_instances.cu", "draw_tiles.cu")
         self._prepare(launch, weights)
         order = radix_sort(self.depth_keys, None, self.counters[:1], 32)[1] if count else self.depth_keys
-        wanted = torch.empty(4, dtype=torch.int32, pin_memory=True)
+        wanted = torch.empty(CONSTANTS["COUNTER_INTS"], dtype=torch.int32, pin_memory=True)
         capturing = torch.cuda.is_current_stream_capturing()
         if not capturing:
             wanted.copy_(self.counters, non_blocking=True)
@@ -67,14 +66,13 @@ class RasterPass:
     def _prepare(self, launch: Kernels, weights: Tensor) -> None:
         tensors, count = self.tensors, len(self.tensors.means)
         blocks = blocks_for(count, 256)
-        floats = SPLAT_FLOATS[tensors.scales.shape[1]] + 6 + max(tensors.extras.shape[1], 1)
         empty = tensors.means.new_empty
-        self.visible, self.outlines = empty(count, -(-floats // 4) * 4), empty(count, OUTLINE_FLOATS)
+        self.visible, self.outlines = empty(count, self.visible_floats), empty(count, CONSTANTS["OUTLINE_FLOATS"])
         self.device_camera = make_camera(launch, self.camera, self.options.near, self.options.low_pass)
         self.depth_keys, self.tile_counts, self.slots, self.indices = (
             empty(count, dtype=torch.int32) for _ in range(4)
         )
-        self.counters, state, ticket = zeroed(self.device, 4, 2 * blocks, 1)
+        self.counters, state, ticket = zeroed(self.device, CONSTANTS["COUNTER_INTS"], 2 * blocks, 1)
         launch("prepare_primitives", blocks, 256, *tensors, count, self.device_camera, self.visible, self.outlines,
                self.depth_keys, self.tile_counts, self.slots, self.indices, weights, self.counters, state,
                ticket)  # fmt: skip
@@ -97,7 +95,7 @@ class RasterPass:
     def backward(self, planes: Planes, gradients: tuple[Tensor | None, ...]) -> Gradients:
         tensors, count = self.tensors, len(self.tensors.means)
         launch = self._kernels("primitives.cu", "differentiate_tiles.cu")
-        sums = tensors.means.new_zeros(count, SUMS)
+        sums = tensors.means.new_zeros(count, CONSTANTS["PRIMITIVE_SUM_FLOATS"])
         launch("differentiate_tiles", self.tiles_x * self.tiles_y, 256, self.ranges, self.instance_slots, self.visible,
                self.outlines, self.device_camera, self.tiles_x, float(self.options.transmittance_min), self.background,
                *planes, *gradients, sums)  # fmt: skip
@@ -109,7 +107,7 @@ class RasterPass:
 
 def make_camera(launch: Kernels, camera: Camera, near: float, low_pass: bool) -> Tensor:
     """The camera as kernels see it, made on the device by camera.cu, which `launch` must include."""
-    view = torch.empty(CAMERA_FLOATS, device=camera.device)
+    view = torch.empty(CONSTANTS["CAMERA_FLOATS"], device=camera.device)
     launch("make_camera", 1, 1, camera.world_to_camera.contiguous(), camera.intrinsics.contiguous(), camera.width,
            camera.height, float(near), low_pass, view)  # fmt: skip
     return view

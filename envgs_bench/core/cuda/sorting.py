@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from .launch import blocks_for, kernels, zeroed
+from .layout import CONSTANTS
 
-DIGITS = 256
-KEYS_PER_BLOCK = 4096
+DIGITS, KEYS_PER_BLOCK = CONSTANTS["DIGITS"], CONSTANTS["KEYS_PER_BLOCK"]
 
 
 def radix_sort(keys: Tensor, values: Tensor | None, count: Tensor, bits: int) -> tuple[Tensor, Tensor]:

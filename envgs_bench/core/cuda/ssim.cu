@@ -1,7 +1,7 @@
 // Structural similarity of two images and its gradient (formulas: ssim.py): a block of 256 threads a tile of one
 // channel, the window along rows first, then along columns, in shared memory.
 
-constexpr int kWindow = 11, kTileWidth = 32, kTileHeight = 16;
+constexpr int kWindow = 11, kTileWidth = SSIM_TILE_WIDTH, kTileHeight = SSIM_TILE_HEIGHT;
 constexpr int kLoadedWidth = kTileWidth + kWindow - 1, kLoadedHeight = kTileHeight + kWindow - 1;
 constexpr int kLoaded = kLoadedHeight * kLoadedWidth, kRows = kLoadedHeight * kTileWidth,
     kTilePixels = kTileHeight * kTileWidth;

@@ -10,8 +10,9 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from .launch import blocks_for, kernels
+from .layout import CONSTANTS
 
-TILE_WIDTH, TILE_HEIGHT = 32, 16  # as in ssim.cu
+TILE_WIDTH, TILE_HEIGHT = CONSTANTS["SSIM_TILE_WIDTH"], CONSTANTS["SSIM_TILE_HEIGHT"]
 
 
 def ssim_map(image: Tensor, target: Tensor, taps: tuple[float, ...], pad: int, c1: float, c2: float) -> Tensor:

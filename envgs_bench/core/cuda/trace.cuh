@@ -5,19 +5,20 @@
 namespace envgs {
 
 // SH coefficients and extras of a surfel, packed for 16-byte loads, in the BVH's order.
-constexpr int kAppearance = padded(kShFloats + kExtras);
+constexpr int kAppearance = APPEARANCE_FLOATS;
+static_assert(kAppearance == padded(kShFloats + kExtras));
 
 struct alignas(16) Appearance {
     float values[kAppearance];
 };
 
-constexpr int kRays = 8;  // rays in a packet
+constexpr int kRays = PACKET_RAYS;
 
 // SH at the ray's direction; else from its origin toward each surfel's center. Fixed as SH_COEFFICIENTS is.
 constexpr bool kShAlongRay = SH_ALONG_RAY;
 
 // The rays' hits are remembered page by page: a page holds rows of one hit (a slot) for each ray of a packet.
-constexpr int kPageRows = 32;
+constexpr int kPageRows = PAGE_ROWS;
 constexpr u32 kNoHit = ~0u;
 
 struct Pages {
@@ -42,6 +43,8 @@ ENVGS_FN Ray ordered_ray(const float* origins, const float* directions, const u3
 
 // What the backward pass adds up for a surfel: a row of floats, by index in the set.
 constexpr int kMomentSums = 12, kNormalSum = 12, kOpacitySum = 15, kDirectionSum = 16, kShSums = 19;
-constexpr int kTraceSums = padded(kShSums + kShFloats + kExtras);
+constexpr int kTraceSums = TRACE_SUM_FLOATS;
+static_assert(sizeof(SurfelMoments<float>) == 4 * kMomentSums);
+static_assert(kTraceSums == padded(kShSums + kShFloats + kExtras));
 
 }  // namespace envgs

@@ -10,10 +10,10 @@ from ..differentiable import Gradients, PassOutput, Planes, SetTensors
 from ..gaussians import GaussianSet
 from .bvh import SurfelBvh
 from .launch import Kernels, aligned, blocks_for, kernels
+from .layout import CONSTANTS, appearance_floats, trace_sum_floats
 from .sorting import radix_sort
 
-PACKET = 8  # rays
-PAGE_ROWS = 32  # hits a ray that a page holds
+PACKET, PAGE_ROWS = CONSTANTS["PACKET_RAYS"], CONSTANTS["PAGE_ROWS"]
 PAGES_PER_PACKET = 2  # at first
 SPARE_PAGES = 64
 
@@ -33,11 +33,14 @@ class TracePass:
         self.background = options.background.contiguous()
         self.device, self.rays = gaussians.device, len(origins)
         self.packets = blocks_for(self.rays, PACKET)
+        appearance = tensors.sh.shape[1], tensors.extras.shape[1]
+        self.appearance_floats, self.sum_floats = appearance_floats(*appearance), trace_sum_floats(*appearance)
 
     def _kernels(self, *sources: str) -> Kernels:
         sh, extras = self.tensors.sh.shape[1], self.tensors.extras.shape[1]
         along_ray = int(self.options.sh_along_ray)
-        return kernels(sources, self.device, SH_COEFFICIENTS=sh, EXTRAS=extras, SH_ALONG_RAY=along_ray)
+        return kernels(sources, self.device, SH_COEFFICIENTS=sh, EXTRAS=extras, SH_ALONG_RAY=along_ray,
+                       APPEARANCE_FLOATS=self.appearance_floats, TRACE_SUM_FLOATS=self.sum_floats)  # fmt: skip
 
     def forward(self, keep: bool) -> PassOutput:
         launch = self._kernels("ray_keys.cu", "surfels.cu", "trace_rays.cu")
@@ -63,8 +66,7 @@ class TracePass:
 
     def _appearances(self, launch: Kernels) -> Tensor:
         sh, extras, count = self.tensors.sh, self.tensors.extras, self.tree.count
-        floats = -(-(3 * sh.shape[1] + extras.shape[1]) // 4) * 4
-        packed = torch.empty(count, floats, device=self.device)
+        packed = torch.empty(count, self.appearance_floats, device=self.device)
         launch("pack_appearances", blocks_for(packed.numel(), 256), 256, self.tree.order, sh, extras, count, packed)
         return packed
 
@@ -96,8 +98,7 @@ class TracePass:
             self._check_pages()
         tensors, tree, count = self.tensors, self.tree, self.tree.count
         launch = self._kernels("surfels.cu", "differentiate_rays.cu")
-        floats = -(-(19 + 3 * tensors.sh.shape[1] + tensors.extras.shape[1]) // 4) * 4
-        sums = tensors.means.new_zeros(count, floats)
+        sums = tensors.means.new_zeros(count, self.sum_floats)
         g_origins, g_directions = torch.empty_like(self.origins), torch.empty_like(self.directions)
         launch("differentiate_rays", blocks_for(self.rays, 128), 128, self.origins, self.directions, self.order,
                self.rays, tree.surfels, self.appearances, self.background, *planes, *gradients, self.page_slots,
