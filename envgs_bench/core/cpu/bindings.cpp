@@ -44,17 +44,17 @@ GaussianGradients gradients_of(const OutSet& set) {
 }
 
 Planes<float> planes_of(const OutPlanes& p) {
-    return {std::get<0>(p).data(), std::get<1>(p).data(), std::get<2>(p).data(), std::get<3>(p).data(),
-            std::get<4>(p).data()};
+    const auto& [color, alpha, depth, normal, extras] = p;
+    return {color.data(), alpha.data(), depth.data(), normal.data(), extras.data(), long(alpha.size())};
 }
 Planes<const float> planes_of(const InPlanes& p) {
-    return {std::get<0>(p).data(), std::get<1>(p).data(), std::get<2>(p).data(), std::get<3>(p).data(),
-            std::get<4>(p).data()};
+    const auto& [color, alpha, depth, normal, extras] = p;
+    return {color.data(), alpha.data(), depth.data(), normal.data(), extras.data(), long(alpha.size())};
 }
-Planes<const float> planes_of(const GradientPlanes& p) {
+Planes<const float> planes_of(const GradientPlanes& p, long pixels) {
     auto data = [](const std::optional<In>& plane) { return plane ? plane->data() : nullptr; };
-    return {data(std::get<0>(p)), data(std::get<1>(p)), data(std::get<2>(p)), data(std::get<3>(p)),
-            data(std::get<4>(p))};
+    const auto& [color, alpha, depth, normal, extras] = p;
+    return {data(color), data(alpha), data(depth), data(normal), data(extras), pixels};
 }
 
 PinholeCamera camera_of(const In& world_to_camera, const In& intrinsics, const In& pixel_to_direction,
@@ -87,7 +87,8 @@ NB_MODULE(_native, m) {
                             const OutSet& result             // zeros, to be filled
                          ) {
             nb::gil_scoped_release unlocked;
-            self.backward(planes_of(out), planes_of(gradient), gradients_of(result));
+            Planes<const float> drawn = planes_of(out);
+            self.backward(drawn, planes_of(gradient, drawn.pixels), gradients_of(result));
         });
     m.def("raster_pass", [](const InSet& set,         // surfels or 3D Gaussians, by the columns of scales
                             In world_to_camera,       // [4, 4] rigid
@@ -149,7 +150,8 @@ NB_MODULE(_native, m) {
                             Out directions                   // [R, 3] filled: dL/ddirections
                          ) {
             nb::gil_scoped_release unlocked;
-            self.backward(planes_of(out), planes_of(gradient), gradients_of(result), {origins.data(),
-                                                                                      directions.data()});
+            Planes<const float> drawn = planes_of(out);
+            self.backward(drawn, planes_of(gradient, drawn.pixels), gradients_of(result),
+                          {origins.data(), directions.data()});
         });
 }

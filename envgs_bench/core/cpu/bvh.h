@@ -6,11 +6,15 @@
 
 namespace envgs {
 
-struct alignas(64) TracedSurfel {
-    SurfelFrame<float> frame;  // world to plane, in standard deviations
-    Vec3<float> mean;          // world units
-    float support, opacity;    // ρ at the edge of the support; in [0, 1]
+// What a ray needs of a surfel; see array_of.
+template <class R>
+struct SurfelValues {
+    SurfelFrame<R> frame;  // world to plane, in standard deviations
+    Vec3<R> mean;          // world units
+    R support, opacity;    // ρ at the edge of the support; in [0, 1]
 };
+
+struct alignas(64) TracedSurfel : SurfelValues<float> {};
 
 struct alignas(64) BvhNode {
     float low[3][8], high[3][8];  // unused children: low > high, which no ray enters

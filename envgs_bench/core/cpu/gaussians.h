@@ -3,9 +3,12 @@
 #include "lanes.h"  // first: the kernels find the lanes' overloads only if they precede them
 
 #include "kernels/gaussian_3d_splat.h"
+#include "kernels/planes.h"
 #include "kernels/surfel_splat.h"
 
 namespace envgs {
+
+constexpr int kMaxExtras = MAX_EXTRAS;  // of gaussians.py, which refuses more
 
 struct Gaussians {
     const float* means;        // [N, 3] centers, world units
@@ -21,13 +24,6 @@ struct Gaussians {
 struct GaussianGradients {
     float *means, *quaternions, *scales, *opacities, *sh, *extras;  // shapes as in Gaussians
     float* position_gradients;  // [N, 3] Σ t·dL/dmean, world frame
-};
-
-// One output or gradient plane a channel, planar: color [3][P], alpha [P], depth [P], normal [3][P], extras [E][P] over
-// P pixels or rays. In gradients a null pointer stands for zeros.
-template <class T>
-struct Planes {
-    T *color, *alpha, *depth, *normal, *extras;
 };
 
 inline Quaternion<float> quaternion_at(const Gaussians& g, int i) {

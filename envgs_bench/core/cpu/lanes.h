@@ -3,6 +3,7 @@
 #pragma once
 #include <cstdint>
 #include <cstring>
+#include <type_traits>
 
 #if defined(__SSE2__)
 #include <immintrin.h>
@@ -104,6 +105,14 @@ inline float sum_lanes(F a) {
         std::memcpy(&high, reinterpret_cast<const char*>(&a) + sizeof low, sizeof high);
         return sum_lanes(typename LaneTypes<W / 2>::Float(low + high));
     }
+}
+
+// A struct whose members are all R, however nested, as the array of R that it is in memory.
+template <class S, class R>
+constexpr int count_of = sizeof(S) / sizeof(R);
+template <class R, class S>
+inline auto array_of(S& s) {
+    return reinterpret_cast<std::conditional_t<std::is_const_v<S>, const R, R>*>(&s);
 }
 
 // e^x to about 2 ulp for x in [−87, 0]; below it, e^−87. Cody–Waite reduction and a polynomial on ±ln2/2.

@@ -16,7 +16,6 @@ namespace {
 
 constexpr int kTile = 16;
 constexpr int kTilePixels = kTile * kTile;
-constexpr int kMaxExtras = 8;
 using F = PixelFloat;
 using I = PixelInt;
 constexpr int W = kPixelLanes;
@@ -60,7 +59,7 @@ struct VisiblePrimitive {
     int column0, column1, row0, row1;
 };
 
-// What a tile adds up for one primitive; every member is an R, so the whole is an array of R.
+// What a tile adds up for one primitive; see array_of.
 template <class Sums, class R>
 struct PrimitiveSums {
     Sums geometry;
@@ -75,13 +74,32 @@ inline F lane_positions() {
     return x;
 }
 
+// One value of each of a tile's pixels.
+struct TilePlane {
+    float values[kTilePixels];
+};
+
+// W neighboring pixels of a struct of planes, or a single one's, as the same struct of lanes.
+template <class To, class R, class From>
+inline To load_pixels(const From& planes, int at) {
+    To pixels;
+    for (int k = 0; k < count_of<From, TilePlane>; ++k)
+        array_of<R>(pixels)[k] = load_lanes<R>(array_of<TilePlane>(planes)[k].values + at);
+    return pixels;
+}
+template <class R, class From, class To>
+inline void store_pixels(To& planes, int at, const From& pixels) {
+    for (int k = 0; k < count_of<To, TilePlane>; ++k)
+        store_lanes(array_of<TilePlane>(planes)[k].values + at, array_of<R>(pixels)[k]);
+}
+
 template <class Kind>
 class TileRasterizer final : public RasterPass {
     using Splat = typename Kind::Splat;
     using LaneSums = PrimitiveSums<typename Kind::template Sums<F>, F>;
     using FloatSums = PrimitiveSums<typename Kind::template Sums<float>, float>;
-    static constexpr int kSums = sizeof(FloatSums) / sizeof(float);
-    static_assert(sizeof(LaneSums) == kSums * sizeof(F));
+    static constexpr int kSums = count_of<FloatSums, float>;
+    static_assert(count_of<LaneSums, F> == kSums);
 
 public:
     TileRasterizer(const Gaussians& gaussians, const PinholeCamera& camera, Vec3<float> background,
@@ -96,14 +114,13 @@ public:
 
 private:
     struct alignas(64) TileBuffers {
-        float transmittance[kTilePixels];
-        float color[3][kTilePixels], depth[kTilePixels], normal[3][kTilePixels], extras[kMaxExtras][kTilePixels];
+        BlendedSums<TilePlane> sums;
+        TilePlane transmittance, extras[kMaxExtras];
         int hits[kTilePixels];
     };
     struct alignas(64) TileGradientBuffers {
-        float transmittance[kTilePixels], remaining[kTilePixels];
-        float color[3][kTilePixels], depth[kTilePixels], normal[3][kTilePixels], weight[kTilePixels];
-        float extras[kMaxExtras][kTilePixels];
+        SumGradient<TilePlane> sum;
+        TilePlane transmittance, remaining, extras[kMaxExtras];
     };
     struct TileRect {
         int x0, y0, width, height;
@@ -220,7 +237,7 @@ void TileRasterizer<Kind>::draw_tile(int tile_index, Planes<float> out, int* hit
     uint8_t live[kTilePixels / W] = {};
     int live_runs = 0;
     for (int row = 0; row < rect.height; ++row) {
-        for (int x = 0; x < rect.width; ++x) tile.transmittance[row * kTile + x] = 1.0f;
+        for (int x = 0; x < rect.width; ++x) tile.transmittance.values[row * kTile + x] = 1.0f;
         for (int run = 0; run * W < rect.width; ++run) live[row * (kTile / W) + run] = 1, ++live_runs;
     }
     for (long item = tile_begin_[tile_index]; item < tile_begin_[tile_index + 1] && live_runs; ++item) {
@@ -229,24 +246,20 @@ void TileRasterizer<Kind>::draw_tile(int tile_index, Planes<float> out, int* hit
         F weight_sum = {};
         for_each_run(p, rect, live, [&](int at, F x, float y) {
             auto pixel = evaluate(p.splat, x, F{} + y, camera_.near);
-            F transmittance = load_lanes<F>(tile.transmittance + at);
+            F transmittance = load_lanes<F>(tile.transmittance.values + at);
             I hit = (pixel.rho <= p.splat.support) & (transmittance >= transmittance_min_);
             if (!mask_bits(hit)) return;
             F alpha = select(hit, response_alpha(F{} + p.splat.opacity, pixel.rho), F{});
             F weight = transmittance * alpha;
             transmittance = transmittance * (1.0f - alpha);
-            store_lanes(tile.transmittance + at, transmittance);
-            auto blend = [&](float* plane, F value) {
-                store_lanes(plane + at, load_lanes<F>(plane + at) + weight * value);
-            };
-            blend(tile.color[0], F{} + p.color.x);
-            blend(tile.color[1], F{} + p.color.y);
-            blend(tile.color[2], F{} + p.color.z);
-            blend(tile.depth, select(hit, pixel.t, F{}));
-            blend(tile.normal[0], pixel.side * p.normal.x);
-            blend(tile.normal[1], pixel.side * p.normal.y);
-            blend(tile.normal[2], pixel.side * p.normal.z);
-            for (int e = 0; e < g_.extra_count; ++e) blend(tile.extras[e], F{} + extras[e]);
+            store_lanes(tile.transmittance.values + at, transmittance);
+            auto sums = load_pixels<BlendedSums<F>, F>(tile.sums, at);
+            blend(sums, weight, p.color, select(hit, pixel.t, F{}), pixel.side, p.normal);
+            store_pixels<F>(tile.sums, at, sums);
+            for (int e = 0; e < g_.extra_count; ++e) {
+                float* plane = tile.extras[e].values + at;
+                store_lanes(plane, load_lanes<F>(plane) + weight * extras[e]);
+            }
             weight_sum += weight;
             I count;
             std::memcpy(&count, tile.hits + at, sizeof count);
@@ -256,52 +269,33 @@ void TileRasterizer<Kind>::draw_tile(int tile_index, Planes<float> out, int* hit
         });
         weights[tile_items_[item]] += sum_lanes(weight_sum);
     }
-    long pixels = long(camera_.width) * camera_.height;
-    const float background[3] = {background_.x, background_.y, background_.z};
-    for (int row = 0; row < rect.height; ++row) {
-        long to = long(rect.y0 + row) * camera_.width + rect.x0;
+    for (int row = 0; row < rect.height; ++row)
         for (int x = 0; x < rect.width; ++x) {
             int at = row * kTile + x;
-            float alpha = 1.0f - tile.transmittance[at];
-            for (int c = 0; c < 3; ++c) {
-                out.color[c * pixels + to + x] = tile.color[c][at] + tile.transmittance[at] * background[c];
-                out.normal[c * pixels + to + x] = tile.normal[c][at];
-            }
-            out.alpha[to + x] = alpha;
-            out.depth[to + x] = alpha > 0.0f ? tile.depth[at] / alpha : 0.0f;
-            for (int e = 0; e < g_.extra_count; ++e) out.extras[e * pixels + to + x] = tile.extras[e][at];
-            hits[to + x] = tile.hits[at];
+            long to = long(rect.y0 + row) * camera_.width + rect.x0 + x;
+            write_blended(out, to, load_pixels<BlendedSums<float>, float>(tile.sums, at),
+                          tile.transmittance.values[at], background_);
+            for (int e = 0; e < g_.extra_count; ++e) out.extras[e * out.pixels + to] = tile.extras[e].values[at];
+            hits[to] = tile.hits[at];
         }
-    }
 }
 
 template <class Kind>
 void TileRasterizer<Kind>::load_gradients(const TileRect& rect, Planes<const float> out, Planes<const float> gradient,
                                           TileGradientBuffers& t) {
-    long pixels = long(camera_.width) * camera_.height;
-    auto read = [](const float* plane, long at) { return plane ? plane[at] : 0.0f; };
-    auto read3 = [&](const float* plane, long at) -> Vec3<float> {
-        if (!plane) return {0.0f, 0.0f, 0.0f};
-        return {plane[at], plane[pixels + at], plane[2 * pixels + at]};
-    };
     for (int row = 0; row < rect.height; ++row)
         for (int x = 0; x < rect.width; ++x) {
             int to = row * kTile + x;
             long at = long(rect.y0 + row) * camera_.width + rect.x0 + x;
-            float alpha = out.alpha[at], depth = out.depth[at];
-            SumGradient<float> g = sum_gradient(read3(gradient.color, at), read(gradient.alpha, at),
-                                                read(gradient.depth, at), read3(gradient.normal, at), alpha, depth,
-                                                background_);
-            float total = blended_total(g, read3(out.color, at), alpha, depth, read3(out.normal, at), background_);
-            t.transmittance[to] = 1.0f;
-            t.color[0][to] = g.color.x, t.color[1][to] = g.color.y, t.color[2][to] = g.color.z;
-            t.normal[0][to] = g.normal.x, t.normal[1][to] = g.normal.y, t.normal[2][to] = g.normal.z;
-            t.depth[to] = g.depth, t.weight[to] = g.weight;
+            auto [sum, remaining] = read_gradient(out, gradient, at, background_);
+            store_pixels<float>(t.sum, to, sum);
             for (int e = 0; e < g_.extra_count; ++e) {
-                t.extras[e][to] = read(gradient.extras, e * pixels + at);
-                total += t.extras[e][to] * out.extras[e * pixels + at];
+                float g_extra = read(gradient.extras, e * out.pixels + at);
+                remaining += g_extra * out.extras[e * out.pixels + at];
+                t.extras[e].values[to] = g_extra;
             }
-            t.remaining[to] = total;
+            t.transmittance.values[to] = 1.0f;
+            t.remaining.values[to] = remaining;
         }
 }
 
@@ -323,43 +317,32 @@ void TileRasterizer<Kind>::differentiate_tile(int tile_index, Planes<const float
         bool touched = false;
         for_each_run(p, rect, live, [&](int at, F x, float y) {
             auto pixel = evaluate(p.splat, x, F{} + y, camera_.near);
-            F transmittance = load_lanes<F>(tile.transmittance + at);
+            F transmittance = load_lanes<F>(tile.transmittance.values + at);
             I hit = (pixel.rho <= p.splat.support) & (transmittance >= transmittance_min_);
             if (!mask_bits(hit)) return;
             touched = true;
-            auto grad = [&](const float* plane) { return load_lanes<F>(plane + at); };
             F alpha = select(hit, response_alpha(F{} + p.splat.opacity, pixel.rho), F{});
-            F weight = transmittance * alpha;
-            F along = grad(tile.normal[0]) * p.normal.x + grad(tile.normal[1]) * p.normal.y +
-                      grad(tile.normal[2]) * p.normal.z;
-            F t = select(hit, pixel.t, F{});
-            F value = grad(tile.color[0]) * p.color.x + grad(tile.color[1]) * p.color.y +
-                      grad(tile.color[2]) * p.color.z + grad(tile.depth) * t + pixel.side * along + grad(tile.weight);
-            for (int e = 0; e < g_.extra_count; ++e) {
-                value += grad(tile.extras[e]) * extras[e];
-                sum.extras[e] += weight * grad(tile.extras[e]);
-            }
-            F remaining = grad(tile.remaining);
-            F g_alpha = blend_backward(alpha, value, transmittance, remaining);
-            store_lanes(tile.transmittance + at, transmittance);
-            store_lanes(tile.remaining + at, remaining);
-            AlphaGradient<F> g = alpha_backward(F{} + p.splat.opacity, alpha, select(hit, g_alpha, F{}));
+            auto g_sum = load_pixels<SumGradient<F>, F>(tile.sum, at);
+            F value = hit_value(g_sum, p.color, select(hit, pixel.t, F{}), pixel.side, p.normal);
+            for (int e = 0; e < g_.extra_count; ++e) value += load_lanes<F>(tile.extras[e].values + at) * extras[e];
+            F remaining = load_lanes<F>(tile.remaining.values + at);
+            HitGradient<F> g_hit = blend_backward(alpha, value, transmittance, remaining);
+            F weight = g_hit.weight;
+            store_lanes(tile.transmittance.values + at, transmittance);
+            store_lanes(tile.remaining.values + at, remaining);
+            for (int e = 0; e < g_.extra_count; ++e)
+                sum.extras[e] += weight * load_lanes<F>(tile.extras[e].values + at);
+            AlphaGradient<F> g = alpha_backward(F{} + p.splat.opacity, alpha, select(hit, g_hit.alpha, F{}));
             sum.opacity += g.opacity;
-            sum.color.x += weight * grad(tile.color[0]);
-            sum.color.y += weight * grad(tile.color[1]);
-            sum.color.z += weight * grad(tile.color[2]);
-            F facing = weight * pixel.side;
-            sum.normal.x += facing * grad(tile.normal[0]);
-            sum.normal.y += facing * grad(tile.normal[1]);
-            sum.normal.z += facing * grad(tile.normal[2]);
-            add_pixel(sum.geometry, pixel, hit, g.rho, weight * grad(tile.depth));
+            sum.color = sum.color + weight * g_sum.color;
+            sum.normal = sum.normal + (weight * pixel.side) * g_sum.normal;
+            add_pixel(sum.geometry, pixel, hit, g.rho, weight * g_sum.depth);
             if (!mask_bits(transmittance >= transmittance_min_)) live[at / W] = 0, --live_runs;
         });
         if (!touched) continue;
-        float* total = reinterpret_cast<float*>(sums + tile_items_[item]);
-        const F* lanes = reinterpret_cast<const F*>(&sum);
+        float* total = array_of<float>(sums[tile_items_[item]]);
         int used = kSums - kMaxExtras + g_.extra_count;
-        for (int k = 0; k < used; ++k) total[k] += sum_lanes(lanes[k]);
+        for (int k = 0; k < used; ++k) total[k] += sum_lanes(array_of<F>(sum)[k]);
     }
 }
 
@@ -368,8 +351,8 @@ void TileRasterizer<Kind>::finish_primitive(int visible_index, const std::vector
                                             GaussianGradients result) {
     FloatSums sum = sums[0][visible_index];
     for (int worker = 1; worker < threads_; ++worker) {
-        const float* other = reinterpret_cast<const float*>(&sums[worker][visible_index]);
-        for (int k = 0; k < kSums; ++k) reinterpret_cast<float*>(&sum)[k] += other[k];
+        const float* other = array_of<float>(sums[worker][visible_index]);
+        for (int k = 0; k < kSums; ++k) array_of<float>(sum)[k] += other[k];
     }
     const VisiblePrimitive<Splat>& p = visible_[visible_index];
     long i = p.index;

@@ -11,6 +11,7 @@ namespace {
 
 constexpr int kChunk = 64;  // rays that one thread takes at a time
 constexpr int kGroup = 8;   // hits that the backward pass differentiates at a time
+constexpr int kSurfelValues = count_of<SurfelValues<float>, float>, kMoments = count_of<SurfelMoments<float>, float>;
 
 Vec3<float> ray_at(const float* rays, int ray) { return load3(rays + 3l * ray); }
 
@@ -39,7 +40,6 @@ int TracePass::chunks() const { return (rays_.count + kChunk - 1) / kChunk; }
 void TracePass::forward(Planes<float> out, int* hits, float* weights, bool keep_hits) {
     chunk_hits_.assign(keep_hits ? chunks() : 0, {});
     hit_counts_.assign(keep_hits ? rays_.count : 0, 0);
-    long n = rays_.count;
     std::vector<std::vector<float>> partial(threads_);
     parallel(threads_, [&](int worker) {
         partial[worker].assign(g_.count, 0.0f);
@@ -48,28 +48,23 @@ void TracePass::forward(Planes<float> out, int* hits, float* weights, bool keep_
             for (int ray = chunk * kChunk; ray < std::min((chunk + 1) * kChunk, rays_.count); ++ray) {
                 Vec3<float> origin = ray_at(rays_.origins, ray), direction = ray_at(rays_.directions, ray);
                 const std::vector<Hit>& found = traversal.hits(origin, direction, t_min_, transmittance_min_);
-                Vec3<float> color = {0, 0, 0}, normal = {0, 0, 0};
-                float transmittance = 1.0f, depth = 0.0f, extras[8] = {};
+                BlendedSums<float> sums = {};
+                float transmittance = 1.0f, extras[kMaxExtras] = {};
                 for (const Hit& hit : found) {
                     int i = hit.index();
                     const TracedSurfel& s = bvh_->surfels[i];
                     float weight = transmittance * hit.alpha;
                     transmittance *= 1.0f - hit.alpha;
-                    color = color + weight * color_at(g_, i, sh_along_ray_ ? direction : s.mean - origin);
-                    normal = normal + (dot(s.frame.n, direction) < 0.0f ? weight : -weight) * s.frame.n;
-                    depth += weight * hit.t();
+                    Vec3<float> color = color_at(g_, i, sh_along_ray_ ? direction : s.mean - origin);
+                    float side = dot(s.frame.n, direction) < 0.0f ? 1.0f : -1.0f;
+                    blend(sums, weight, color, hit.t(), side, s.frame.n);
                     for (int e = 0; e < g_.extra_count; ++e) extras[e] += weight * g_.extras[g_.extra_count * i + e];
                     partial[worker][i] += weight;
                     if (keep_hits) chunk_hits_[chunk].push_back(i);
                 }
                 if (keep_hits) hit_counts_[ray] = int(found.size());
-                color = color + transmittance * background_;
-                float alpha = 1.0f - transmittance;
-                out.color[ray] = color.x, out.color[n + ray] = color.y, out.color[2 * n + ray] = color.z;
-                out.normal[ray] = normal.x, out.normal[n + ray] = normal.y, out.normal[2 * n + ray] = normal.z;
-                out.alpha[ray] = alpha;
-                out.depth[ray] = alpha > 0.0f ? depth / alpha : 0.0f;
-                for (int e = 0; e < g_.extra_count; ++e) out.extras[e * n + ray] = extras[e];
+                write_blended(out, ray, sums, transmittance, background_);
+                for (int e = 0; e < g_.extra_count; ++e) out.extras[e * out.pixels + ray] = extras[e];
                 hits[ray] = int(found.size());
             }
     });
@@ -81,22 +76,13 @@ void TracePass::forward(Planes<float> out, int* hits, float* weights, bool keep_
 void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<const float> out,
                                   Planes<const float> gradient, TracedSurfelSums* sums, float* g_sh, float* g_extras,
                                   RayGradients rays) const {
-    long n = rays_.count;
-    auto read = [](const float* plane, long at) { return plane ? plane[at] : 0.0f; };
-    auto read3 = [&](const float* plane) -> Vec3<float> {
-        return {read(plane, ray), read(plane, plane ? n + ray : 0), read(plane, plane ? 2 * n + ray : 0)};
-    };
     Vec3<float> origin = ray_at(rays_.origins, ray), direction = ray_at(rays_.directions, ray);
-    float final_alpha = out.alpha[ray], depth = out.depth[ray];
-    SumGradient<float> g = sum_gradient(read3(gradient.color), read(gradient.alpha, ray), read(gradient.depth, ray),
-                                        read3(gradient.normal), final_alpha, depth, background_);
-    float remaining = blended_total(g, read3(out.color), final_alpha, depth, read3(out.normal), background_);
-    float g_extra[8] = {};
+    auto [g, remaining] = read_gradient(out, gradient, ray, background_);
+    float g_extra[kMaxExtras], transmittance = 1.0f;
     for (int e = 0; e < g_.extra_count; ++e) {
-        g_extra[e] = read(gradient.extras, e * n + ray);
-        remaining += g_extra[e] * out.extras[e * n + ray];
+        g_extra[e] = read(gradient.extras, e * out.pixels + ray);
+        remaining += g_extra[e] * out.extras[e * out.pixels + ray];
     }
-    float transmittance = 1.0f;
     Vec3<float> g_origin = {0, 0, 0}, g_direction = {0, 0, 0};
     Vec3<Float8> o = {Float8{} + origin.x, Float8{} + origin.y, Float8{} + origin.z};
     Vec3<Float8> d = {Float8{} + direction.x, Float8{} + direction.y, Float8{} + direction.z};
@@ -104,18 +90,16 @@ void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<co
     for (int begin = 0; begin < count; begin += kGroup) {
         int group = std::min(kGroup, count - begin);
         // Eight surfels, one a lane; lanes past the end repeat the last and get no weight.
-        alignas(32) float gathered[14][kGroup];
+        alignas(64) float gathered[kSurfelValues][kGroup];
         for (int lane = 0; lane < kGroup; ++lane) {
-            const float* s = &bvh_->surfels[hits[begin + std::min(lane, group - 1)]].frame.u.x;
-            for (int k = 0; k < 14; ++k) gathered[k][lane] = s[k];
+            const float* values = array_of<float>(bvh_->surfels[hits[begin + std::min(lane, group - 1)]]);
+            for (int k = 0; k < kSurfelValues; ++k) gathered[k][lane] = values[k];
         }
-        auto field = [&](int k) { return load_lanes<Float8>(gathered[k]); };
-        SurfelFrame<Float8> frame = {{field(0), field(1), field(2)}, {field(3), field(4), field(5)},
-                                     {field(6), field(7), field(8)}};
-        Vec3<Float8> from_mean = o - Vec3<Float8>{field(9), field(10), field(11)};
-        Float8 opacity = field(13);
-        PlaneHit<Float8> hit = intersect(frame, from_mean, d);
-        Float8 alpha = response_alpha(opacity, hit.u * hit.u + hit.v * hit.v);
+        SurfelValues<Float8> surfels;
+        std::memcpy(&surfels, gathered, sizeof surfels);
+        const SurfelFrame<Float8>& frame = surfels.frame;
+        PlaneHit<Float8> hit = intersect(frame, o - surfels.mean, d);
+        Float8 alpha = response_alpha(surfels.opacity, hit.u * hit.u + hit.v * hit.v);
 
         // Along the ray, hit after hit: colors, transmittance, dL/dα.
         alignas(32) float weight[kGroup] = {}, g_alpha[kGroup] = {};
@@ -125,10 +109,10 @@ void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<co
             Vec3<float> v = sh_along_ray_ ? direction : s.mean - origin;
             Vec3<float> color = color_at(g_, i, v);
             float side = hit.d_z[lane] < 0.0f ? 1.0f : -1.0f;
-            float value = dot(g.color, color) + g.depth * hit.t[lane] + side * dot(g.normal, s.frame.n) + g.weight;
+            float value = hit_value(g, color, float(hit.t[lane]), side, s.frame.n);
             for (int e = 0; e < g_.extra_count; ++e) value += g_extra[e] * g_.extras[g_.extra_count * i + e];
-            weight[lane] = transmittance * alpha[lane];
-            g_alpha[lane] = blend_backward(alpha[lane], value, transmittance, remaining);
+            HitGradient<float> g_hit = blend_backward(float(alpha[lane]), value, transmittance, remaining);
+            weight[lane] = g_hit.weight, g_alpha[lane] = g_hit.alpha;
 
             TracedSurfelSums& sum = sums[i];
             Vec3<float> g_v = color_backward_at(g_, i, v, color, weight[lane] * g.color,
@@ -143,17 +127,16 @@ void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<co
             for (int e = 0; e < g_.extra_count; ++e) g_extras[g_.extra_count * i + e] += weight[lane] * g_extra[e];
         }
 
-        AlphaGradient<Float8> ga = alpha_backward(opacity, alpha, load_lanes<Float8>(g_alpha));
+        AlphaGradient<Float8> ga = alpha_backward(surfels.opacity, alpha, load_lanes<Float8>(g_alpha));
         Vec3<Float8> local = intersect_backward(hit, dot(frame.u, d), dot(frame.v, d),
                                                 load_lanes<Float8>(weight) * g.depth, 2.0f * ga.rho * hit.u,
                                                 2.0f * ga.rho * hit.v);
         SurfelMoments<Float8> moments = {};
         add_hit(moments, hit, local);
-        const Float8* lanes = reinterpret_cast<const Float8*>(&moments);
         for (int lane = 0; lane < group; ++lane) {
             TracedSurfelSums& sum = sums[hits[begin + lane]];
-            float* to = reinterpret_cast<float*>(&sum.moments);
-            for (int k = 0; k < 12; ++k) to[k] += lanes[k][lane];
+            float* to = array_of<float>(sum.moments);
+            for (int k = 0; k < kMoments; ++k) to[k] += array_of<Float8>(moments)[k][lane];
             sum.opacity += ga.opacity[lane];
         }
         Vec3<Float8> world = local.x * frame.u + local.y * frame.v + local.z * frame.n;
@@ -188,12 +171,12 @@ void TracePass::backward(Planes<const float> out, Planes<const float> gradient, 
 }
 
 void TracePass::finish_surfels(int begin, int end, const std::vector<Worker>& workers, GaussianGradients result) const {
-    constexpr int kSums = sizeof(TracedSurfelSums) / sizeof(float);
+    constexpr int kSums = count_of<TracedSurfelSums, float>;
     for (int i = begin; i < end; ++i) {
         TracedSurfelSums sum = workers[0].sums[i];
         for (size_t w = 1; w < workers.size(); ++w) {
-            const float* other = reinterpret_cast<const float*>(&workers[w].sums[i]);
-            for (int k = 0; k < kSums; ++k) reinterpret_cast<float*>(&sum)[k] += other[k];
+            const float* other = array_of<float>(workers[w].sums[i]);
+            for (int k = 0; k < kSums; ++k) array_of<float>(sum)[k] += other[k];
         }
         float inverse_norm;
         Quaternion<float> q = normalized(quaternion_at(g_, i), inverse_norm);

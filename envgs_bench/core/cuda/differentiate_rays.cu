@@ -113,10 +113,8 @@ extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
             float side = hit.d_z < 0.0f ? 1.0f : -1.0f;
             Vec3<float> v = kShAlongRay ? ray.direction : s.mean - ray.origin;
             Vec3<float> c = sh_color<kShDegree>(appearance.values, v);
-            float weight = g.transmittance * a;
-            float value = g.value(c, hit.t, side * s.frame.n, appearance.values + kShFloats);
-            AlphaGradient<float> own = alpha_backward(s.opacity, a, blend_backward(a, value, g.transmittance,
-                                                                                   g.remaining));
+            auto [weight, g_a] = g.hit(a, c, hit.t, side, s.frame.n, appearance.values + kShFloats);
+            AlphaGradient<float> own = alpha_backward(s.opacity, a, g_a);
             Vec3<float> local = intersect_backward(hit, dot(s.frame.u, ray.direction), dot(s.frame.v, ray.direction),
                                                    weight * g.sum.depth, 2.0f * own.rho * hit.u,
                                                    2.0f * own.rho * hit.v);

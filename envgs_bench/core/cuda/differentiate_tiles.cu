@@ -41,9 +41,7 @@ extern "C" __global__ void __launch_bounds__(256) differentiate_tiles(
                   PrimitiveSums sum = {};
                   if (hit) {
                       float a = response_alpha(p.splat.opacity, at.rho);
-                      float weight = g.transmittance * a;
-                      float value = g.value(p.color, at.t, at.side * p.normal, p.extras);
-                      float g_a = blend_backward(a, value, g.transmittance, g.remaining);
+                      auto [weight, g_a] = g.hit(a, p.color, at.t, at.side, p.normal, p.extras);
                       AlphaGradient<float> own = alpha_backward(p.splat.opacity, a, g_a);
                       sum.opacity = own.opacity;
                       sum.color = weight * g.sum.color;

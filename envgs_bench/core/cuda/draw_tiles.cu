@@ -25,7 +25,7 @@ extern "C" __global__ void __launch_bounds__(256) draw_tiles(
     const PinholeCamera& camera = *camera_at;
     Pixel pixel = own_pixel(camera, blockIdx.x, tiles_x);
     float x = pixel.x + 0.5f, y = pixel.y + 0.5f, near = camera.near;
-    BlendedSums sums = BlendedSums::initial();
+    BlendedPixel blended = BlendedPixel::initial();
     bool live = pixel.inside;
     for_each_primitive(ranges[blockIdx.x], instance_slots, primitives, outlines, blockIdx.x % tiles_x * kTile,
               blockIdx.x / tiles_x * kTile, live, [&](const VisiblePrimitive& p, u32 slot) {
@@ -35,17 +35,17 @@ extern "C" __global__ void __launch_bounds__(256) draw_tiles(
                   float weight = 0.0f;
                   if (hit) {
                       float a = response_alpha(p.splat.opacity, at.rho);
-                      weight = sums.transmittance * a;
-                      sums.add(weight, p.color, at.t, at.side * p.normal, p.extras);
-                      sums.transmittance *= 1.0f - a;
-                      live = sums.transmittance >= transmittance_min;
+                      weight = blended.transmittance * a;
+                      blended.add(weight, p.color, at.t, at.side, p.normal, p.extras);
+                      blended.transmittance *= 1.0f - a;
+                      live = blended.transmittance >= transmittance_min;
                   }
                   float total = warp_sum_of_weights(weight);
                   if (lane_id() == 0) atomicAdd(weights + indices[slot], total);
               });
     if (!pixel.inside) return;
     // Too little room for the instances, seen only after the fact: an image that cannot be mistaken for the right one.
-    if (counters->instances > counters->drawn_instances) sums.transmittance = __int_as_float(0x7fc00000);
+    if (counters->instances > counters->drawn_instances) blended.transmittance = __int_as_float(0x7fc00000);
     Planes<float> out = {color, alpha, depth, normal, extras, long(camera.width) * camera.height};
-    sums.store(out, hit_counts, pixel.at, load3(background));
+    blended.store(out, hit_counts, pixel.at, load3(background));
 }

@@ -75,7 +75,7 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
     u32 page_capacity  // pages there is room for; 0: hits are not kept
 ) {
     __shared__ PacketMemory memory;
-    __shared__ BlendedSums all_sums[kRays];  // not in registers, which the search is short of
+    __shared__ BlendedPixel blended_of_rays[kRays];  // not in registers, which the search is short of
     __shared__ Levels levels;
     if (threadIdx.x == 0) levels = Levels::of(surfel_count);
     __syncwarp();
@@ -88,15 +88,15 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
     Extent extent(*statistics);
     float max_origin_distance = kGroupOriginDistance * maximum(extent.size.x, maximum(extent.size.y, extent.size.z));
     Packet packet(memory, levels, boxes, surfels, ray, t_min, transmittance_min, max_origin_distance);
-    if (thread_of_ray == 0) all_sums[lane_id()] = BlendedSums::initial();
+    if (thread_of_ray == 0) blended_of_rays[lane_id()] = BlendedPixel::initial();
     float transmittance = 1.0f;
     bool wanted = index >= 0;
     while (__any_sync(kFullWarp, wanted)) {
         packet.search(wanted, transmittance);
         bool ended = !wanted;
         int blended = 0;
-        BlendedSums sums = BlendedSums::initial();
-        if (thread_of_ray == 0) sums = all_sums[lane_id()];
+        BlendedPixel pixel = BlendedPixel::initial();
+        if (thread_of_ray == 0) pixel = blended_of_rays[lane_id()];
         for (int first = 0; __any_sync(kFullWarp, !ended && first < packet.count()); first += kThreadsPerRay) {
             int k = first + thread_of_ray;
             bool listed = !ended && k < packet.count();
@@ -115,8 +115,8 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
                 Appearance appearance = appearances[slot];
                 Vec3<float> v = kShAlongRay ? own.direction : s.mean - own.origin;
                 Vec3<float> c = sh_color<kShDegree>(appearance.values, v);
-                sums.add(before * a, c, hit.t, (hit.d_z < 0.0f ? 1.0f : -1.0f) * s.frame.n,
-                         appearance.values + kShFloats);
+                pixel.add(before * a, c, hit.t, hit.d_z < 0.0f ? 1.0f : -1.0f, s.frame.n,
+                          appearance.values + kShFloats);
                 atomicAdd(weights + s.index, before * a);
             }
             u32* rows = writer.more_rows();
@@ -131,20 +131,21 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
             blended += count;
             ended = ended || transmittance < transmittance_min;
         }
+        BlendedSums<float>& sums = pixel.sums;
         sums.color = {sum_over_ray(sums.color.x), sum_over_ray(sums.color.y), sum_over_ray(sums.color.z)};
         sums.normal = {sum_over_ray(sums.normal.x), sum_over_ray(sums.normal.y), sum_over_ray(sums.normal.z)};
         sums.depth = sum_over_ray(sums.depth);
 #pragma unroll
-        for (int e = 0; e < kExtras; ++e) sums.extras[e] = sum_over_ray(sums.extras[e]);
-        sums.hits = sum_over_ray(sums.hits);
-        if (thread_of_ray == 0) all_sums[lane_id()] = sums;
+        for (int e = 0; e < kExtras; ++e) pixel.extras[e] = sum_over_ray(pixel.extras[e]);
+        pixel.hits = sum_over_ray(pixel.hits);
+        if (thread_of_ray == 0) blended_of_rays[lane_id()] = pixel;
         wanted = wanted && !ended && packet.dropped();
         packet.resume_after(wanted ? blended - 1 : -1);
     }
     if (writer.pages.capacity && lane_id() == 0) page_heads[blockIdx.x] = make_int2(writer.first, writer.rows);
     if (thread_of_ray > 0 || index < 0) return;
-    BlendedSums sums = all_sums[lane_id()];
-    sums.transmittance = transmittance;
+    BlendedPixel pixel = blended_of_rays[lane_id()];
+    pixel.transmittance = transmittance;
     Planes<float> out = {color, alpha, depth, normal, extras, rays};
-    sums.store(out, hit_counts, index, load3(background));
+    pixel.store(out, hit_counts, index, load3(background));
 }

@@ -9,6 +9,23 @@
 
 namespace envgs {
 
+// What a pixel or ray sums over its hits: Σ wᵢcᵢ, besides the extras, whose number differs.
+template <class R>
+struct BlendedSums {
+    Vec3<R> color, normal;
+    R depth;
+};
+
+// Adds a hit of the given weight. What many pixels share may stay one float (C); side: +1 where the ray hits the front.
+template <class R, class C>
+ENVGS_FN void blend(BlendedSums<R>& sums, R weight, Vec3<C> color, R t, R side, Vec3<C> normal) {
+    sums.color = {sums.color.x + weight * color.x, sums.color.y + weight * color.y, sums.color.z + weight * color.z};
+    R facing = side * weight;
+    sums.normal = {sums.normal.x + facing * normal.x, sums.normal.y + facing * normal.y,
+                   sums.normal.z + facing * normal.z};
+    sums.depth = sums.depth + weight * t;
+}
+
 template <class R>
 ENVGS_FN R response_alpha(R opacity, R rho) {
     return minimum(broadcast<R>(kMaxAlpha), opacity * exponential(-0.5f * rho));
@@ -51,15 +68,28 @@ ENVGS_FN R blended_total(SumGradient<R> g, Vec3<R> color, R alpha, R depth, Vec3
     return dot(g.color, blended) + g.depth * depth * alpha + dot(g.normal, normal) + g.weight * alpha;
 }
 
-// One hit, front to back. In: transmittance before the hit, `value` = g·c, `remaining` = S less the hits before.
-// Out: both advanced past the hit; returns dL/dα.
+// g·c of a hit, what a unit of its weight changes the loss by (the caller adds the extras' part); arguments as blend()'s.
+template <class R, class C>
+ENVGS_FN R hit_value(const SumGradient<R>& g, Vec3<C> color, R t, R side, Vec3<C> normal) {
+    R along = g.normal.x * normal.x + g.normal.y * normal.y + g.normal.z * normal.z;
+    return g.color.x * color.x + g.color.y * color.y + g.color.z * color.z + g.depth * t + side * along + g.weight;
+}
+
 template <class R>
-ENVGS_FN R blend_backward(R alpha, R value, R& transmittance, R& remaining) {
+struct HitGradient {
+    R weight;  // of the hit: dL/dc is weight·g
+    R alpha;   // dL/dα
+};
+
+// One hit, front to back. In: transmittance before the hit, `value` = g·c, `remaining` = S less the hits before.
+// Out: both advanced past the hit.
+template <class R>
+ENVGS_FN HitGradient<R> blend_backward(R alpha, R value, R& transmittance, R& remaining) {
     R weight = transmittance * alpha;
     remaining = remaining - weight * value;
     R g_alpha = transmittance * value - remaining / (1.0f - alpha);
     transmittance = transmittance * (1.0f - alpha);
-    return g_alpha;
+    return {weight, g_alpha};
 }
 
 }  // namespace envgs
