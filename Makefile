@@ -18,7 +18,7 @@ $(BIN)/python:
 		|| { echo "envgs-bench needs Python 3.11 or newer, $(PYTHON) is $$($(PYTHON) --version): set PYTHON=..."; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-# Editable, with the native core compiled for this machine; installed again when what it is built from changes.
+# Editable, with the native core compiled for every kind of CPU; installed again when what it is built from changes.
 $(STAMP): $(BIN)/python pyproject.toml constraints.txt CMakeLists.txt $(NATIVE)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt -e '.[dev]'
 	@touch $@

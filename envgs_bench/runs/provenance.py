@@ -15,6 +15,8 @@ from typing import Any
 import psutil
 import torch
 
+from envgs_bench.core import cpu
+
 PACKAGE = "envgs-bench"
 
 # Those whose version can change a result or a time.
@@ -67,6 +69,7 @@ def collect(device: str) -> dict[str, Any]:
 def _machine() -> dict[str, Any]:
     return {
         "cpu": _cpu_model(),
+        "cpu_target": cpu.target,
         "cores": psutil.cpu_count(logical=False),
         "logical_cores": os.cpu_count(),
         "usable_cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),

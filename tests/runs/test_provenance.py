@@ -11,6 +11,7 @@ import psutil
 import pytest
 import torch
 
+from envgs_bench.core import cpu
 from envgs_bench.runs import provenance
 from envgs_bench.runs.provenance import collect
 from envgs_bench.stages.cost import peak_device_bytes, peak_host_bytes
@@ -30,6 +31,7 @@ def test_provenance_is_plain_json_and_names_versions_machine_and_threads():
     assert found["threads"] == torch.get_num_threads()
     assert found["machine"]["memory_bytes"] == psutil.virtual_memory().total
     assert found["machine"]["usable_cores"] >= 1
+    assert found["machine"]["cpu_target"] == cpu.target
     assert found["device"] == {"type": "cpu", "name": found["machine"]["cpu"]}
     assert all(word in found["command"] for word in psutil.Process().cmdline()[1:])
 

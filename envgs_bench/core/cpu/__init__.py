@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import torch
 from torch import Tensor
 
@@ -11,18 +13,22 @@ from ..differentiable import Gradients, PassOutput, Planes, SetTensors, draw
 from ..gaussians import GaussianSet
 from ..rendering import Rendering
 from ..trace import Bvh
+from . import native
 
-try:
+if TYPE_CHECKING:
     from . import _native
 
-    _import_error = None
+target: str | None = None  # the kind of CPU that the extension was compiled for, such as x86-64-v3
+_import_error: ImportError | None = None
+try:
+    target, _native = native.load()
 except ImportError as error:
     _import_error = error
 
 
 def why_unavailable() -> str | None:
     if _import_error is not None:
-        return f"its extension did not load ({_import_error}); reinstall the package with a C++20 compiler present"
+        return f"its extension did not load ({_import_error})"
     return None
 
 

@@ -1,4 +1,4 @@
-"""The extension built from this folder's C++; see bindings.cpp. N primitives, P pixels or R rays, all CPU tensors."""
+"""What each of the extension's modules offers, see native.py: N primitives, P pixels or R rays, all CPU tensors."""
 
 from torch import Tensor
 

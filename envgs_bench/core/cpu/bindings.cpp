@@ -67,7 +67,7 @@ PinholeCamera camera_of(const In& world_to_camera, const In& intrinsics, const I
 
 }  // namespace
 
-NB_MODULE(_native, m) {
+NB_MODULE(NATIVE_MODULE, m) {
     m.doc() = "The core's CPU backend. Called through envgs_bench.core.rasterize and trace, which check their input.";
     nb::set_leak_warnings(false);  // objects that outlive the interpreter at exit are no fault of the user's
     m.attr("pixel_lanes") = kPixelLanes;

@@ -69,9 +69,9 @@ inline unsigned mask_bits(Int8 mask) {
 #if defined(__AVX2__)
     return unsigned(_mm256_movemask_ps((__m256)mask));
 #else
-    unsigned bits = 0;
-    for (int i = 0; i < 8; ++i) bits |= unsigned(mask[i] & 1) << i;
-    return bits;
+    LaneTypes<4>::Int halves[2];
+    std::memcpy(halves, &mask, sizeof mask);
+    return mask_bits(halves[0]) | mask_bits(halves[1]) << 4;
 #endif
 }
 inline unsigned mask_bits(LaneTypes<16>::Int mask) {

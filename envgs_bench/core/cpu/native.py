@@ -1,0 +1,34 @@
+"""The C++ extension, compiled once for each kind of CPU: which of its modules this machine runs.
+
+`$ENVGS_BENCH_CPU_TARGET` names another than the best, to repeat what a lesser machine computed: results of two targets
+differ in their last bits. It is read once, when the backend is first imported.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+from types import ModuleType
+
+VARIABLE = "ENVGS_BENCH_CPU_TARGET"
+
+
+def load() -> tuple[str, ModuleType]:
+    """The target's name and its module, as described in _native.pyi.
+
+    Raises:
+        ImportError: this CPU does not run the target asked for, or none, or a module is missing.
+    """
+    try:
+        from . import _targets
+    except ImportError as error:
+        raise ImportError(f"{error}; reinstall the package with a C++20 compiler present") from error
+    supported = _targets.supported()
+    target = os.environ.get(VARIABLE) or next(iter(supported), "none")
+    if target not in supported:
+        raise ImportError(
+            f"${VARIABLE} is {target}, this CPU runs {', '.join(supported)}: choose one of these"
+            if supported
+            else "it needs a CPU of x86-64-v2, which has SSE4.2, or newer"
+        )
+    return target, importlib.import_module(f"{__package__}._native_{target.replace('-', '_')}")
