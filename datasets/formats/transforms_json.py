@@ -60,7 +60,7 @@ class FrameFile:
             own = any(key in frame for key in INTRINSICS)
             camera_id = f"{self.path.name}, frame {index}" if own else self.path.name
             name = PurePosixPath(name).with_suffix("").as_posix() if _has_extension(name) else name
-            camera, pose = self._camera(frame, path), self._pose(frame, name)
+            camera, pose = self._camera(frame, path), self.pose(frame, name)
             found.append(Photograph(name + path.suffix, path, camera, camera_id, pose, self._masks(frame)))
         without = [photograph.name for photograph in found if not photograph.masks]
         if 0 < len(without) < len(found):
@@ -83,6 +83,34 @@ class FrameFile:
             raise DatasetError(f"{self.path}: {key}={value:g}, expected a number from {least:g} to {most:,g}")
         return value
 
+    def pose(self, frame: dict[str, Any], name: str) -> NDArray[np.float64]:
+        """World to camera [4, 4], OpenCV axes, of the frame's camera to world, OpenGL axes; errors say `name`."""
+        try:
+            matrix = np.asarray(frame.get("transform_matrix"), dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            matrix = np.empty(0)
+        if matrix.shape == (3, 4):
+            matrix = np.concatenate([matrix, [[0, 0, 0, 1]]])
+        if matrix.shape != (4, 4) or not (np.abs(matrix) <= LARGEST).all() or np.linalg.det(matrix) == 0:
+            raise DatasetError(
+                f"{self.path}: the transform_matrix of {name} is no camera-to-world matrix of 4×4 finite numbers"
+            )
+        return np.asarray(np.linalg.inv(matrix @ OPENGL_TO_OPENCV), dtype=np.float64)
+
+    def focal(self, axis: str, frame: dict[str, Any], length: float) -> float | None:
+        """In pixels: fl_<axis>, or of the whole field of view camera_angle_<axis>; the frame's own first."""
+        focal, angle = self.number(f"fl_{axis}", frame), self.number(f"camera_angle_{axis}", frame)
+        own_angle = f"camera_angle_{axis}" in frame and f"fl_{axis}" not in frame
+        if angle is not None and (focal is None or own_angle):
+            if not 0 < angle < math.pi:
+                raise DatasetError(f"{self.path}: camera_angle_{axis}={angle:g}, expected radians between 0 and π")
+            focal = length / 2 / math.tan(angle / 2)
+        if focal is not None and focal <= 0:
+            raise DatasetError(
+                f"{self.path}: has a focal length of {focal:g} pixels in {axis}, expected a positive one"
+            )
+        return focal
+
     def _name(self, frame: dict[str, Any], index: int) -> str:
         if not isinstance(frame.get("file_path"), str):
             raise DatasetError(f"{self.path}: frame {index} has no file_path; add the image's path below {self.root}")
@@ -104,51 +132,23 @@ class FrameFile:
             candidates += [path.with_suffix(extension) for extension in PICTURE_EXTENSIONS]
         return next((candidate for candidate in candidates if candidate.is_file()), None)
 
-    def _pose(self, frame: dict[str, Any], name: str) -> NDArray[np.float64]:
-        """World to camera, OpenCV axes, of the frame's camera to world, OpenGL axes."""
-        try:
-            matrix = np.asarray(frame.get("transform_matrix"), dtype=np.float64)
-        except (TypeError, ValueError, OverflowError):
-            matrix = np.empty(0)
-        if matrix.shape == (3, 4):
-            matrix = np.concatenate([matrix, [[0, 0, 0, 1]]])
-        if matrix.shape != (4, 4) or not (np.abs(matrix) <= LARGEST).all() or np.linalg.det(matrix) == 0:
-            raise DatasetError(
-                f"{self.path}: the transform_matrix of {name} is no camera-to-world matrix of 4×4 finite numbers"
-            )
-        return np.asarray(np.linalg.inv(matrix @ OPENGL_TO_OPENCV), dtype=np.float64)
-
     def _camera(self, frame: dict[str, Any], path: Path) -> pycolmap.Camera:
         width, height = (self.within(edge, frame, 1, LONGEST_EDGE) for edge in ("w", "h"))
         if width is None or height is None:
             header = read_header(path)
             width, height = header.width, header.height
-        fx = self._focal("x", frame, width)
+        fx = self.focal("x", frame, width)
         if fx is None:
             raise DatasetError(
                 f"{self.path}: gives no focal length for {path.name}: neither fl_x, pixels, nor camera_angle_x, radians"
             )
-        fy = self._focal("y", frame, height) or fx
+        fy = self.focal("y", frame, height) or fx
         cx, cy = self.number("cx", frame), self.number("cy", frame)
         center = [width / 2 if cx is None else cx, height / 2 if cy is None else cy]
         model, distortion = self._distortion(frame)
         return pycolmap.Camera(
             model=model, width=round(width), height=round(height), params=[fx, fy, *center, *distortion]
         )
-
-    def _focal(self, axis: str, frame: dict[str, Any], length: float) -> float | None:
-        """In pixels: fl_<axis>, or of the whole field of view camera_angle_<axis>; the frame's own first."""
-        focal, angle = self.number(f"fl_{axis}", frame), self.number(f"camera_angle_{axis}", frame)
-        own_angle = f"camera_angle_{axis}" in frame and f"fl_{axis}" not in frame
-        if angle is not None and (focal is None or own_angle):
-            if not 0 < angle < math.pi:
-                raise DatasetError(f"{self.path}: camera_angle_{axis}={angle:g}, expected radians between 0 and π")
-            focal = length / 2 / math.tan(angle / 2)
-        if focal is not None and focal <= 0:
-            raise DatasetError(
-                f"{self.path}: has a focal length of {focal:g} pixels in {axis}, expected a positive one"
-            )
-        return focal
 
     def _distortion(self, frame: dict[str, Any]) -> tuple[str, list[float]]:
         """pycolmap's camera model and its parameters after focal lengths and principal point."""
@@ -175,16 +175,21 @@ def read_frames(path: Path) -> FrameFile:
     Raises:
         DatasetError: there is no such file, it is no JSON, or it lists no frames.
     """
-    try:
-        content = json.loads(read_regular_text(path, MOST_BYTES))
-    except FileNotFoundError as error:
-        raise DatasetError(f"{path}: there is no such file") from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise DatasetError(f"{path}: cannot be read as JSON ({error}); export it again") from error
+    content = read_json(path)
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
         raise DatasetError(f'{path}: lists no frames, expected an object with "frames": [{{"file_path": …}}, …]')
     return FrameFile(path, content, frames)
+
+
+def read_json(path: Path) -> Any:
+    """What the JSON file holds. Raises DatasetError where there is no such file, or it is no JSON."""
+    try:
+        return json.loads(read_regular_text(path, MOST_BYTES))
+    except FileNotFoundError as error:
+        raise DatasetError(f"{path}: there is no such file") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise DatasetError(f"{path}: cannot be read as JSON ({error}); export it again") from error
 
 
 def without_common_folder(names: Sequence[str]) -> list[str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 from torch.nn import functional
@@ -25,11 +26,19 @@ def save_view(folder: Path, view: View, rendering: Rendering, unit: float) -> No
     Args:
         unit: depth that is shown as middle gray, world units: see `depth_picture`.
     """
-    layers = rendering.layers | {
+    save_pair(folder, view, rendering.color.cpu(), layer_pictures(rendering, unit))
+
+
+def layer_pictures(rendering: Rendering, unit: float) -> dict[str, Tensor]:
+    """The method's own layers and "normal", "depth", values in [0, 1]: [H, W], [H, W, 1] or [H, W, 3].
+
+    Args:
+        unit: as of `depth_picture`.
+    """
+    return rendering.layers | {
         "normal": functional.normalize(rendering.normal, dim=-1) / 2 + 0.5,
         "depth": depth_picture(rendering.depth, unit),
     }
-    save_pair(folder, view, rendering.color.cpu(), layers)
 
 
 def save_pair(folder: Path, view: View, image: Tensor, layers: Mapping[str, Tensor]) -> None:
@@ -67,7 +76,12 @@ def depth_unit(cameras: Sequence[Camera]) -> float:
 
 
 def save_png(path: Path, image: Tensor) -> None:
-    """Write [H, W], [H, W, 1] or [H, W, 3] values in [0, 1] as an 8-bit PNG, clamped and rounded as protocols do."""
-    values = image.detach().cpu().float().clamp(0, 1).mul(255).add(0.5).floor().to(torch.uint8).numpy()
+    """Write [H, W], [H, W, 1] or [H, W, 3] values in [0, 1] as an 8-bit PNG: see `as_bytes`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.ascontiguousarray(values[..., 0] if values.shape[2:] == (1,) else values)).save(path)
+    Image.fromarray(as_bytes(image)).save(path)
+
+
+def as_bytes(image: Tensor) -> NDArray[np.uint8]:
+    """Values in [0, 1], [H, W] or [H, W, 1 or 3], as bytes [H, W] or [H, W, 3], clamped and rounded as protocols do."""
+    values = image.detach().cpu().float().clamp(0, 1).mul(255).add(0.5).floor().to(torch.uint8).numpy()
+    return np.ascontiguousarray(values[..., 0] if values.shape[2:] == (1,) else values)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
+from envgs_bench.records import RENDERS
 from envgs_bench.run_folder import CHECKPOINT, CONFIG_NAME
 from envgs_bench.runs.job import resolve_device
 from envgs_bench.settings import RunSettings, SettingsError, read_settings
@@ -17,12 +18,15 @@ def reopen(folder: Path, device: str = "auto") -> tuple[RunSettings, Method]:
 
     Raises:
         SettingsError: no run's folder, or the device cannot be had.
-        ValueError: settings that the method does not have (any more), or a checkpoint of another method.
+        ValueError: another program drew the run's pictures, settings that the method does not have (any more), or a
+            checkpoint of another method.
         FileNotFoundError: the run left no checkpoint.
     """
     if not (folder / CONFIG_NAME).is_file():
         raise SettingsError(f"{folder}: holds no {CONFIG_NAME}; expected the folder of one run")
     settings = perturbed_settings(read_settings(folder))
+    if settings.method.kind == RENDERS:
+        raise ValueError(f"{folder}: another program drew its pictures, there is no model to open; take a trained run")
     method = create_method(settings.method.kind, settings.method.settings, resolve_device(device), settings.seed)
     method.load(folder / CHECKPOINT)
     return settings, method

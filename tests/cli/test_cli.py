@@ -29,6 +29,7 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
         ["rescore"],
         ["masks"],
         ["store"],
+        ["render"],
         ["layouts"],
         ["export"],
         ["list"],

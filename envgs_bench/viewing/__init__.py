@@ -1,0 +1,1 @@
+"""What trained runs look like from anywhere: along a camera's path, and under the hands of whoever looks."""

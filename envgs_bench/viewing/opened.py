@@ -1,0 +1,77 @@
+"""OpenedRun: a trained run that is ready to be looked at, and what it looks like."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from envgs_bench.core import Camera, Scene, View
+from envgs_bench.methods.method import Method
+from envgs_bench.stages.evaluation import scored_views
+from envgs_bench.stages.perturbations import load_run_scene
+from envgs_bench.stages.pictures import as_bytes, depth_unit, layer_pictures
+from envgs_bench.stored.reopening import reopen
+
+IMAGE = "image"  # the picture itself, among its layers
+DRAWN = ("normal", "depth")  # the layers that every method's pictures have, after its own
+
+Picture = NDArray[np.uint8]  # [H, W, 3], sRGB
+
+
+@dataclass(frozen=True)
+class OpenedRun:
+    """A trained method, prepared to render, and the scene that it was trained on.
+
+    Attributes:
+        label: its method's name and its seed.
+        views: those that the run was scored on.
+        depth_unit: world units, see `stages.pictures.depth_picture`.
+    """
+
+    label: str
+    method: Method
+    scene: Scene
+    views: Sequence[View]
+    depth_unit: float
+
+    def draw(self, camera: Camera) -> dict[str, Tensor]:
+        """IMAGE and every layer as `camera` sees them, values in [0, 1]: [H, W], [H, W, 1] or [H, W, 3], on the CPU.
+
+        They are what the run left of a test view where the camera is that view's. Once this returns, the device has
+        done its work.
+        """
+        rendering = self.method.render(camera.to(self.method.device))
+        layers = {IMAGE: rendering.color, **layer_pictures(rendering, self.depth_unit)}
+        return {name: layer.cpu() for name, layer in layers.items()}
+
+    @property
+    def cameras(self) -> list[Camera]:
+        """All cameras of the scene, those of `views` first."""
+        scored = {view.name for view in self.views}
+        others = [view.camera for view in (*self.scene.train, *self.scene.test) if view.name not in scored]
+        return [view.camera for view in self.views] + others
+
+
+def open_run(folder: Path, device: str = "auto") -> OpenedRun:
+    """The trained run in `folder`.
+
+    Raises:
+        ValueError, FileNotFoundError: as `reopen` and `load_run_scene`.
+    """
+    settings, method = reopen(folder, device)
+    scene = load_run_scene(settings)
+    method.prepare()
+    views = scored_views(scene, settings.score_on)
+    unit = depth_unit([view.camera for view in views])
+    return OpenedRun(f"{settings.method.name}, seed {settings.seed}", method, scene, views, unit)
+
+
+def as_picture(layer: Tensor) -> Picture:
+    """One of `OpenedRun.draw`'s layers as 8-bit sRGB; gray becomes three equal channels."""
+    values = as_bytes(layer)
+    return values if values.ndim == 3 else np.repeat(values[..., None], 3, axis=2)

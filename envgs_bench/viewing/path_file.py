@@ -1,0 +1,74 @@
+"""Camera paths from files: JSON as nerfstudio's viewer writes it, or the frames of a transforms.json.
+
+    {"camera_path": [{"camera_to_world": [16 numbers, row by row], "fov": 60}, …],
+     "render_width": 640, "render_height": 480}
+    {"frames": [{"transform_matrix": [[4 numbers], …]}, …], "camera_angle_x": 1.1, "w": 640, "h": 480}
+
+Matrices lead from the camera to the world, with OpenGL's axes (x right, y up, z backward), in the world of the run's
+data set: nerfstudio turns and scales that of what it trains on unless it is told not to. `fov` is vertical, degrees;
+intrinsics of frames are named as for `dataset=transforms`, but pictures need not be there, and lenses bend nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from envgs_bench.core import Camera
+from envgs_bench.datasets import DatasetError
+from envgs_bench.datasets.formats.transforms_json import FrameFile, read_json
+
+LARGEST_EDGE = 16_384  # pixels
+EXPECTED = 'expected {"camera_path": [{"camera_to_world": […], "fov": …}, …]} or {"frames": [{"transform_matrix": …}]}'
+
+
+def read_path(path: Path, like: Camera) -> list[Camera]:
+    """The file's cameras, each a frame; size and focal length are those of `like` where the file does not say.
+
+    Raises:
+        DatasetError: there is no such file, or it holds no cameras; the message names it and the frame.
+    """
+    content = read_json(path)
+    nerfstudio = isinstance(content, dict) and "camera_path" in content
+    frames = content.get("camera_path" if nerfstudio else "frames") if isinstance(content, dict) else None
+    if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
+        raise DatasetError(f"{path}: holds no camera path; {EXPECTED}")
+    if nerfstudio:
+        content = {"w": content.get("render_width"), "h": content.get("render_height")}
+        frames = [_as_frame(frame, path, index) for index, frame in enumerate(frames)]
+    file = FrameFile(path, content, frames)
+    return [_camera(file, frame, f"frame {index}", like) for index, frame in enumerate(frames)]
+
+
+def _as_frame(entry: dict[str, Any], path: Path, index: int) -> dict[str, Any]:
+    """An entry of nerfstudio's path with the names of a transforms.json."""
+    try:
+        matrix = np.asarray(entry["camera_to_world"], dtype=np.float64).reshape(-1, 4).tolist()
+        angle = math.radians(float(entry["fov"])) if "fov" in entry else None
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise DatasetError(f"{path}: frame {index} is no camera ({error!r}); {EXPECTED}") from error
+    return {"transform_matrix": matrix, "camera_angle_y": angle}
+
+
+def _camera(file: FrameFile, frame: dict[str, Any], name: str, like: Camera) -> Camera:
+    width = round(file.within("w", frame, 1, LARGEST_EDGE) or like.width)
+    height = round(file.within("h", frame, 1, LARGEST_EDGE) or like.height)
+    fx, fy = file.focal("x", frame, width), file.focal("y", frame, height)
+    if fx is None and fy is None:
+        fx = fy = float(like.intrinsics[1, 1]) * height / like.height
+    cx, cy = file.number("cx", frame), file.number("cy", frame)
+    intrinsics = [
+        [fx or fy, 0.0, width / 2 if cx is None else cx],
+        [0.0, fy or fx, height / 2 if cy is None else cy],
+        [0.0, 0.0, 1.0],
+    ]
+    try:
+        return Camera(torch.from_numpy(file.pose(frame, name)).float(), torch.tensor(intrinsics), width, height)
+    except DatasetError:
+        raise
+    except ValueError as error:
+        raise DatasetError(f"{file.path}: {name} is no camera: {error}") from error

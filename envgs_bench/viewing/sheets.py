@@ -1,0 +1,32 @@
+"""Sheets: several pictures as one, each with its name in a corner."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from .opened import Picture
+
+TEXT_SHARE, LEAST_TEXT = 0.045, 10  # a name's height, of the picture's; pixels
+
+
+def side_by_side(pictures: Mapping[str, Picture]) -> Picture:
+    """The pictures, all [H, W, 3], from left to right with their names; a single one as it is."""
+    if len(pictures) == 1:
+        return next(iter(pictures.values()))
+    return np.concatenate([named(picture, name) for name, picture in pictures.items()], axis=1)
+
+
+def named(picture: Picture, name: str, *, right: bool = False) -> Picture:
+    """A copy of the picture with `name` in its upper left or upper right corner, white on black."""
+    image = Image.fromarray(picture)
+    draw, height, width = ImageDraw.Draw(image), *picture.shape[:2]
+    size = max(LEAST_TEXT, round(TEXT_SHARE * height))
+    font = ImageFont.load_default(size)
+    room = draw.textlength(name, font) + size
+    left = max(0, width - room) if right else 0
+    draw.rectangle((left, 0, left + room, 1.5 * size), fill=(0, 0, 0))
+    draw.text((left + size / 2, 0.1 * size), name, fill=(255, 255, 255), font=font)
+    return np.asarray(image)

@@ -1,0 +1,139 @@
+"""Camera paths: against their definitions, and against what another writer of transforms.json says."""
+
+from __future__ import annotations
+
+import json
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from toy_scenes import camera_at
+
+from envgs_bench.core import Camera
+from envgs_bench.datasets import DatasetError
+from envgs_bench.datasets.export.blender import write_blender
+from envgs_bench.testing import tiny_scene
+from envgs_bench.viewing.camera_paths import interpolate, orbit, reframed, spiral, up_direction
+from envgs_bench.viewing.path_file import read_path
+
+TARGET = (1.0, -2.0, 0.5)
+
+
+def ring(count: int = 7, radius: float = 3.0, height: float = 1.5) -> list[Camera]:
+    """Upright cameras (world z) around TARGET."""
+    angles = [0.3 + 2 * math.pi * i / count for i in range(count)]
+    x, y, z = TARGET
+    return [camera_at((x + radius * math.cos(a), y + radius * math.sin(a), z + height), TARGET) for a in angles]
+
+
+def assert_same(ours: Camera, theirs: Camera) -> None:
+    assert torch.allclose(ours.world_to_camera, theirs.world_to_camera, atol=2e-5)
+    assert torch.allclose(ours.intrinsics, theirs.intrinsics, rtol=1e-6)
+    assert (ours.width, ours.height) == (theirs.width, theirs.height)
+
+
+def test_an_orbit_of_cameras_on_a_circle_is_that_circle() -> None:
+    cameras = ring()
+    for ours, theirs in zip(orbit(cameras, 7), cameras, strict=True):
+        assert_same(ours, theirs)
+
+
+def test_a_spiral_looks_at_what_the_cameras_look_at_from_around_the_first() -> None:
+    cameras = ring()
+    distance = math.hypot(3.0, 1.5)
+    path = spiral(cameras, 80)
+    target = torch.tensor(TARGET)
+    offsets = torch.stack([camera.center for camera in path]) - cameras[0].center
+    inside = (offsets @ cameras[0].world_to_camera[:3, :3].T).numpy() / distance
+    assert np.allclose(np.hypot(inside[:, 0], inside[:, 1]), 0.15, atol=1e-5)
+    assert np.allclose([inside[:, 2].min(), inside[:, 2].max()], [-0.15, 0.15], atol=1e-5)
+    for camera in path:
+        assert torch.allclose(camera.project(target)[0], camera.intrinsics[:2, 2], atol=1e-3)
+        assert camera.world_to_camera[1, 2] < 0  # upright
+
+
+def test_a_spiral_of_cameras_that_look_outward_looks_outward() -> None:
+    outward = [camera_at((math.cos(a), math.sin(a), 0), (9 * math.cos(a), 9 * math.sin(a), 0)) for a in (0, 2, 4)]
+    for camera in spiral(outward, 5):
+        assert camera.world_to_camera[2, 0] > 0.9  # as the first, along x
+
+
+def test_interpolation_goes_through_every_camera() -> None:
+    cameras = ring(4)
+    path = interpolate(cameras, 31)
+    for ours, theirs in zip(path[::10], cameras, strict=True):
+        assert_same(ours, theirs)
+    steps = torch.stack([b.center - a.center for a, b in pairwise(path)]).norm(dim=1)
+    assert steps.max() < 2.5 * steps.min()
+    with pytest.raises(ValueError, match="needs two at least, not 1; try orbit"):
+        interpolate(cameras[:1], 5)
+
+
+def test_up_is_the_cameras_own_and_z_where_they_disagree() -> None:
+    assert np.allclose(up_direction(ring()), [0, 0, 1], atol=1e-6)
+    turned = torch.tensor([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # world (x, y, z) -> (x, −z, y)
+    cameras = [Camera(c.world_to_camera @ turned.T, c.intrinsics, c.width, c.height) for c in ring()]
+    assert np.allclose(up_direction(cameras), [0, -1, 0], atol=1e-6)
+    upside_down = torch.diag(torch.tensor([-1.0, -1, 1, 1])) @ ring()[0].world_to_camera
+    assert np.allclose(
+        up_direction([ring()[0], Camera(upside_down, ring()[0].intrinsics, 40, 40)]), [0, 0, 1], atol=1e-6
+    )
+
+
+def test_a_camera_of_another_size_sees_the_same_from_top_to_bottom() -> None:
+    camera = camera_at((3.0, 0, 0))
+    wide = reframed(camera, 160, 80)
+    point = torch.tensor([0.0, 0.4, 0.3])
+    x, y = camera.project(point)[0].tolist()
+    assert torch.allclose(wide.project(point)[0], torch.tensor([2 * x + 40, 2 * y]), atol=1e-3)
+    assert (wide.width, wide.height) == (160, 80)
+
+
+def test_the_frames_of_a_transforms_json_are_cameras(tmp_path: Path) -> None:
+    scene = tiny_scene()
+    write_blender(scene, tmp_path / "written")
+    read = read_path(tmp_path / "written" / "transforms_train.json", like=scene.test[0].camera)
+    for ours, view in zip(read, scene.train, strict=True):
+        assert_same(ours, view.camera)
+
+
+def test_a_path_of_nerfstudios_is_read(tmp_path: Path) -> None:
+    """A camera at (0, 0, 5) that looks along −z, as OpenGL's do unturned; 90° from top to bottom."""
+    matrix = np.eye(4)
+    matrix[2, 3] = 5
+    content = {
+        "camera_path": [{"camera_to_world": matrix.reshape(-1).tolist(), "fov": 90, "aspect": 2}],
+        **{"render_width": 200, "render_height": 100, "fps": 24, "seconds": 1},
+    }
+    (tmp_path / "path.json").write_text(json.dumps(content))
+    (camera,) = read_path(tmp_path / "path.json", like=ring()[0])
+    assert camera.intrinsics.tolist() == [[pytest.approx(50), 0, 100], [0, pytest.approx(50), 50], [0, 0, 1]]
+    right_and_up = camera.project(torch.tensor([1.0, 1, 0]))
+    assert right_and_up[0].tolist() == pytest.approx([110, 40], abs=1e-3)
+    assert float(right_and_up[1]) == pytest.approx(5)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "cannot be read as JSON"),
+        ("[]", "holds no camera path; expected"),
+        ('{"camera_path": []}', "holds no camera path; expected"),
+        ('{"camera_path": [{"fov": 60}]}', "frame 0 is no camera"),
+        ('{"camera_path": [{"camera_to_world": [1, 2], "fov": 60}]}', "frame 0 is no camera"),
+        ('{"frames": [{"file_path": "a"}]}', "transform_matrix of frame 0 is no camera-to-world matrix"),
+        (
+            '{"frames": [{"transform_matrix": [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}',
+            "frame 0 is no camera: Camera.world_to_camera",
+        ),
+        ('{"w": 99999, "frames": [{"transform_matrix": []}]}', "w=99999, expected a number from 1 to 16,384"),
+    ],
+)
+def test_files_that_hold_no_path_are_named(tmp_path: Path, content: str, message: str) -> None:
+    (tmp_path / "path.json").write_text(content)
+    with pytest.raises(DatasetError, match=r"path\.json: ") as caught:
+        read_path(tmp_path / "path.json", like=ring()[0])
+    assert message in str(caught.value)
