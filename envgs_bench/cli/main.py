@@ -16,6 +16,7 @@ COMMANDS = {
     "report": "tables, charts and pages from records",
     "rescore": "finished runs under another protocol, without training them again",
     "masks": "masks of what reflects, from an EnvGS that was trained on a capture",
+    "view": "trained runs in the browser: walk around, look at layers, compare two",
     "render": "a film of a trained run along a camera path, its layers side by side",
     "store": "the model that a run trained, as PLY, as one small file, or in a viewer's layout",
     "layouts": "what each layout of trained models takes on disk, and what pictures lose by it",

@@ -44,16 +44,14 @@ def orbit(cameras: Sequence[Camera], frames: int) -> list[Camera]:
 
 
 def spiral(cameras: Sequence[Camera], frames: int) -> list[Camera]:
-    """Two turns about the first camera, to and fro along its axis meanwhile, always toward what the cameras look at.
+    """Two turns about the first camera, back and forth along its axis, always toward what the cameras look at.
 
     LLFF's path for cameras that face one way (Mildenhall et al. 2019), with a radius of 0.15 times the distance to what
     is looked at. After the last frame comes the first again.
     """
-    camera, ball = cameras[0], foreground_ball(cameras)
+    camera, target = cameras[0], looked_at(cameras[0], cameras)
     rotation, center = camera.world_to_camera[:3, :3].double().numpy(), camera.center.double().numpy()
-    ahead = float(rotation[2] @ (ball.center.double().numpy() - center))
-    distance = ahead if ahead > 0 else ball.radius  # cameras that look outward have no point in common ahead
-    target = center + distance * rotation[2]
+    distance = np.linalg.norm(target - center)
     angles = 2 * np.pi * np.arange(frames) / frames
     steps = [np.sin(SPIRAL_TURNS * angles), np.cos(SPIRAL_TURNS * angles), np.sin(angles)]
     centers = center + SPIRAL_SHARE * distance * np.stack(steps, axis=1) @ rotation
@@ -89,6 +87,14 @@ PATHS: dict[str, Callable[[Sequence[Camera], int], list[Camera]]] = {
     "spiral": spiral,
     "interpolate": interpolate,
 }
+
+
+def looked_at(camera: Camera, cameras: Sequence[Camera]) -> Array:
+    """The point [3] on the camera's axis, in the world frame, that is as far ahead as what all `cameras` look at."""
+    ball, forward = foreground_ball(cameras), camera.world_to_camera[2, :3].double().numpy()
+    center = camera.center.double().numpy()
+    ahead = float(forward @ (ball.center.double().numpy() - center))
+    return center + (ahead if ahead > 0 else ball.radius) * forward  # behind cameras that look outward
 
 
 def reframed(camera: Camera, width: int, height: int) -> Camera:

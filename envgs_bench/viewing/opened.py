@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -69,6 +70,34 @@ def open_run(folder: Path, device: str = "auto") -> OpenedRun:
     views = scored_views(scene, settings.score_on)
     unit = depth_unit([view.camera for view in views])
     return OpenedRun(f"{settings.method.name}, seed {settings.seed}", method, scene, views, unit)
+
+
+def open_runs(folders: Sequence[Path], device: str = "auto") -> list[OpenedRun]:
+    """Trained runs of one scene, whose labels tell them apart.
+
+    Raises:
+        ValueError, FileNotFoundError: as `open_run`; or the runs were not scored on the same views.
+    """
+    runs = [open_run(folder, device) for folder in folders]
+    for run, folder in zip(runs, folders, strict=True):
+        if not _same_places(run.views, runs[0].views):
+            raise ValueError(
+                f"{folder}: is of scene {run.scene.name}, and {folders[0]} of {runs[0].scene.name} with other test "
+                "cameras; give runs of one scene"
+            )
+    labels = [run.label for run in runs]
+    return [
+        replace(run, label=f"{run.label} ({number})") if labels.count(run.label) > 1 else run
+        for number, run in enumerate(runs, start=1)
+    ]
+
+
+def _same_places(ours: Sequence[View], theirs: Sequence[View]) -> bool:
+    """Whether the views have the same names, and cameras in the same places."""
+    places = {view.name: view.camera.center for view in theirs}
+    return {view.name for view in ours} == set(places) and all(
+        torch.allclose(view.camera.center, places[view.name], atol=1e-4) for view in ours
+    )
 
 
 def as_picture(layer: Tensor) -> Picture:

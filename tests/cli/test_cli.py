@@ -29,6 +29,7 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
         ["rescore"],
         ["masks"],
         ["store"],
+        ["view"],
         ["render"],
         ["layouts"],
         ["export"],

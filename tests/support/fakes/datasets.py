@@ -23,6 +23,12 @@ def tiny(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     return replace(scene, name=settings["name"], train=scene.train[1:], test=[masked, scene.train[0]])
 
 
+def tiny_elsewhere(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
+    """As `tiny`, with other test views."""
+    scene = tiny(settings, cache_dir)
+    return replace(scene, name="elsewhere", train=scene.test, test=scene.train)
+
+
 def garden(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     """gsplat's test_garden.npz: a structure-from-motion cloud and three cameras; pictures are drawn from the cloud."""
     from scipy.spatial import cKDTree
