@@ -1,4 +1,4 @@
-"""PLY: a set of Gaussians in the layout that 3DGS and 2DGS write, and that viewers and other programs read.
+"""PLY: a set of Gaussians in the layout of 3DGS, which viewers and other programs read, or in that of 2DGS.
 
 One element `vertex` of float32 properties, a row a Gaussian, values as they are trained (not activated):
 
@@ -9,13 +9,14 @@ One element `vertex` of float32 properties, a row a Gaussian, values as they are
 | f_dc_0 … f_dc_2 | the constant SH coefficient of red, green, blue |
 | f_rest_0 … | the other coefficients, all of red, then all of green, then all of blue |
 | opacity | logit |
-| scale_0 scale_1 (scale_2) | logarithms; a third makes 3D Gaussians |
+| scale_0 scale_1 scale_2 | logarithms; a surfel's third is that of its thickness, FLAT_SCALE, or is left out as in 2DGS |
 | rot_0 … rot_3 | quaternion, wxyz, of any length |
 | beta | logit of EnvGS's blending weight; our addition, where the set has one |
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -34,11 +35,20 @@ MEAN, NORMAL, OPACITY, BETA = ("x", "y", "z"), ("nx", "ny", "nz"), ("opacity",),
 DC, ROTATION = tuple(f"f_dc_{i}" for i in range(3)), tuple(f"rot_{i}" for i in range(4))
 REST_COUNTS = tuple(3 * ((degree + 1) ** 2 - 1) for degree in range(4))
 
+# A surfel's third scale, world units: viewers know three scales, and refuse or misread two. This one is what 2DGS's
+# author advises to add (hbb1/2d-gaussian-splatting, issue 94).
+FLAT_SCALE = 1e-6
+FLAT = np.float32(math.log(FLAT_SCALE))
+
 Values = NDArray[np.float32]
 
 
-def write_ply(path: Path, tensors: Mapping[str, Tensor]) -> None:
-    """Write `GaussianParameters`' tensors as a binary PLY; the folder is made where missing."""
+def write_ply(path: Path, tensors: Mapping[str, Tensor], two_scales: bool = False) -> None:
+    """Write `GaussianParameters`' tensors as a binary PLY; the folder is made where missing.
+
+    Args:
+        two_scales: leave out a surfel's third scale, as 2DGS does; 3D Gaussians have three in any case.
+    """
     rows = {name: value.detach().cpu().float().numpy() for name, value in tensors.items()}
     count, axes = rows["log_scales"].shape
     columns: dict[str, Values] = {}
@@ -51,6 +61,8 @@ def write_ply(path: Path, tensors: Mapping[str, Tensor]) -> None:
     columns |= _named(_numbered("f_rest", rest.shape[1]), rest)
     columns |= _named(OPACITY, rows["opacity_logits"][:, None])
     columns |= _named(_numbered("scale", axes), rows["log_scales"])
+    if axes == 2 and not two_scales:
+        columns["scale_2"] = np.full(count, FLAT)
     columns |= _named(ROTATION, rows["quaternions"])
     if "beta_logits" in rows:
         columns |= _named(BETA, rows["beta_logits"])
@@ -63,6 +75,8 @@ def write_ply(path: Path, tensors: Mapping[str, Tensor]) -> None:
 
 def read_ply(path: Path) -> dict[str, Tensor]:
     """`GaussianParameters`' tensors, float32, of what `write_ply` or another program wrote; the rest is left.
+
+    Surfels are those whose file has two scales, or a third that is FLAT_SCALE of all of them.
 
     Raises:
         ValueError: no readable PLY, a compressed one, properties missing, an SH degree above 3, or values that no
@@ -94,6 +108,8 @@ def vertex_tensors(vertices: PlyElement, path: Path | str) -> dict[str, Tensor]:
         return torch.from_numpy(np.stack(values, axis=-1) if values else np.empty((len(vertices.data), 0), np.float32))
 
     count = len(vertices.data)
+    if axes == 3 and (columns(("scale_2",)) == float(FLAT)).all():
+        axes = 2
     tensors = {
         "means": columns(MEAN),
         "quaternions": columns(ROTATION),

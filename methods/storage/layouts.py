@@ -57,10 +57,10 @@ def _read_compact(method: GaussianMethod, folder: Path) -> State:
     return read_compact(folder, type(method).__name__)
 
 
-def _write_ply(method: GaussianMethod, folder: Path) -> list[Path]:
+def _write_ply(two_scales: bool, method: GaussianMethod, folder: Path) -> list[Path]:
     paths = {name: folder / f"{name}.ply" for name in method.sets}
     for name, tensors in _sets(method).items():
-        write_ply(paths[name], tensors)
+        write_ply(paths[name], tensors, two_scales)
     return list(paths.values())
 
 
@@ -88,16 +88,21 @@ def _sets(method: GaussianMethod) -> dict[str, dict[str, Tensor]]:
     return {name: trained.parameters.detached() for name, trained in method.sets.items()}
 
 
+def _ply(what: str, two_scales: bool) -> Layout:
+    return Layout(what, partial(_write_ply, two_scales), _read_ply, _maps)
+
+
 def _splats(layout: str, what: str) -> Layout:
     return Layout(what, partial(_write_splats, layout), partial(_read_splats, layout), _beta_and_maps)
 
 
 LAYOUTS = {
-    "ply": Layout("float32, lossless, a file a set, as 3DGS and 2DGS write it", _write_ply, _read_ply, _maps),
+    "ply": _ply("float32, lossless, a file a set, as viewers open it: surfels have a third scale", two_scales=False),
     "compact": Layout("one small lossy file for the whole model", _write_compact, _read_compact, _nothing),
     "spz": _splats("spz", "Niantic's, lossy, a file a set, for viewers"),
     "sog": _splats("sog", "PlayCanvas's, lossy, a file a set, for viewers"),
     "compressed-ply": _splats("compressed-ply", "PlayCanvas's compressed PLY, lossy, a file a set, for viewers"),
+    "ply-2dgs": _ply("as ply, but surfels have two scales, as 2DGS writes and reads them", two_scales=True),
 }
 
 

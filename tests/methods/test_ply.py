@@ -84,10 +84,33 @@ def test_the_layout_is_that_of_3dgs_and_each_value_lies_where_its_name_says(tmp_
 
 
 def test_a_surfel_has_two_scales_and_beta_comes_last(tmp_path: Path) -> None:
-    write_ply(tmp_path / "set.ply", tensors_of())
+    write_ply(tmp_path / "set.ply", tensors_of(), two_scales=True)
     names, _ = plain_rows(tmp_path / "set.ply")
     assert [name for name in names if name.startswith("scale")] == ["scale_0", "scale_1"]
     assert names[-1] == "beta"
+
+
+def test_viewers_get_surfels_with_a_third_scale_in_the_layout_of_3dgs(tmp_path: Path) -> None:
+    write_ply(tmp_path / "set.ply", tensors_of(degree=3, beta=False))
+    names, rows = plain_rows(tmp_path / "set.ply")
+    assert names == HEADER_3DGS
+    assert np.array_equal(rows[:, names.index("scale_2")], np.full(50, np.log(1e-6), np.float32))
+
+
+def test_surfels_come_back_from_two_scales_and_from_three(tmp_path: Path) -> None:
+    tensors = tensors_of()
+    for two_scales in (True, False):
+        write_ply(tmp_path / "set.ply", tensors, two_scales)
+        assert all(torch.equal(values, tensors[name]) for name, values in read_ply(tmp_path / "set.ply").items())
+        assert read_gaussians(tmp_path / "set.ply").is_surfels
+
+
+def test_one_gaussian_that_is_thicker_makes_a_set_of_3d_gaussians(tmp_path: Path) -> None:
+    write_ply(tmp_path / "set.ply", tensors_of())
+    rewritten(tmp_path / "set.ply", change=("scale_2", -13.0))
+    read = read_ply(tmp_path / "set.ply")["log_scales"]
+    assert read.shape == (50, 3)
+    assert read[3, 2] == -13
 
 
 def test_a_set_read_again_is_drawn_the_same_to_the_last_bit(tmp_path: Path) -> None:
