@@ -9,7 +9,7 @@ One element `vertex` of float32 properties, a row a Gaussian, values as they are
 | f_dc_0 … f_dc_2 | the constant SH coefficient of red, green, blue |
 | f_rest_0 … | the other coefficients, all of red, then all of green, then all of blue |
 | opacity | logit |
-| scale_0 scale_1 scale_2 | logarithms; a surfel's third is that of its thickness, FLAT_SCALE, or is left out as in 2DGS |
+| scale_0 scale_1 scale_2 | logarithms; a surfel's third is its thickness, FLAT_SCALE, or left out as in 2DGS |
 | rot_0 … rot_3 | quaternion, wxyz, of any length |
 | beta | logit of EnvGS's blending weight; our addition, where the set has one |
 """
