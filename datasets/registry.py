@@ -18,6 +18,7 @@ from .split import with_validation
 # `split.with_validation` parts them, or finds some where there are none.
 Source = Callable[[Mapping[str, Any], Path], Scene]
 
+ADDRESSES = ("obtain", "download")  # where data are to be had: nothing that a scene is made from
 BUILT_IN = {
     "toy": "envgs_bench.datasets.toy:load_toy",
     "colmap": "envgs_bench.datasets.sources.colmap:load_colmap",
@@ -32,8 +33,9 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
     Args:
         settings: `kind` picks the source: one of `BUILT_IN`, or an import path "package.module:function" to a function
-            of these same two arguments. `obtain` says where the data are to be had, for whoever has no folder `root`;
-            the keys of `settings.SceneSettings` hold for every source. The other keys are the source's own.
+            of these same two arguments. `obtain` says where the data are to be had, for whoever has no folder `root`,
+            and `download` is the address of their archive, where they have one; the keys of `settings.SceneSettings`
+            hold for every source. The other keys are the source's own.
         cache_dir: where sources keep what took them time; made if missing.
 
     Raises:
@@ -45,9 +47,10 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     source = _source(kind)
     obtain, root = settings.get("obtain"), settings.get("root")
     if obtain and root and not Path(root).is_dir():
+        command = f"`envgs-bench download {settings.get('name')}`, or by hand: " if settings.get("download") else ""
         raise DatasetError(
-            f"dataset.root={root}: there is no such folder. Get it: {obtain}. If it lies elsewhere, give the folder "
-            "above as data_root=… or once for all as $ENVGS_BENCH_DATA_ROOT, or the folder itself as dataset.root=…"
+            f"dataset.root={root}: there is no such folder. Get it: {command}{obtain}. If it lies elsewhere, give the "
+            "folder above as data_root=… or once for all as $ENVGS_BENCH_DATA_ROOT, or the folder itself as dataset.root=…"
         )
     stated = parse_dataset_settings(
         SceneSettings, {key: settings[key] for key in SceneSettings.model_fields if key in settings}
@@ -75,7 +78,7 @@ def files_read(settings: Mapping[str, Any]) -> list[Path] | None:
 
 def own_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Those of a data set's settings that its source is given: without what `load_scene` itself uses."""
-    return {key: value for key, value in settings.items() if key not in ("obtain", *SceneSettings.model_fields)}
+    return {key: value for key, value in settings.items() if key not in (*ADDRESSES, *SceneSettings.model_fields)}
 
 
 def _source(kind: str) -> Source:

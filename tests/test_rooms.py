@@ -23,6 +23,7 @@ MAY_IMPORT = {  # besides contracts and itself
     "stages": {"core", "datasets", "methods", "metrics"},
     "runs": RUNS,
     "stored": RUNS,
+    "published": {"datasets"},
     "viewing": {*RUNS, "stored"},
     "bench": {"core", "methods", "stages"},
     "reports": set(),

@@ -9,8 +9,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, cast
 
+from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
-from hydra.errors import MissingConfigException, OverrideParseException
+from hydra.errors import CompactHydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import (
     ConfigAttributeError,
@@ -21,7 +22,7 @@ from omegaconf.errors import (
 )
 
 from envgs_bench.methods.registry import method_class, method_names, method_paths
-from envgs_bench.settings import MethodChoice, RunSettings, parse_settings
+from envgs_bench.settings import MethodChoice, RunSettings, SettingsError, parse_settings
 
 CONF = Path(__file__).parents[1] / "conf"
 
@@ -37,6 +38,16 @@ def config_names(group: str) -> list[str]:
 def _whole(options: Iterable[str]) -> Iterable[str]:
     """Without files named _…, which others are composed of."""
     return (name for name in options if not name.rpartition("/")[2].startswith("_"))
+
+
+def composed(overrides: list[str]) -> RunSettings:
+    """The settings that one run with these overrides has. Raises SettingsError, explained, where there is none."""
+    register_methods(overrides)
+    try:
+        with initialize_config_dir(str(CONF), version_base="1.3"):
+            return settings_of(compose("config", overrides), overrides)
+    except (CompactHydraException, OmegaConfBaseException, SettingsError) as error:
+        raise SettingsError(explain(error)) from error
 
 
 def settings_of(config: DictConfig, overrides: list[str]) -> RunSettings:

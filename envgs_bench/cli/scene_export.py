@@ -8,10 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import CompactHydraException, HydraException
-from omegaconf.errors import OmegaConfBaseException
+from hydra.errors import HydraException
 
 from envgs_bench.core import Camera, Scene
 from envgs_bench.datasets import load_scene
@@ -20,7 +18,7 @@ from envgs_bench.datasets.progress import listening
 from envgs_bench.runs.display import make_display
 from envgs_bench.settings import SettingsError
 
-from .composition import CONF, explain, register_methods, settings_of
+from .composition import composed
 
 WRONG_ARGUMENTS = 2
 
@@ -35,12 +33,10 @@ def export(overrides: list[str], form: str, out: Path) -> int:
         DatasetError: the data cannot be loaded, or the format cannot hold them.
         OSError: `out` cannot be written.
     """
-    register_methods(overrides)
     try:
-        with initialize_config_dir(str(CONF), version_base="1.3"):
-            settings = settings_of(compose("config", overrides), overrides)
-    except (CompactHydraException, OmegaConfBaseException, SettingsError) as error:
-        print(f"envgs-bench export: {explain(error)}", file=sys.stderr)
+        settings = composed(overrides)
+    except SettingsError as error:
+        print(f"envgs-bench export: {error}", file=sys.stderr)
         return WRONG_ARGUMENTS
     display = make_display(alone=True)
     display.start(settings.dataset_name)

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from envgs_bench.datasets.registry import files_read
+from envgs_bench.datasets.registry import ADDRESSES, files_read
 from envgs_bench.datasets.store.contents import digest_of, files_in
 from envgs_bench.methods.registry import installed_methods
 from envgs_bench.metrics import WeightsUnavailable, find_weights
@@ -135,7 +135,7 @@ def _fingerprint(root: Path, cache_dir: Path, files: Sequence[Path] | None = Non
 
 def _dataset(settings: RunSettings) -> dict[str, Any]:
     """The data set's settings, with the contents of the files that are read in place of where they lie."""
-    node = {key: value for key, value in settings.dataset.items() if key != "obtain"}
+    node = {key: value for key, value in settings.dataset.items() if key not in ADDRESSES}
     given = _with_fingerprints({key: value for key, value in node.items() if key != "root"}, settings.cache_dir)
     if node.get("root"):
         given["root"] = _fingerprint(Path(node["root"]), settings.cache_dir, files_read(node))

@@ -20,7 +20,7 @@ def flat_settings(settings: Any, prefix: str = "") -> dict[str, str]:
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):
             flat |= flat_settings(value, f"{name}.")
-        elif key not in ("root", "path", "cache_dir", "name", "obtain"):
+        elif key not in ("root", "path", "cache_dir", "name", "obtain", "download"):
             flat[name] = str(value)
     return flat
 

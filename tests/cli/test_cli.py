@@ -33,6 +33,7 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
         ["render"],
         ["layouts"],
         ["export"],
+        ["download"],
         ["list"],
         ["doctor"],
         ["bench", "core"],

@@ -92,6 +92,7 @@ def test_the_device_and_the_code_change_the_identity(monkeypatch: pytest.MonkeyP
         {"overrides": ["seed=0"]},
         {"device": "cpu"},
         {"budget": {"primitives": None, "mb": None}},
+        {"dataset": {**content()["dataset"], "obtain": "the host", "download": "https://host/fox.zip"}},
     ],
 )
 def test_what_does_not_determine_the_result_leaves_the_identity(changes: dict[str, Any]) -> None:
