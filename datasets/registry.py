@@ -49,8 +49,9 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     if obtain and root and not Path(root).is_dir():
         command = f"`envgs-bench download {settings.get('name')}`, or by hand: " if settings.get("download") else ""
         raise DatasetError(
-            f"dataset.root={root}: there is no such folder. Get it: {command}{obtain}. If it lies elsewhere, give the "
-            "folder above as data_root=… or once for all as $ENVGS_BENCH_DATA_ROOT, or the folder itself as dataset.root=…"
+            f"dataset.root={root}: there is no such folder. Get it: {command}{obtain}. If it lies elsewhere, "
+            "give the folder above as data_root=… or once for all as $ENVGS_BENCH_DATA_ROOT, or the folder itself as "
+            "dataset.root=…"
         )
     stated = parse_dataset_settings(
         SceneSettings, {key: settings[key] for key in SceneSettings.model_fields if key in settings}
