@@ -22,7 +22,8 @@ PICTURES = ("renders", "targets", "masks", "layers")  # the folders with its tes
 REPLACEMENT = "replacement"  # the folder of a run that is done again, while the earlier result is still in place
 PROBE_NAME = "probe.safetensors"  # what the finished model is along fixed rays
 SNAPSHOT_NAME = "snapshot.safetensors"  # what an interrupted training goes on from
-OWN_NAMES = (RECORD_NAME, CONFIG_NAME, LOG_NAME, CURVE_NAME, PROBE_NAME, SNAPSHOT_NAME, CHECKPOINT, *PICTURES)
+LOGGED = "logs"  # the folder of what a logger was told while it trained
+OWN_NAMES = (RECORD_NAME, CONFIG_NAME, LOG_NAME, CURVE_NAME, PROBE_NAME, SNAPSHOT_NAME, CHECKPOINT, LOGGED, *PICTURES)
 
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"

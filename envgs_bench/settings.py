@@ -68,6 +68,16 @@ class BudgetChoice(BaseModel):
     mb: Annotated[float, Field(gt=0)] | None = None  # 10⁶ bytes as float32
 
 
+class LoggerChoice(BaseModel):
+    """Who is told how a training goes, and how often; see `stages.training_log`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    kind: Literal["tensorboard", "wandb", "mlflow"]
+    every: Annotated[int, Field(ge=1)]  # steps between pictures
+    views: Annotated[int, Field(ge=1)]  # pictures of so many
+
+
 class MethodChoice(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -101,6 +111,7 @@ class RunSettings(BaseModel):
     memory_gb: Annotated[float, Field(gt=0)] | None = None
     device_memory_fraction: Annotated[float, Field(gt=0, le=1)] | None = None
     snapshot_minutes: Annotated[float, Field(ge=0)] = 5.0
+    logger: LoggerChoice | None = None
     runs_dir: Path
     cache_dir: Path
     force: bool

@@ -19,7 +19,8 @@ class Method(ABC):
     """A way to learn a scene from views and to draw it from new ones.
 
     The harness calls `initialize` once, `training_step` for step 1 to `steps`, then `prepare` and `render`; or `load`
-    in place of the training; or `resume` in place of `initialize`, and then the steps that an interruption left out. Of
+    in place of the training; or `resume` in place of `initialize`, and then the steps that an interruption left out.
+    Where a run is logged, it calls `prepare` and `render` between steps too, which must not change what is learned. Of
     a run with a budget it calls `limit` before all of these. A method gets plain values and knows of no data source and
     no configuration system.
 

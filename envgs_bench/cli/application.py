@@ -13,6 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
+from envgs_bench.loggers.opening import require_logger
 from envgs_bench.metrics import get_protocol
 from envgs_bench.plain_text import plain
 from envgs_bench.runs.display import make_display
@@ -114,6 +115,7 @@ def _run_composed(config: DictConfig) -> None:
         raise SettingsError(f"protocol={settings.protocol}: {error}") from error
     perturbation_of(settings)  # refuses a kind or a severity that there is not,
     check_budget(perturbed_settings(settings))  # and one that changes what the method does not have
+    require_logger(settings)
     alone = runs_here(DictConfig({"hydra": HydraConfig.get()}))
     if not alone:
         INTERRUPTION.follow(stop_file(), Sweep.current().pid)

@@ -17,6 +17,7 @@ from envgs_bench.run_folder import (
     CONFIG_NAME,
     CURVE_NAME,
     LOG_NAME,
+    LOGGED,
     RECORD_NAME,
     REPLACEMENT,
     SNAPSHOT_NAME,
@@ -32,7 +33,7 @@ from .outcome import Outcome, outcome_of
 from .process import GRACE_SECONDS, run_process
 from .processes import end_all_of
 
-GOES_ON_FROM = (SNAPSHOT_NAME, CURVE_NAME, LOG_NAME)  # kept of a run that did not end
+GOES_ON_FROM = (SNAPSHOT_NAME, CURVE_NAME, LOG_NAME, LOGGED)  # kept of a run that did not end
 
 
 def located(settings: RunSettings) -> tuple[RunSettings, Path]:

@@ -18,6 +18,7 @@ from typing import NoReturn
 
 import torch
 
+from envgs_bench.loggers.opening import logging_of
 from envgs_bench.records import Failure, Status
 from envgs_bench.settings import read_settings
 from envgs_bench.stages.events import Event, EventListener
@@ -53,7 +54,8 @@ def main(arguments: list[str]) -> int:
     failure = None
     try:
         limit_memory(settings.memory_gb, settings.device_memory_fraction, settings.device)
-        execute(settings, folder, draft.results, report, stop)
+        with logging_of(settings, folder) as logger:
+            execute(settings, folder, draft.results, report, stop, logger)
         _ignore_signals()  # what is finished is recorded
     except BaseException as error:
         _ignore_signals()

@@ -32,15 +32,22 @@ from .snapshots import Snapshots
 from .stop import Stop
 from .timing import time_frames
 from .training import Training
+from .training_log import Logger, TrainingLog
 from .vector_functions import call_each_once
 
 
 def execute(
-    settings: RunSettings, folder: Path, results: Results, report: EventListener, stop: Stop | None = None
+    settings: RunSettings,
+    folder: Path,
+    results: Results,
+    report: EventListener,
+    stop: Stop | None = None,
+    logger: Logger | None = None,
 ) -> None:
     """Train, draw, score and time as `settings` say; pictures, curve, checkpoint and probe go into `folder`.
 
-    A training that was interrupted in `folder` goes on. `stop` may ask for its end while it trains.
+    A training that was interrupted in `folder` goes on. `stop` may ask for its end while it trains; `logger` is told
+    how it goes, as often as `settings.logger` says.
 
     Raises:
         Diverged: nothing more can be learned, or a render is not finite.
@@ -60,7 +67,10 @@ def execute(
     scene = _load(settings, results, report)
     _check_scene(scene)
     results.steps = method.training_steps(actual.steps)
-    training = Training(method, scene, results.steps, settings.seed)
+    log = None
+    if logger and settings.logger:
+        log = TrainingLog(logger, method, scene, settings.logger.every, settings.logger.views)
+    training = Training(method, scene, results.steps, settings.seed, log)
     stop = stop or Stop()
     snapshots = Snapshots(folder, settings.snapshot_minutes, stop)
     try:

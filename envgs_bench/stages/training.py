@@ -21,6 +21,7 @@ from .events import EventListener
 from .health import Health
 from .memory import peak_host_bytes
 from .snapshots import Snapshots, State, random_state, set_random_state
+from .training_log import TrainingLog
 
 READ_EVERY = 10  # steps whose losses are read at once: reading waits for the device
 CURVE_ROWS = 500
@@ -32,14 +33,15 @@ class Training:
 
     Attributes:
         step: steps done.
-        seconds: wall-clock time of `Method.initialize` and of all steps, work on the device included; of snapshots not.
+        seconds: wall-clock time of `Method.initialize` and of all steps, work on the device included; of snapshots and
+            of the log not.
         peak_primitives: the most primitives of all sets together, after any step.
         peak_host_bytes: the most memory of the processes that did earlier parts of this training.
         went_on_from: the steps of the snapshots that it went on from.
         health: what was noticed that a healthy run does not show.
     """
 
-    def __init__(self, method: Method, scene: Scene, steps: int, seed: int) -> None:
+    def __init__(self, method: Method, scene: Scene, steps: int, seed: int, log: TrainingLog | None = None) -> None:
         self.method, self.scene, self.steps, self.seed = method, scene, steps, seed
         self.step = 0
         self.seconds = 0.0
@@ -52,6 +54,7 @@ class Training:
         self._unread: list[Mapping[str, float | Tensor]] = []  # the last steps' losses
         self._seconds_before = 0.0
         self._snapshots: Snapshots | None = None
+        self._log = log
 
     def run(self, curve: Path, report: EventListener, snapshots: Snapshots | None = None) -> None:
         """Train; `curve` becomes a CSV table of step, seconds, loss, psnr, skipped_steps and primitives_<set>.
@@ -85,8 +88,8 @@ class Training:
 
     def _clock(self) -> float:
         """Seconds of training so far, those before an interruption too."""
-        saving = self._snapshots.seconds if self._snapshots else 0.0
-        return self._seconds_before + time.perf_counter() - self._began - saving
+        other = sum(part.seconds for part in (self._snapshots, self._log) if part)
+        return self._seconds_before + time.perf_counter() - self._began - other
 
     def _loop(self, rows: Any, report: EventListener) -> None:
         sets = list(self.method.primitives())
@@ -107,11 +110,15 @@ class Training:
             self.peak_primitives = max(self.peak_primitives, sum(counts.values()))
             self.health.count(self.step, counts)
             last = self.step == self.steps
+            if self._log and self._log.due(self.step, last):
+                self._synchronize()  # lest drawing be charged with the steps before it
+                self._log.look(self.step)
             wanted = self.step % every == 0 or last
             looks = self.health.due(self.step)
             if not wanted and not looks and len(unread) < READ_EVERY:
                 continue
             loss, psnr = self._judge(unread)
+            losses = unread[-1]
             unread.clear()
             if looks:
                 self.health.look(self.step, view)
@@ -120,6 +127,9 @@ class Training:
             if wanted:
                 skipped = int(self.method.skipped_steps)
                 rows.writerow([self.step, f"{now:.3f}", loss, psnr, skipped, *(counts[n] for n in sets)])
+                if self._log:
+                    known = {"psnr": psnr, "skipped_steps": skipped, "seconds": now}
+                    self._log.curve(self.step, losses, known | {f"primitives_{n}": counts[n] for n in sets})
             if now - reported > REPORT_SECONDS or last:
                 reported = now
                 state = {"step": self.step, "steps": self.steps, "loss": loss, "psnr": psnr, "primitives": counts}

@@ -92,6 +92,7 @@ def test_the_device_and_the_code_change_the_identity(monkeypatch: pytest.MonkeyP
         {"overrides": ["seed=0"]},
         {"device": "cpu"},
         {"budget": {"primitives": None, "mb": None}},
+        {"logger": {"kind": "wandb", "every": 10, "views": 2}},
         {"dataset": {**content()["dataset"], "obtain": "the host", "download": "https://host/fox.zip"}},
     ],
 )
