@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,7 +70,7 @@ def view_at(run: OpenedRun, camera: Camera) -> View | None:
     for view in run.views:
         near = float((view.camera.center - camera.center).norm()) <= SAME_PLACE * run.scene.radius
         turn = view.camera.world_to_camera[:3, :3].double() @ camera.world_to_camera[:3, :3].double().T
-        if near and float(turn.trace()) >= 1 + 2 * torch.tensor(SAME_TURN_DEGREES).double().deg2rad().cos():
+        if near and float(turn.trace()) >= 1 + 2 * math.cos(math.radians(SAME_TURN_DEGREES)):
             return view
     return None
 

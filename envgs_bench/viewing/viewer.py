@@ -148,9 +148,8 @@ class Window(threading.Thread):
         with self.client.atomic():
             self.client.camera.wxyz = eye.wxyz
             self.client.camera.position = eye.position
-            self.client.camera.look_at = looked_at(
-                view.camera, self.viewer.runs[0].cameras
-            )  # what dragging turns about
+            # What dragging turns about.
+            self.client.camera.look_at = looked_at(view.camera, self.viewer.runs[0].cameras)
             self.client.camera.fov = eye.fov
         self.test_camera.value = view.name
 
@@ -173,8 +172,9 @@ class Window(threading.Thread):
         self.left_run = gui.add_dropdown("run", labels)
         self.left_layer = gui.add_dropdown("layer", self.layers[labels[0]])
         with gui.add_folder("beside it"):
-            self.right_run = gui.add_dropdown("run", [NOTHING, *labels], initial_value=[*labels, NOTHING][1])
-            self.right_layer = gui.add_dropdown("layer", self.layers[labels[-1]])
+            beside = labels[1] if len(labels) > 1 else NOTHING
+            self.right_run = gui.add_dropdown("run", [NOTHING, *labels], initial_value=beside)
+            self.right_layer = gui.add_dropdown("layer", self.layers[labels[0] if beside == NOTHING else beside])
             self.divide = gui.add_slider("divide", 0.0, 1.0, 0.01, 0.5)
         views = {view.name: view for view in self.viewer.runs[0].views}
         self.test_camera = gui.add_dropdown("test camera", list(views))
