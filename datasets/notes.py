@@ -22,10 +22,16 @@ def note(text: str) -> None:
 
 @contextmanager
 def collecting() -> Iterator[list[str]]:
-    """A list of what is noted within the block, as it grows: whoever keeps a scene keeps what was noted of it."""
+    """A list of what is noted within the block, as it grows: whoever keeps a scene keeps what was noted of it.
+
+    A block around this one has it at its end.
+    """
     notes: list[str] = []
+    around = _collected.get()
     token = _collected.set(notes)
     try:
         yield notes
     finally:
         _collected.reset(token)
+        if around is not None:
+            around.extend(notes)

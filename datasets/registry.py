@@ -11,7 +11,8 @@ from envgs_bench.core import Scene
 from envgs_bench.import_path import load_import_path
 
 from .errors import DatasetError
-from .settings import SceneSettings, parse_dataset_settings
+from .formats.pictures import PICTURE_EXTENSIONS
+from .settings import SceneSettings, parse_dataset_settings, require_folder
 from .split import with_validation
 
 # Its scene's `val` are those of its training views that may validate, as scores are to see them, and still train too:
@@ -41,25 +42,28 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     Raises:
         DatasetError: no such kind, a key the source does not have or of a wrong value, or data that cannot be used.
     """
-    kind = settings.get("kind")
-    if not isinstance(kind, str):
-        raise DatasetError(f"dataset.kind={kind!r}: expected one of {', '.join(BUILT_IN)}")
-    source = _source(kind)
-    obtain, root = settings.get("obtain"), settings.get("root")
-    if obtain and root and not Path(root).is_dir():
-        command = f"`envgs-bench download {settings.get('name')}`, or by hand: " if settings.get("download") else ""
-        raise DatasetError(
-            f"dataset.root={root}: there is no such folder. Get it: {command}{obtain}. If it lies elsewhere, "
-            "give the folder above as data_root=… or once for all as $ENVGS_BENCH_DATA_ROOT, or the folder itself as "
-            "dataset.root=…"
-        )
-    stated = parse_dataset_settings(
-        SceneSettings, {key: settings[key] for key in SceneSettings.model_fields if key in settings}
-    )
+    source, stated = _accepted(settings)
     scene = source(own_settings(settings), Path(cache_dir))
     scene = with_validation(scene) if stated.validation else replace(scene, val=())
     free_space, bounds = stated.free_space or scene.free_space, stated.bounds or scene.bounds
     return replace(scene, free_space=free_space, bounds=bounds)
+
+
+def check_source(settings: Mapping[str, Any]) -> None:
+    """Refuse settings that `load_scene` would refuse, as far as that can be told without reading pictures.
+
+    Raises:
+        DatasetError: as `load_scene`; of sources of somebody else's only where they cannot be had.
+    """
+    _accepted(settings)
+    path = BUILT_IN.get(settings["kind"])
+    if path is None:
+        return
+    if settings.get("root"):
+        require_folder(Path(settings["root"]))
+    pictures = [file for file in _read_by(path, settings) if file.suffix.lower() in PICTURE_EXTENSIONS]
+    if settings.get("root") and len(pictures) < 2:
+        raise DatasetError(f"dataset.root={settings['root']}: {len(pictures)} images, expected at least two, one tests")
 
 
 def files_read(settings: Mapping[str, Any]) -> list[Path] | None:
@@ -71,15 +75,37 @@ def files_read(settings: Mapping[str, Any]) -> list[Path] | None:
     if path is None or not settings.get("root"):
         return None
     try:
-        found = load_import_path(f"{path.partition(':')[0]}:files_read")(own_settings(settings))
-        return [path for path in found if path.is_file()]
+        return _read_by(path, settings)
     except (DatasetError, OSError):
         return None
+
+
+def _read_by(path: str, settings: Mapping[str, Any]) -> list[Path]:
+    """What the source at this import path makes the scene from, as far as it is there."""
+    found = load_import_path(f"{path.partition(':')[0]}:files_read")(own_settings(settings))
+    return [path for path in found if path.is_file()]
 
 
 def own_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Those of a data set's settings that its source is given: without what `load_scene` itself uses."""
     return {key: value for key, value in settings.items() if key not in (*ADDRESSES, *SceneSettings.model_fields)}
+
+
+def _accepted(settings: Mapping[str, Any]) -> tuple[Source, SceneSettings]:
+    """The source, and the settings that hold for every source."""
+    kind = settings.get("kind")
+    if not isinstance(kind, str):
+        raise DatasetError(f"dataset.kind={kind!r}: expected one of {', '.join(BUILT_IN)}")
+    source = _source(kind)
+    obtain, root = settings.get("obtain"), settings.get("root")
+    if obtain and root and not Path(root).is_dir():
+        command = f"`envgs-bench download {settings.get('name')}`, or by hand: " if settings.get("download") else ""
+        raise DatasetError(
+            f"dataset.root={root}: there is no such folder. Get it: {command}{obtain}. If it lies elsewhere, give the "
+            "folder above as data_root=… or once for all as $ENVGS_BENCH_DATA_ROOT, or the folder itself as dataset.root=…"
+        )
+    stated = {key: settings[key] for key in SceneSettings.model_fields if key in settings}
+    return source, parse_dataset_settings(SceneSettings, stated)
 
 
 def _source(kind: str) -> Source:

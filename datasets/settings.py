@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -52,3 +53,11 @@ def parse_dataset_settings(model: type[Settings], given: Mapping[str, Any]) -> S
             else:
                 lines.append(f"dataset.{key}={problem['input']!r}: {problem['msg']}")
         raise DatasetError("\n".join(lines)) from error
+
+
+def require_folder(root: Path) -> None:
+    """Raise a DatasetError where `root`, the setting, is no folder."""
+    if root.is_file():
+        raise DatasetError(f"dataset.root={root}: is a file; unpack it and give the folder")
+    if not root.is_dir():
+        raise DatasetError(f"dataset.root={root}: there is no such folder")

@@ -184,6 +184,8 @@ class Record(_Part):
     scored_on: ScoredOn = "test"  # which views' scores and times these are
     perturbation: Perturbed | None = None
     warnings: list[TrainingWarning] = []  # in the order of their steps
+    notes: list[str] = []  # what was noticed of the data
+    losses: list[str] = []  # the terms that the loss was made of, in some step at least
     dropped_losses: dict[str, str] = {}  # a loss that the settings ask for -> why it could not be computed
     metrics: Metrics | None = None
     masked: dict[str, MaskedScores] = {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -105,7 +106,7 @@ class RunSettings(BaseModel):
     protocol: str
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     steps: Annotated[int, Field(ge=1)]
-    device: Literal["auto", "cpu", "cuda"]
+    device: str  # auto, cpu, cuda, or one GPU of several, as cuda:1
     timing: TimingSettings
     timeout_minutes: Annotated[float, Field(gt=0)] | None
     memory_gb: Annotated[float, Field(gt=0)] | None = None
@@ -149,6 +150,13 @@ class RunSettings(BaseModel):
         if info.data.get("score_on") == "validation":
             node = {**node, "validation": True}
         return _with_absolute_paths(node)
+
+    @field_validator("device", mode="after")
+    @classmethod
+    def _known(cls, device: str) -> str:
+        if not re.fullmatch(r"auto|cpu|cuda(:\d+)?", device):
+            raise ValueError("Input should be 'auto', 'cpu' or 'cuda', or one GPU of several, as 'cuda:1'")
+        return device
 
     @property
     def method_name(self) -> str:

@@ -21,10 +21,10 @@ from ..photographs.fitting import fit_to_files
 from ..photographs.normal_estimation import with_estimated_normals
 from ..photographs.siblings import with_masks
 from ..photographs.views import read_views
-from ..settings import parse_dataset_settings
+from ..settings import parse_dataset_settings, require_folder
 from ..split import validation_of, without_normals
 from ..store.scene_file import on_disk
-from .capture import CaptureSettings, Channel, Missing, cached_capture, files_of, refuse_missing, require_folder
+from .capture import CaptureSettings, Channel, Missing, cached_capture, files_of, refuse_missing
 
 VERSION = 2  # raise it with every change that alters a scene
 TRANSFORMS = ("transforms_train.json", "transforms_test.json")

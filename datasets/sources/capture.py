@@ -80,13 +80,6 @@ def files_of(photographs: Iterable[Photograph]) -> list[Path]:
     ]
 
 
-def require_folder(root: Path) -> None:
-    if root.is_file():
-        raise DatasetError(f"dataset.root={root}: is a file; unpack it and give the folder")
-    if not root.is_dir():
-        raise DatasetError(f"dataset.root={root}: there is no such folder")
-
-
 def refuse_missing(how: Missing, named: int, missing: Sequence[str], source: Path) -> None:
     """Refuse, or else note, that images which `source` names are not there.
 

@@ -18,8 +18,8 @@ from ..formats.siblings import Siblings
 from ..notes import note
 from ..photographs.exposure import with_equal_exposure
 from ..photographs.siblings import sibling_files, with_siblings
-from ..settings import parse_dataset_settings
-from .capture import Missing, PhotographSettings, cached_capture, make_scene, refuse_missing, require_folder
+from ..settings import parse_dataset_settings, require_folder
+from .capture import Missing, PhotographSettings, cached_capture, make_scene, refuse_missing
 
 VERSION = 4  # raise it with every change that alters a scene
 
@@ -52,10 +52,7 @@ def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     choice = parse_dataset_settings(ColmapSettings, settings)
     root = choice.root
     require_folder(root)
-    images = root / choice.images
-    if not images.is_dir():
-        raise DatasetError(f"{root}: has no folder {choice.images}/; name the images' folder with dataset.images=…")
-    model = _model(choice)
+    images, model = _images(choice), _model(choice)
 
     def make() -> Scene:
         found, missing = model.photographs(images)
@@ -81,12 +78,21 @@ def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photogr
 
 
 def _files(choice: ColmapSettings, model: Model) -> list[Path]:
-    names, images = model.listed_images(), choice.root / choice.images
+    names, images = model.listed_images(), _images(choice)
     by_stem = Siblings(images)
     found = [
         path if (path := path_below(images, name, model.folder)).is_file() else by_stem.find(name) for name in names
     ]
     return [*model.files, *filter(None, found), *sibling_files(names, choice.root)]
+
+
+def _images(choice: ColmapSettings) -> Path:
+    images = choice.root / choice.images
+    if not images.is_dir():
+        raise DatasetError(
+            f"{choice.root}: has no folder {choice.images}/; name the images' folder with dataset.images=…"
+        )
+    return images
 
 
 def _model(choice: ColmapSettings) -> Model:

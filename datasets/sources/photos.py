@@ -20,9 +20,9 @@ from ..photographs.exposure import with_equal_exposure
 from ..photographs.reconstruction import MIN_IMAGES, Matching, Reconstructor
 from ..photographs.siblings import sibling_files, with_siblings
 from ..progress import mapped
-from ..settings import parse_dataset_settings
+from ..settings import parse_dataset_settings, require_folder
 from ..store.contents import digest_of
-from .capture import PhotographSettings, cached_capture, make_scene, require_folder
+from .capture import PhotographSettings, cached_capture, make_scene
 
 VERSION = 3  # raise it with every change that alters a scene
 MODEL_VERSION = 1  # and this with every change that alters a reconstruction

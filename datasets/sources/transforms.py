@@ -18,8 +18,8 @@ from ..formats.photograph import Photograph
 from ..formats.point_clouds import PointCloud, random_points, read_point_cloud
 from ..formats.transforms_json import FrameFile, read_frames, without_common_folder
 from ..photographs.siblings import with_siblings
-from ..settings import parse_dataset_settings
-from .capture import Missing, PhotographSettings, cached_capture, files_of, make_scene, refuse_missing, require_folder
+from ..settings import parse_dataset_settings, require_folder
+from .capture import Missing, PhotographSettings, cached_capture, files_of, make_scene, refuse_missing
 
 VERSION = 3  # raise it with every change that alters a scene
 NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # instant-ngp's defaults; aabb_scale enlarges its box [0, 1]³ around the middle

@@ -1,5 +1,5 @@
 """Toy scenes with exact ground truth, ray traced by Embree."""
 
-from .source import ToySettings, load_toy
+from .source import ToySettings, files_read, load_toy
 
-__all__ = ["ToySettings", "load_toy"]
+__all__ = ["ToySettings", "files_read", "load_toy"]

@@ -59,3 +59,9 @@ def load_toy(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         return make_scene(choice, name)
 
     return cached_scene(cache_dir, name, key, make)
+
+
+def files_read(settings: Mapping[str, Any]) -> list[Path]:
+    """No file: a toy scene is made from its settings, which are checked."""
+    parse_dataset_settings(ToySettings, settings)
+    return []

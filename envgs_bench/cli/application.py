@@ -8,22 +8,19 @@ import time
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import CompactHydraException
+from hydra.errors import CompactHydraException, HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
-from envgs_bench.loggers.opening import require_logger
-from envgs_bench.metrics import get_protocol
 from envgs_bench.plain_text import plain
 from envgs_bench.runs.display import make_display
 from envgs_bench.runs.interruption import INTERRUPTED, INTERRUPTION
 from envgs_bench.runs.job import located, run_job
 from envgs_bench.runs.output import unbreakable_output
 from envgs_bench.settings import SettingsError
-from envgs_bench.stages.budget import check_budget
-from envgs_bench.stages.perturbations import perturbation_of, perturbed_settings
 
+from .checks import check_choices, checked
 from .composition import CONF, explain, register_methods, settings_of
 from .ledger import (
     SWEEP_VARIABLE,
@@ -31,8 +28,10 @@ from .ledger import (
     close_ledger,
     enter,
     position,
+    print_next,
     print_outcomes,
     runs_here,
+    shown_runs_dir,
     stop_file,
     time_left,
 )
@@ -64,6 +63,11 @@ def run(arguments: list[str], dry: bool = False) -> int:
 
 def _run(arguments: list[str]) -> int:
     register_methods(arguments)
+    try:
+        arguments = checked(arguments)
+    except (CompactHydraException, HydraException, OmegaConfBaseException, SettingsError) as error:
+        print(f"envgs-bench run: {plain(explain(error))}", file=sys.stderr)
+        return 2
     program, sys.argv = sys.argv, ["envgs-bench run", *_flags_first(arguments)]
     variables = {name: os.environ.get(name) for name in ("HYDRA_FULL_ERROR", SWEEP_VARIABLE)}
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here, to be explained
@@ -91,11 +95,13 @@ def _run(arguments: list[str]) -> int:
                 _restore(name, value)
         if INTERRUPTION.requested:
             code = INTERRUPTED
-        outcomes = close_ledger()
+        runs_dir, outcomes = shown_runs_dir(), close_ledger()
         if outcomes is None or _plan is not None:  # nothing was to run: --cfg and the like, or wrong arguments
             return code
         if outcomes:
-            print_outcomes(outcomes, Console(width=None if sys.stdout.isatty() else 160))
+            console = Console(width=None if sys.stdout.isatty() else 160)
+            print_outcomes(outcomes, console)
+            print_next(runs_dir, console)
         elif not code:
             print("envgs-bench run: no job reported back; `envgs-bench report` shows what is there", file=sys.stderr)
         return code or int(not outcomes or not all(outcome.ok for outcome in outcomes))
@@ -109,13 +115,7 @@ def _application(config: DictConfig) -> None:
 def _run_composed(config: DictConfig) -> None:
     """The job of this configuration: its run, its outcome in the ledger."""
     settings = settings_of(config, list(HydraConfig.get().overrides.task))
-    try:
-        get_protocol(settings.protocol)
-    except ValueError as error:
-        raise SettingsError(f"protocol={settings.protocol}: {error}") from error
-    perturbation_of(settings)  # refuses a kind or a severity that there is not,
-    check_budget(perturbed_settings(settings))  # and one that changes what the method does not have
-    require_logger(settings)
+    check_choices(settings)
     alone = runs_here(DictConfig({"hydra": HydraConfig.get()}))
     if not alone:
         INTERRUPTION.follow(stop_file(), Sweep.current().pid)

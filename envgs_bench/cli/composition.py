@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import shlex
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -61,6 +62,7 @@ def settings_of(config: DictConfig, overrides: list[str]) -> RunSettings:
         content.pop(shorthand, None)
     settings = parse_settings({**content, "overrides": overrides})
     method = settings.method.model_copy(update={"settings": _written_out(settings.method)})
+    _refuse_unknown(method)
     return settings.model_copy(update={"method": method})
 
 
@@ -102,6 +104,17 @@ def _written_out(method: MethodChoice) -> dict[str, Any]:
     return {**cast(dict, OmegaConf.to_container(defaults)), **method.settings}
 
 
+def _refuse_unknown(method: MethodChoice) -> None:
+    """Raise a SettingsError that names the first of the method's settings that its class does not have."""
+    try:
+        known = sorted(field.name for field in dataclasses.fields(method_class(method.kind).Settings))
+    except Exception:
+        return
+    for key in method.settings:
+        if key not in known:
+            raise SettingsError(_unknown(f"method.settings.{key}", known))
+
+
 def explain(error: Exception) -> str:
     """What the user gave, what was expected, and what to do, of an error in composing the configuration."""
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
@@ -111,18 +124,24 @@ def explain(error: Exception) -> str:
             return f"there is no {group} {name!r}; {group} is one of {', '.join(options)}{_guess(name, options)}"
         return f"there is no configuration {error.missing_cfg_file!r}; `envgs-bench list` shows what there is"
     if isinstance(error, OverrideParseException):
-        return f"cannot read the override {error.override!r}, expected KEY=VALUE: {error.message}"
+        key, _, value = str(error.override).partition("=")
+        quoted = shlex.quote(f'{key}="{value}"')
+        hint = f". A value with any of ( ) [ ] {{ }} = , in it is quoted, for the shell too: {quoted}" if value else ""
+        message = str(error.message).splitlines()[0]
+        return f"cannot read the override {error.override!r}, expected KEY=VALUE: {message}{hint}"
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     if isinstance(cause, MissingMandatoryValue):
         return f"{cause.full_key} is missing: give it as {cause.full_key}=VALUE"
     if isinstance(cause, ValidationError) and cause.full_key:
         return f"{cause.full_key}: {str(cause.msg).splitlines()[0]}"
     if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.full_key:
-        known = _keys(cause.parent_node)
-        owner = cause.full_key.rpartition(".")[0] or "a run"
-        name = cause.full_key.rpartition(".")[2]
-        return f"unknown key {cause.full_key!r}; {owner} has {', '.join(known)}{_guess(name, known)}"
+        return _unknown(cause.full_key, _keys(cause.parent_node))
     return str(error) if cause is error else f"{error}\n{cause}"
+
+
+def _unknown(key: str, known: list[str]) -> str:
+    owner, _, name = key.rpartition(".")
+    return f"unknown key {key!r}; {owner or 'a run'} has {', '.join(known)}{_guess(name, known)}"
 
 
 def _keys(node: Any) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shlex
 import time
 import uuid
 from contextlib import suppress
@@ -93,8 +94,15 @@ def time_left() -> str:
     done, ran = entered.count(b"\n"), entered.count(b'"action": "ran"')
     if not sweep.jobs or sweep.jobs == done or not ran:
         return ""
-    left = (time.time() - sweep.began) / ran * (sweep.jobs - done)
-    return f"{done} of {sweep.jobs} jobs done, {duration(left)} left if the others are like them"
+    elapsed = time.time() - sweep.began
+    left = f"{duration(elapsed / ran * (sweep.jobs - done))} left if the others take as long on average"
+    return f"{done} of {sweep.jobs} jobs done in {duration(elapsed)}, {left}"
+
+
+def shown_runs_dir() -> str:
+    """The runs_dir of this call, as short as it can be said from here; "" where no job was to run."""
+    folder = Path(os.environ.get(LEDGER_VARIABLE, "")).parent
+    return str(folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder)
 
 
 def enter(outcome: Outcome) -> None:
@@ -146,9 +154,16 @@ def print_outcomes(outcomes: list[Outcome], console: Console) -> None:
         table.add_row(*(Text(plain(cell)) for cell in cells))
     console.print(table)
     for outcome in outcomes:
-        if outcome.message:
-            text = f"{outcome.name}: {outcome.message}\n  {outcome.folder}"
+        noted = "; ".join(filter(None, [outcome.message, *outcome.remarks]))
+        if noted:
+            text = f"{outcome.name}: {noted}\n  {outcome.folder}"
             console.print(plain(text), soft_wrap=True, highlight=False, markup=False)
+
+
+def print_next(runs_dir: str, console: Console) -> None:
+    """The command that makes tables, charts and a page of what there is now."""
+    line = shlex.join(["envgs-bench", "report", runs_dir])
+    console.print(f"tables, charts and a page: {line}", soft_wrap=True, highlight=False, markup=False)
 
 
 def _cell(number: float | None, digits: int) -> str:

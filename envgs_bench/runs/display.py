@@ -7,11 +7,13 @@ import time
 from typing import Protocol, TextIO
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from envgs_bench.parts import LOSSES
 from envgs_bench.plain_text import plain
 from envgs_bench.stages.events import Event
+
+from .estimates import duration, training_left
 
 LINES_A_STAGE = 10
 
@@ -50,12 +52,13 @@ class Bar:
             BarColumn(bar_width=24),
             MofNCompleteColumn(),
             TextColumn("{task.fields[numbers]}", markup=False),
-            TimeRemainingColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[left]}", markup=False),
         )
         self._progress = Progress(*columns, console=self._console, transient=True)
         self._progress.start()
         self._title, self._stage = title, "starting"
-        self._task = self._progress.add_task(self._stage, total=None, title=title, numbers="")
+        self._task = self._progress.add_task(self._stage, total=None, title=title, numbers="", left="")
 
     def update(self, event: Event) -> None:
         if self._progress is None:
@@ -64,11 +67,13 @@ class Bar:
             self._console.print(plain(f"{self._title}: {text}"), markup=False, highlight=False, soft_wrap=True)
         if event["stage"] != self._stage:
             self._stage = event["stage"]
+            self._pace = Pace(event)
             self._progress.remove_task(self._task)
             self._task = self._progress.add_task(
-                plain(self._stage), total=event.get("steps"), title=self._title, numbers=""
+                plain(self._stage), total=event.get("steps"), title=self._title, numbers="", left=""
             )
-        self._progress.update(self._task, completed=event.get("step", 0), numbers=numbers(event))
+        shown = {"numbers": numbers(event), "left": self._pace.left(event)}
+        self._progress.update(self._task, completed=event.get("step", 0), **shown)
 
     def stop(self) -> None:
         if self._progress is not None:
@@ -89,7 +94,7 @@ class Lines:
     def update(self, event: Event) -> None:
         stage, step, steps = event["stage"], event.get("step", 0), event.get("steps", 0)
         if stage != self._stage:
-            self._stage, self._share, self._began, self._first = stage, -1, time.monotonic(), step
+            self._stage, self._share, self._pace = stage, -1, Pace(event)
             if stage != "training":
                 self._print(stage)
         for text in notices(event):
@@ -97,32 +102,41 @@ class Lines:
         share = LINES_A_STAGE * step // steps if steps else 0
         if "loss" in event and share != self._share:
             self._share = share
-            self._print(f"step {step}/{steps}  {numbers(event)}{self._left(step, steps)}")
+            self._print(f"step {step}/{steps}  {numbers(event)}  {self._pace.left(event)}".rstrip())
 
     def stop(self) -> None:
         pass
-
-    def _left(self, step: int, steps: int) -> str:
-        done = step - self._first
-        if not done or step == steps:
-            return ""
-        return f"  {(time.monotonic() - self._began) / done * (steps - step):.0f} s left"
 
     def _print(self, text: str) -> None:
         print(plain(f"{self._title}: {text}"), file=self._stream, flush=True)
 
 
+class Pace:
+    """How long a training may still take, from the first event of its stage on."""
+
+    def __init__(self, event: Event) -> None:
+        self._began, self._first = time.monotonic(), event.get("step", 0)
+
+    def left(self, event: Event) -> str:
+        """As people say it; "" outside of a training, and at its ends."""
+        step, steps = event.get("step", 0), event.get("steps", 0)
+        if "loss" not in event or not self._first < step < steps:
+            return ""
+        return f"about {duration(training_left(time.monotonic() - self._began, self._first, step, steps))} left"
+
+
 def notices(event: Event) -> list[str]:
-    """What the run trains without, and why, a line a loss; and what it warns of."""
+    """What was noticed of the data; what the run trains without, and why, a line a loss; and what it warns of."""
     dropped = event.get("dropped_losses", {}).items()
     lines = [f"trains without {LOSSES.get(loss, loss)}: {why}" for loss, why in dropped]
     warning = event.get("warning")
+    lines += event.get("notes", [])
     return [*lines, f"warning at step {warning['step']}: {warning['message']}"] if warning else lines
 
 
 def numbers(event: Event) -> str:
-    """Loss, PSNR and primitives of a training event; "" of any other."""
+    """Loss, PSNR and primitives of a training event, of the sets that are there; "" of any other."""
     if "loss" not in event:
         return ""
-    counts = "  ".join(f"{name} {count:,}" for name, count in event["primitives"].items())
+    counts = "  ".join(f"{name} {count:,}" for name, count in event["primitives"].items() if count)
     return f"loss {event['loss']:.4f}  PSNR {event['psnr']:.2f}  {counts}"

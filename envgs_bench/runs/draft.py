@@ -52,6 +52,8 @@ class Draft:
             scored_on=settings.score_on,
             perturbation=perturbation_of(settings),
             warnings=results.warnings,
+            notes=[shortened(text) for text in results.notes],
+            losses=results.losses,
             dropped_losses={loss: shortened(why) for loss, why in results.dropped_losses.items()},
             metrics=results.metrics,
             masked=results.masked,

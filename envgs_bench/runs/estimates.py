@@ -11,6 +11,9 @@ from envgs_bench.records import Record, RecordError, find_runs, read_record
 from envgs_bench.run_folder import RECORD_NAME
 from envgs_bench.settings import RunSettings
 
+GROWS_UNTIL = 0.5  # share of a run's steps after which models grow no more (3DGS's 15,000 of 30,000)
+GROWN = 2.5  # a grown model's step, in first steps: the median over the demo's runs
+
 
 class Estimates:
     """Seconds of runs by data set and method, from the finished records under `runs_dir`.
@@ -60,6 +63,22 @@ def _names(path: Path) -> tuple[str, str]:
     """The data set and the method of the run at `path` below runs_dir."""
     *dataset, method, _ = ("", "", *path.parts) if len(path.parts) < 3 else path.parts
     return "/".join(dataset), method
+
+
+def training_left(seconds: float, first: int, step: int, steps: int) -> float:
+    """Seconds that the steps after `step` may take, where those after `first` took so many so far.
+
+    Steps become dearer as a model grows: until half of the run, when densification ends, a step's cost rises to
+    `GROWN` times the first one's; then it stays.
+    """
+    done = _cost(step / steps) - _cost(first / steps)
+    return seconds * (_cost(1.0) - _cost(step / steps)) / done if done > 0 else 0.0
+
+
+def _cost(share: float) -> float:
+    """What this share of a run's steps costs, in the cost of as many first steps; the integral of a step's cost."""
+    growing = min(share, GROWS_UNTIL)
+    return growing + (GROWN - 1) * growing**2 / (2 * GROWS_UNTIL) + GROWN * (share - growing)
 
 
 def duration(seconds: float) -> str:

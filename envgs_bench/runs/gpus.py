@@ -30,16 +30,17 @@ class Place:
 
 @contextmanager
 def placed(device: str) -> Iterator[Place]:
-    """A place for a run on `device`: of the GPUs that may be seen, the one with the fewest runs of this user.
+    """A place for a run on `device`: the GPU of "cuda:1", else the one with the fewest runs of this user.
 
     All sweeps of the machine count, those of other run folders too: a run holds a lock on a file of its own below the
     folder for temporary files. Nothing is refused: how many runs share a GPU is how many the launcher starts.
     """
-    gpus = visible_gpus() if device == "cuda" else []
+    kind, _, number = device.partition(":")
+    gpus = visible_gpus() if kind == "cuda" else []
     if len(gpus) < 2:
         yield Place()
         return
-    gpu, handle = _taken(gpus)
+    gpu, handle = _taken([gpus[int(number)]] if number else gpus)
     try:
         yield Place({VISIBLE: gpu}, (handle,))
     finally:

@@ -27,6 +27,7 @@ from envgs_bench.run_folder import (
 from envgs_bench.settings import RunSettings, SettingsError
 
 from .display import Display
+from .gpus import visible_gpus
 from .identity import run_id
 from .interruption import Interruption
 from .outcome import Outcome, outcome_of
@@ -43,7 +44,7 @@ def located(settings: RunSettings) -> tuple[RunSettings, Path]:
         SettingsError: the device cannot be had.
     """
     settings = settings.model_copy(update={"device": resolve_device(settings.device)})
-    name = run_id(settings, settings.device)
+    name = run_id(settings, device_type(settings.device))
     return settings, settings.runs_dir / settings.dataset_name / settings.method_name / name
 
 
@@ -75,10 +76,10 @@ def run_job(settings: RunSettings, folder: Path, display: Display, interruption:
 
 
 def resolve_device(wanted: str) -> str:
-    """ "cpu" or "cuda"; auto takes cuda where PyTorch sees a device and the cuda backend works.
+    """ "cpu", "cuda" or one GPU, as "cuda:1"; auto takes cuda where PyTorch sees a device and the cuda backend works.
 
     Raises:
-        SettingsError: cuda was asked for and does not work here; the message says why.
+        SettingsError: cuda was asked for and does not work here, or has no such GPU; the message says why.
     """
     if wanted == "cpu":
         return "cpu"
@@ -86,11 +87,19 @@ def resolve_device(wanted: str) -> str:
         reason: str | None = "PyTorch sees no CUDA device"
     else:
         reason = available_backends()["cuda"]
-    if reason is None:
-        return "cuda"
-    if wanted == "cuda":
-        raise SettingsError(f"device=cuda: {reason}; use device=cpu or device=auto")
-    return "cpu"
+    if wanted == "auto":
+        return "cpu" if reason else "cuda"
+    if reason:
+        raise SettingsError(f"device={wanted}: {reason}; use device=cpu or device=auto")
+    number, count = wanted.partition(":")[2], len(visible_gpus())
+    if number and int(number) >= count:
+        raise SettingsError(f"device={wanted}: this machine shows {count} GPUs, the last one is cuda:{count - 1}")
+    return wanted
+
+
+def device_type(device: str) -> str:
+    """ "cpu" or "cuda": the process of a run sees one GPU, whichever it is."""
+    return device.partition(":")[0]
 
 
 def earlier_outcome(folder: Path, settings: RunSettings) -> Outcome | None:
@@ -137,8 +146,9 @@ def _start_over(folder: Path, keep: tuple[str, ...]) -> None:
 
 
 def _run_in(folder: Path, settings: RunSettings, claim: Claim, display: Display, interruption: Interruption) -> None:
+    device, settings = settings.device, settings.model_copy(update={"device": device_type(settings.device)})
     write_atomically(folder / CONFIG_NAME, yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False))
-    run_process(folder, settings, claim, display, interruption)
+    run_process(folder, settings, device, claim, display, interruption)
 
 
 def _status(folder: Path) -> Status | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from envgs_bench.parts import LOSSES
 from envgs_bench.records import Record, RecordError, read_record
 from envgs_bench.settings import RunSettings
 
@@ -23,6 +24,7 @@ class Outcome:
     frame_ms: float | None
     train_seconds: float | None
     folder: str
+    remarks: tuple[str, ...] = ()  # what was noticed of its data, and what it trained without
 
     @property
     def ok(self) -> bool:
@@ -66,4 +68,10 @@ def outcome_of(folder: Path, settings: RunSettings, action: str, message: str = 
         frame_ms=record.timing.frame_ms if record and record.timing else None,
         train_seconds=record.cost.train_seconds if record and record.cost else None,
         folder=str(folder),
+        remarks=remarks_of(record) if record else (),
     )
+
+
+def remarks_of(record: Record) -> tuple[str, ...]:
+    """What was noticed of the run's data, and which losses it trained without, a phrase each."""
+    return (*record.notes, *(f"without {LOSSES.get(loss, loss)}: {why}" for loss, why in record.dropped_losses.items()))

@@ -10,6 +10,8 @@ from envgs_bench.claim import Holder, holder_of
 from envgs_bench.records import RecordError, find_runs, read_record
 from envgs_bench.run_folder import RECORD_NAME, REPLACEMENT, SNAPSHOT_NAME
 
+from .estimates import duration, training_left
+
 UNDER_WAY, WAITING, UNREADABLE = "running", "killed", "unreadable"
 
 
@@ -33,8 +35,10 @@ class RunState:
             return str(stage)
         done, left = step - int(event.get("first", 0)), ""
         if done > 0 and step < steps:
-            seconds = (float(event.get("at", 0)) - float(event.get("began", 0))) / done * (steps - step)
-            left = f", {max(0.0, seconds):.0f} s left"
+            so_far = max(0.0, float(event.get("at", 0)) - float(event.get("began", 0)))
+            linear = so_far / done * (steps - step)
+            seconds = training_left(so_far, step - done, step, steps) if stage == "training" else linear
+            left = f", about {duration(seconds)} left"
         return f"{stage} {step}/{steps}{left}"
 
     @property

@@ -34,10 +34,10 @@ Ending = Literal["by itself", "timed out", "interrupted"]
 
 
 def run_process(
-    folder: Path, settings: RunSettings, claim: Claim, display: Display, interruption: Interruption
+    folder: Path, settings: RunSettings, device: str, claim: Claim, display: Display, interruption: Interruption
 ) -> None:
-    """Start the run's process, show its progress, and see to it that there is a record when it is gone."""
-    with placed(settings.device) as place:
+    """Start the run's process on `device`, show its progress, and see to it that there is a record when it is gone."""
+    with placed(device) as place:
         _run_placed(folder, settings, claim, place, display, interruption)
 
 
@@ -95,6 +95,7 @@ class _Listener(threading.Thread):
                 warnings = [TrainingWarning.model_validate(event["warning"])] if "warning" in event else []
             except (ValueError, KeyError, TypeError, RecursionError):
                 continue  # the process died in the middle of a line
+            self._draft.results.notes += event.get("notes", [])
             self._draft.results.dropped_losses |= event.get("dropped_losses", {})
             self._draft.results.warnings += warnings
             now = time.time()

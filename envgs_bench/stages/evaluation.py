@@ -33,12 +33,17 @@ def evaluate(
     """Scores of `views` and of every region that their masks name.
 
     Leaves the pictures of `pictures.save_view` in `folder`. Where a view brings exact normals, `normal_degrees` is
-    added to its scores: see `normal_error`.
+    added to its scores: see `normal_error`. Where one does not, `not_computed` says so.
 
     Raises:
         Diverged: a render is not finite.
     """
-    return score_pairs(_drawn(method, views, folder, report), protocol)
+    metrics, masked = score_pairs(_drawn(method, views, folder, report), protocol)
+    without = [view.name for view in views if view.normal is None]
+    if without:
+        why = f"{len(without)} of {len(views)} scored views bring no exact normals"
+        metrics = metrics.model_copy(update={"not_computed": {**metrics.not_computed, NORMAL_METRIC: why}})
+    return metrics, masked
 
 
 def _drawn(method: Method, views: Sequence[View], folder: Path, report: EventListener) -> Iterator[Pair]:

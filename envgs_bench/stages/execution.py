@@ -11,6 +11,7 @@ import torch
 
 from envgs_bench.core import Scene
 from envgs_bench.core.cuda.compiler import keep_kernels_in
+from envgs_bench.datasets.notes import collecting, note
 from envgs_bench.datasets.progress import listening
 from envgs_bench.methods.method import Method
 from envgs_bench.metrics import Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
@@ -34,6 +35,8 @@ from .timing import time_frames
 from .training import Training
 from .training_log import Logger, TrainingLog
 from .vector_functions import call_each_once
+
+FEW_VIEWS = 12  # sparse-view methods are made for fewer
 
 
 def execute(
@@ -78,6 +81,7 @@ def execute(
             training.run(folder / CURVE_NAME, report, snapshots)
     finally:
         results.went_on_from = training.went_on_from
+        results.losses = sorted(training.losses)
         results.dropped_losses = dict(method.dropped_losses)
         results.warnings = list(training.health.warnings)
         if training.step:  # however it ends, what was learned is kept
@@ -108,9 +112,14 @@ def _score_renders(
 def _load(settings: RunSettings, results: Results, report: EventListener) -> Scene:
     """The run's scene; making one for the first time may take minutes, and its source says how far it has come."""
     report({"stage": "loading"})
-    with listening(lambda stage, done, total: report({"stage": stage, "step": done, "steps": total})):
+    tell = lambda stage, done, total: report({"stage": stage, "step": done, "steps": total})  # noqa: E731
+    with listening(tell), collecting() as notes:
         scene = load_run_scene(settings)
-    results.dataset = scene.name
+        if len(scene.train) < FEW_VIEWS and settings.method.kind != RENDERS:
+            note(f"data set {scene.name} has only {len(scene.train)} training views, of which little can be learned")
+    results.dataset, results.notes = scene.name, notes
+    if notes:
+        report({"stage": "loading", "notes": notes})
     return scene
 
 

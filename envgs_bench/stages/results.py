@@ -14,6 +14,8 @@ class Results:
     dataset: str  # the configured name; once the data are loaded, the scene's own
     steps: int
     went_on_from: list[int] = field(default_factory=list)  # steps of the snapshots that an interrupted run went on from
+    notes: list[str] = field(default_factory=list)
+    losses: list[str] = field(default_factory=list)
     dropped_losses: dict[str, str] = field(default_factory=dict)
     warnings: list[TrainingWarning] = field(default_factory=list)
     metrics: Metrics | None = None

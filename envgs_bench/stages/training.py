@@ -39,6 +39,7 @@ class Training:
         peak_host_bytes: the most memory of the processes that did earlier parts of this training.
         went_on_from: the steps of the snapshots that it went on from.
         health: what was noticed that a healthy run does not show.
+        losses: the terms that the loss of some step so far had.
     """
 
     def __init__(self, method: Method, scene: Scene, steps: int, seed: int, log: TrainingLog | None = None) -> None:
@@ -49,6 +50,7 @@ class Training:
         self.peak_host_bytes = 0
         self.went_on_from: list[int] = []
         self.health = Health(method, steps)
+        self.losses: set[str] = set()
         self._told = 0  # warnings
         self._psnr: deque[float] = deque(maxlen=len(scene.train))
         self._unread: list[Mapping[str, float | Tensor]] = []  # the last steps' losses
@@ -117,6 +119,7 @@ class Training:
             looks = self.health.due(self.step)
             if not wanted and not looks and len(unread) < READ_EVERY:
                 continue
+            self.losses.update(name for losses in unread for name in losses if name not in ("loss", "psnr"))
             loss, psnr = self._judge(unread)
             losses = unread[-1]
             unread.clear()
@@ -151,6 +154,7 @@ class Training:
             # Not judged before they would have been: what is judged together must not depend on when this is saved.
             "unread": [{name: float(value) for name, value in losses.items()} for losses in self._unread],
             "health": self.health.state(),
+            "losses": sorted(self.losses),
             "went_on_from": self.went_on_from,
         }
 
@@ -162,6 +166,7 @@ class Training:
         self._psnr.extend(state["psnr"])
         self._unread.extend(state["unread"])
         self.health.restore(state["health"])
+        self.losses.update(state["losses"])
         self.went_on_from = [*state["went_on_from"], self.step]
         set_random_state(state["random"])
         print(f"going on from step {self.step}", flush=True)

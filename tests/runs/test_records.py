@@ -48,6 +48,8 @@ CONTENT = {
     "scored_on": "test",
     "perturbation": {"kind": "noise", "severity": 2, "level": "much of it"},
     "warnings": [{"kind": "set_shrinks", "step": 7, "part": "base", "message": "from 10 to 4", "times": 1}],
+    "notes": ["3 of 9 images are left out"],
+    "losses": ["normal", "rgb"],
     "dropped_losses": {"mono": "no normals"},
     "metrics": {
         "mean": SCORES,
@@ -80,7 +82,7 @@ CONTENT = {
     },
     "provenance": PROVENANCE,
 }
-LATER = ("scored_on", "dropped_losses", "perturbation", "warnings")  # keys that older records lack
+LATER = ("scored_on", "notes", "losses", "dropped_losses", "perturbation", "warnings")  # keys that older records lack
 FAILURE = {"type": "RuntimeError", "message": "why", "log_tail": "…"}
 
 

@@ -1,0 +1,161 @@
+"""Checks before the first job: what can be known to be wrong with a call of `envgs-bench run`, said once."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, OverrideType
+from hydra.errors import HydraException
+from omegaconf import DictConfig
+
+from envgs_bench.datasets import DatasetError
+from envgs_bench.datasets.registry import check_source
+from envgs_bench.loggers.opening import require_logger
+from envgs_bench.methods.registry import BUILT_IN, create_method
+from envgs_bench.metrics import WeightsUnavailable, find_weights, get_protocol
+from envgs_bench.records import RENDERS
+from envgs_bench.runs.job import resolve_device
+from envgs_bench.settings import RunSettings, SettingsError
+from envgs_bench.stages.budget import check_budget
+from envgs_bench.stages.perturbations import perturbation_of, perturbed_settings
+
+from .composition import CONF, settings_of
+
+
+def checked(arguments: list[str]) -> list[str]:
+    """Hydra's arguments, with -m where they choose an experiment that is a sweep.
+
+    Every choice of a sweep is composed once, beside the first of all others, and its input is looked at, so that what
+    is wrong ends the call before it leaves a record. Arguments that ask Hydra for something else pass as they are.
+
+    Raises:
+        SettingsError, CompactHydraException, OmegaConfBaseException: a job of the call cannot be run.
+    """
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("-m", "--multirun", action="store_true")
+    parser.add_argument("-c", "--cfg")
+    parser.add_argument("-cd", "--config-dir", type=Path)
+    options, given = parser.parse_known_args(arguments)
+    if options.cfg and options.multirun:
+        raise SettingsError(
+            "--cfg shows the configuration of one job and -m asks for many: leave -m out, "
+            "or list the jobs of a sweep with --dry-run"
+        )
+    if options.cfg or any(argument.startswith("-") for argument in given):
+        return arguments
+    overrides = OverridesParser.create().parse_overrides(given)
+    swept = [override for override in overrides if override.is_sweep_override()]
+    if swept and not options.multirun:
+        raise SettingsError(_several(swept[0]))
+    search = [f"hydra.searchpath=[file://{options.config_dir.absolute()}]"] if options.config_dir else []
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        renamed = _with_new_settings(overrides, search)
+        arguments = [renamed.get(argument, argument) for argument in arguments]
+        overrides = OverridesParser.create().parse_overrides([renamed.get(argument, argument) for argument in given])
+        fixed = [*_lines(one for one in overrides if not one.is_sweep_override()), *search]
+        axes = _axes(compose("config", fixed, return_hydra_config=True), overrides)
+        if axes and not options.multirun:
+            print(f"{_experiment(overrides)} is a sweep: running all its jobs, as with -m", file=sys.stderr)
+            arguments = ["-m", *arguments]
+        for choices in _each_choice(axes):
+            _check(settings_of(compose("config", [*fixed, *choices]), []))
+    _tell_of_weights()
+    return arguments
+
+
+def check_choices(settings: RunSettings) -> None:
+    """Raise a SettingsError where a run with these settings asks for what there is not, whatever its data are."""
+    try:
+        get_protocol(settings.protocol)
+    except ValueError as error:
+        raise SettingsError(f"protocol={settings.protocol}: {error}") from error
+    perturbation_of(settings)  # refuses a kind or a severity that there is not,
+    check_budget(perturbed_settings(settings))  # and one that changes what the method does not have
+    require_logger(settings)
+
+
+def _check(settings: RunSettings) -> None:
+    check_choices(settings)
+    resolve_device(settings.device)
+    actual = perturbed_settings(settings)
+    try:
+        check_source(actual.dataset)
+        if settings.method.kind in BUILT_IN:  # what is somebody else's says itself, in a record
+            create_method(settings.method.kind, actual.method.settings)
+        elif settings.method.kind == RENDERS and not Path(str(settings.method.settings.get("path"))).is_dir():
+            raise SettingsError(f"path={settings.method.settings.get('path')}: there is no such folder of renders")
+    except DatasetError as error:
+        raise SettingsError(str(error)) from error
+    except SettingsError:
+        raise
+    except ValueError as error:
+        raise SettingsError(f"method {settings.method_name}: {error}") from error
+
+
+def _with_new_settings(overrides: list[Override], search: list[str]) -> dict[str, str]:
+    """Overrides of settings that the YAML file of somebody's own method does not name -> what makes Hydra add them."""
+    setting = "method.settings."
+    given = {str(one.key_or_group): f"{one.input_line}" for one in overrides if one.type == OverrideType.CHANGE}
+    own = {key: line for key, line in given.items() if key.startswith(setting)}
+    if not own:
+        return {}
+    others = [one for one in overrides if str(one.key_or_group) not in own]
+    firsts = [_choices(one)[0] for one in others if one.is_sweep_override() and _choices(one)]
+    fixed = _lines(one for one in others if not one.is_sweep_override())
+    method = compose("config", [*fixed, *firsts, *search]).method
+    known = {f"{setting}{key}" for key in method.get("settings") or {}}
+    return {line: f"+{line}" for key, line in own.items() if key not in known}
+
+
+def _lines(overrides: Iterable[Override]) -> list[str]:
+    return [f"{override.input_line}" for override in overrides]
+
+
+def _axes(config: DictConfig, overrides: list[Override]) -> dict[str, list[str]]:
+    """What is taken in turn, on the command line or else in the experiment: key -> overrides, one a choice."""
+    prepared = {str(key): f"{key}={values}" for key, values in (config.hydra.sweeper.get("params") or {}).items()}
+    given = {override.get_key_element(): override for override in overrides}
+    parser = OverridesParser.create()
+    found = [parser.parse_override(line) for key, line in prepared.items() if key not in given]
+    found += [override for override in overrides if override.is_sweep_override()]
+    return {override.get_key_element(): _choices(override) for override in found}
+
+
+def _choices(override: Override) -> list[str]:
+    if not override.is_sweep_override():
+        return [override.input_line or ""]
+    try:
+        return [f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()]
+    except (HydraException, ValueError):  # a glob, which Hydra resolves later
+        return []
+
+
+def _each_choice(axes: dict[str, list[str]]) -> Iterator[list[str]]:
+    """The first choices of all axes, then each other one of an axis beside the first of the others."""
+    first = {key: choices[0] for key, choices in axes.items() if choices}
+    yield list(first.values())
+    for key, choices in axes.items():
+        for choice in choices[1:] if key != "seed" else []:
+            yield list({**first, key: choice}.values())
+
+
+def _several(override: Override) -> str:
+    line = f"{override.input_line}"
+    key, _, value = line.partition("=")
+    return f"{line} is several values: add -m to run each, or quote one value with a comma in it: '{key}=\"{value}\"'"
+
+
+def _experiment(overrides: list[Override]) -> str:
+    return next(f"{one.input_line}" for one in overrides if one.get_key_element() == "experiment")
+
+
+def _tell_of_weights() -> None:
+    try:
+        find_weights()
+    except WeightsUnavailable as error:
+        print(f"LPIPS will read n/c, and no perceptual loss is trained with: {error}", file=sys.stderr)
