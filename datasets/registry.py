@@ -101,8 +101,9 @@ def _accepted(settings: Mapping[str, Any]) -> tuple[Source, SceneSettings]:
     if obtain and root and not Path(root).is_dir():
         command = f"`envgs-bench download {settings.get('name')}`, or by hand: " if settings.get("download") else ""
         raise DatasetError(
-            f"dataset.root={root}: there is no such folder. Get it: {command}{obtain}. If it lies elsewhere, give the "
-            "folder above as data_root=… or once for all as $ENVGS_BENCH_DATA_ROOT, or the folder itself as dataset.root=…"
+            f"dataset.root={root}: there is no such folder. Get it: {command}{obtain}. If it lies elsewhere, give "
+            "the folder above as data_root=… or once for all as $ENVGS_BENCH_DATA_ROOT, or the folder itself as "
+            "dataset.root=…"
         )
     stated = {key: settings[key] for key in SceneSettings.model_fields if key in settings}
     return source, parse_dataset_settings(SceneSettings, stated)

@@ -38,7 +38,7 @@ class EnvGSSettings(TracedSettings):
 
 
 class EnvGS(TracedReflection):
-    """EnvGS (paper, Sec. 4)."""
+    """EnvGS (Xie et al., CVPR 2025, Sec. 4): surfels, and a second set of them that only reflected rays meet."""
 
     Settings: ClassVar[type] = EnvGSSettings
     settings: EnvGSSettings

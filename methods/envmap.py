@@ -25,7 +25,9 @@ class EnvMapSettings(ReflectionSettings):
 
 
 class EnvMap(ReflectiveMethod):
-    """EnvGS "w/ environment map" (paper, Sec. 5.4 and App. B.1): texels hold logits of colors in [0, 1].
+    """EnvGS "w/ environment map" (paper, Sec. 5.4 and App. B.1): surfels that reflect a cube map, which has no depth.
+
+    Its texels hold logits of colors in [0, 1].
 
     The map starts with an eighth of its texels an edge and doubles three times: a texel that few pixels see begins as
     what its surroundings have learned, and the early map is smooth enough to turn normals by.

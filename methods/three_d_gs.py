@@ -23,5 +23,7 @@ class ThreeDGSSettings(PublishedSettings):
 
 
 class ThreeDGS(GaussianMethod):
+    """3DGS (Kerbl et al., SIGGRAPH 2023): 3D Gaussians, rasterized; reflections are color that depends on direction."""
+
     Settings: ClassVar[type] = ThreeDGSSettings
     axes = 3

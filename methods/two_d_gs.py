@@ -24,5 +24,7 @@ class TwoDGSSettings(PublishedSettings):
 
 
 class TwoDGS(GaussianMethod):
+    """2DGS (Huang et al., SIGGRAPH 2024): surfels, rasterized; reflections are color that depends on direction."""
+
     Settings: ClassVar[type] = TwoDGSSettings
     axes = 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,7 +54,7 @@ class Report:
         return f"{', '.join(words)}: {self.page}"
 
 
-def build_report(runs: Path, out: Path) -> Report:
+def build_report(runs: Path, out: Path, only: Sequence[str] = (), exclude: Sequence[str] = ()) -> Report:
     """Write index.html, table.csv, .md, .tex and .json, pareto.png, charts/ and pictures/ of all runs under `runs`;
     ladder.csv and ladder-summary.csv where a data set has two rungs of the ladder; budgets.csv where rows differ in
     what their models may have; stability.csv and stability-summary.csv where runs are perturbed: those are in no other
@@ -66,12 +67,15 @@ def build_report(runs: Path, out: Path) -> Report:
     Args:
         runs: a folder with runs at any depth.
         out: created where missing. What an earlier report left there goes, nothing else does.
+        only, exclude: patterns of runs, see `read_runs`.
 
     Raises:
         RecordError: `runs` is no folder.
         ValueError: there is no readable record under it.
     """
-    found, broken = read_runs(runs)
+    found, broken = read_runs(runs, only, exclude)
+    if not found and (only or exclude):
+        raise ValueError(f"{runs}: no readable run is left by --only and --exclude")
     if not found:
         unreadable = f"; {len(broken)} could not be read, the first: {broken[0].reason}" if broken else ""
         raise ValueError(f"{runs}: no readable record.json under it: run `envgs-bench run` first{unreadable}")

@@ -11,7 +11,6 @@ from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
-from omegaconf import DictConfig
 
 from envgs_bench.datasets import DatasetError
 from envgs_bench.datasets.registry import check_source
@@ -25,6 +24,8 @@ from envgs_bench.stages.budget import check_budget
 from envgs_bench.stages.perturbations import perturbation_of, perturbed_settings
 
 from .composition import CONF, settings_of
+
+SETTING = "method.settings."  # what the key of a method's setting begins with
 
 
 def checked(arguments: list[str]) -> list[str]:
@@ -54,11 +55,12 @@ def checked(arguments: list[str]) -> list[str]:
         raise SettingsError(_several(swept[0]))
     search = [f"hydra.searchpath=[file://{options.config_dir.absolute()}]"] if options.config_dir else []
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        renamed = _with_new_settings(overrides, search)
+        axes = _axes(_parameters(overrides, search), overrides)
+        renamed = _with_new_settings(overrides, axes, search)
         arguments = [renamed.get(argument, argument) for argument in arguments]
         overrides = OverridesParser.create().parse_overrides([renamed.get(argument, argument) for argument in given])
-        fixed = [*_lines(one for one in overrides if not one.is_sweep_override()), *search]
-        axes = _axes(compose("config", fixed, return_hydra_config=True), overrides)
+        axes = _axes(_parameters(overrides, search), overrides) if renamed else axes
+        fixed = [*_fixed(overrides), *search]
         if axes and not options.multirun:
             print(f"{_experiment(overrides)} is a sweep: running all its jobs, as with -m", file=sys.stderr)
             arguments = ["-m", *arguments]
@@ -97,33 +99,37 @@ def _check(settings: RunSettings) -> None:
         raise SettingsError(f"method {settings.method_name}: {error}") from error
 
 
-def _with_new_settings(overrides: list[Override], search: list[str]) -> dict[str, str]:
+def _parameters(overrides: list[Override], search: list[str]) -> dict[str, str]:
+    """What the chosen experiment takes in turn: key -> override."""
+    lines = [*_fixed(one for one in overrides if SETTING not in str(one.key_or_group)), *search]
+    found = compose("config", lines, return_hydra_config=True).hydra.sweeper.get("params") or {}
+    return {str(key): f"{key}={values}" for key, values in found.items()}
+
+
+def _axes(parameters: dict[str, str], overrides: list[Override]) -> dict[str, list[str]]:
+    """What is taken in turn, on the command line or else in the experiment: key -> overrides, one a choice."""
+    given = {override.get_key_element() for override in overrides}
+    parser = OverridesParser.create()
+    found = [parser.parse_override(line) for key, line in parameters.items() if key not in given]
+    found += [override for override in overrides if override.is_sweep_override()]
+    return {override.get_key_element(): _choices(override) for override in found}
+
+
+def _with_new_settings(overrides: list[Override], axes: dict[str, list[str]], search: list[str]) -> dict[str, str]:
     """Overrides of settings that the YAML file of somebody's own method does not name -> what makes Hydra add them."""
-    setting = "method.settings."
-    given = {str(one.key_or_group): f"{one.input_line}" for one in overrides if one.type == OverrideType.CHANGE}
-    own = {key: line for key, line in given.items() if key.startswith(setting)}
+    changes = {str(one.key_or_group): f"{one.input_line}" for one in overrides if one.type == OverrideType.CHANGE}
+    own = {key: line for key, line in changes.items() if key.startswith(SETTING)}
     if not own:
         return {}
-    others = [one for one in overrides if str(one.key_or_group) not in own]
-    firsts = [_choices(one)[0] for one in others if one.is_sweep_override() and _choices(one)]
-    fixed = _lines(one for one in others if not one.is_sweep_override())
-    method = compose("config", [*fixed, *firsts, *search]).method
-    known = {f"{setting}{key}" for key in method.get("settings") or {}}
+    firsts = [choices[0] for key, choices in axes.items() if choices and SETTING not in key]
+    lines = [*_fixed(one for one in overrides if SETTING not in str(one.key_or_group)), *firsts, *search]
+    known = {f"{SETTING}{key}" for key in compose("config", lines).method.get("settings") or {}}
     return {line: f"+{line}" for key, line in own.items() if key not in known}
 
 
-def _lines(overrides: Iterable[Override]) -> list[str]:
-    return [f"{override.input_line}" for override in overrides]
-
-
-def _axes(config: DictConfig, overrides: list[Override]) -> dict[str, list[str]]:
-    """What is taken in turn, on the command line or else in the experiment: key -> overrides, one a choice."""
-    prepared = {str(key): f"{key}={values}" for key, values in (config.hydra.sweeper.get("params") or {}).items()}
-    given = {override.get_key_element(): override for override in overrides}
-    parser = OverridesParser.create()
-    found = [parser.parse_override(line) for key, line in prepared.items() if key not in given]
-    found += [override for override in overrides if override.is_sweep_override()]
-    return {override.get_key_element(): _choices(override) for override in found}
+def _fixed(overrides: Iterable[Override]) -> list[str]:
+    """The overrides that say one thing."""
+    return [f"{override.input_line}" for override in overrides if not override.is_sweep_override()]
 
 
 def _choices(override: Override) -> list[str]:

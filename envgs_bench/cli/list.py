@@ -10,14 +10,17 @@ def main(arguments: Sequence[str]) -> int:
     """Print all names, a row each kind of thing, or a method's settings; returns the exit status, 0 or 2."""
     parser = argparse.ArgumentParser(
         prog="envgs-bench list",
-        usage="envgs-bench list [method NAME]",
-        description="The names that a run can be given; of one method, its settings, their defaults and what they are.",
+        usage="envgs-bench list [methods | method NAME]",
+        description="The names that a run can be given; what each method is; of one method, its settings, "
+        "their defaults and what they are.",
     )
-    parser.add_argument("group", nargs="?", choices=["method"], help=argparse.SUPPRESS)
+    parser.add_argument("group", nargs="?", choices=["method", "methods"], help=argparse.SUPPRESS)
     parser.add_argument("name", nargs="?", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.group is None:
         return _list_names()
+    if options.group == "methods":
+        return _list_methods() if options.name is None else parser.error("of one method: envgs-bench list method NAME")
     if options.name is None:
         parser.error("name a method, as in: envgs-bench list method envgs")
     from .method_settings import print_method_settings
@@ -48,4 +51,22 @@ def _list_names() -> int:
     table.add_row("backends", ", ".join(backends))
     table.add_row("layouts of models", ", ".join(LAYOUTS))
     Console(width=120).print(table, highlight=False)
+    return 0
+
+
+def _list_methods() -> int:
+    """Print a sentence a method."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from envgs_bench.methods.registry import method_paths
+    from envgs_bench.runs.descriptions import described
+
+    from .composition import config_names
+
+    table = Table("method", "what it is", box=None, pad_edge=False)
+    kinds = method_paths()
+    for name in config_names("method"):
+        table.add_row(name, described(name, kinds.get(name, name)))
+    Console(width=120).print(table, highlight=False, markup=False)
     return 0

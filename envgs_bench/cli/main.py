@@ -7,6 +7,7 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
 
 # Each is a file of this folder with a `main(arguments) -> exit status`, imported only when it is called; there `--help`
 # prints before anything slow is imported.
@@ -18,11 +19,12 @@ COMMANDS = {
     "masks": "masks of what reflects, from an EnvGS that was trained on a capture",
     "view": "trained runs in the browser: walk around, look at layers, compare two",
     "render": "a film of a trained run along a camera path, its layers side by side",
+    "clean": "remove runs that did not finish",
     "store": "the model that a run trained, as PLY, as one small file, or in a viewer's layout",
     "layouts": "what each layout of trained models takes on disk, and what pictures lose by it",
     "download": "a published data set, fetched and unpacked where its configuration expects it",
     "export": "a data set in COLMAP's or blender's layout",
-    "list": "methods, data sets, protocols, experiments, backends; the settings of a method",
+    "list": "methods, data sets, protocols, experiments, backends; what each method is, the settings of one",
     "bench": "time the core itself",
     "weights": "fetch VGG-16's weights, which LPIPS and the perceptual loss need",
     "doctor": "what works on this machine, and why not what does not",
@@ -45,10 +47,18 @@ def _parser() -> argparse.ArgumentParser:
         description="Benchmark novel-view synthesis of reflective scenes: speed, accuracy, stability, size.",
         allow_abbrev=False,
     )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, purpose in COMMANDS.items():
         commands.add_parser(name, help=purpose, add_help=False)
     return parser
+
+
+def _version() -> str:
+    try:
+        return version("envgs-bench")
+    except PackageNotFoundError:
+        return "unknown: not installed"
 
 
 if __name__ == "__main__":

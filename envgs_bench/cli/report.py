@@ -15,14 +15,22 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="envgs-bench report", description="Tables, charts and a page from records.")
     parser.add_argument("runs", type=Path, metavar="RUNS", help="a folder with runs: the runs_dir of `run`")
     parser.add_argument("--out", type=Path, metavar="DIR", help="where to write; RUNS/report by default")
+    for option, help_text in (("--only", "runs that match this alone"), ("--exclude", "runs that match this not")):
+        parser.add_argument(
+            option,
+            action="append",
+            default=[],
+            metavar="PATTERN",
+            help=f"{help_text}: a method, a data set, a status or a path below RUNS, with * and ?; may be given again",
+        )
     options = parser.parse_args(arguments)
-    return explained("report", lambda: _report(options.runs, options.out or options.runs / "report"))
+    return explained("report", lambda: _report(options))
 
 
-def _report(runs: Path, out: Path) -> int:
+def _report(options: argparse.Namespace) -> int:
     from envgs_bench.reports import build_report
 
-    report = build_report(runs, out)
+    report = build_report(options.runs, options.out or options.runs / "report", options.only, options.exclude)
     print(report)
     for record in report.broken:
         print(f"envgs-bench report: {record.path}: {record.reason}", file=sys.stderr)

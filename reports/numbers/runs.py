@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from envgs_bench.claim import holder_of
@@ -53,8 +55,14 @@ class Run:
         return {view: psnr for view, psnr in scores.items() if psnr is not None}
 
 
-def read_runs(folder: Path) -> tuple[list[Run], list[BrokenRecord]]:
+def read_runs(
+    folder: Path, only: Sequence[str] = (), exclude: Sequence[str] = ()
+) -> tuple[list[Run], list[BrokenRecord]]:
     """Every run under `folder`, in the order of their paths, but those that somebody is running at this moment.
+
+    Args:
+        only, exclude: patterns with * and ?, of which a run matches some, where there are any, or none. They are held
+            against its method, its data set, its status and its path below `folder`; of a broken record the path.
 
     Raises:
         RecordError: `folder` is not there.
@@ -63,11 +71,23 @@ def read_runs(folder: Path) -> tuple[list[Run], list[BrokenRecord]]:
     for path in find_runs(folder):
         if not (path / RECORD_NAME).exists() and holder_of(path) is not None:
             continue
+        place = path.relative_to(folder).as_posix()
         try:
-            runs.append(read_run(path))
+            run = read_run(path)
         except RecordError as error:
-            broken.append(BrokenRecord(path, str(error)))
+            if _wanted([place], only, exclude):
+                broken.append(BrokenRecord(path, str(error)))
+            continue
+        if _wanted([place, run.record.method, run.record.dataset, run.record.status], only, exclude):
+            runs.append(run)
     return runs, broken
+
+
+def _wanted(names: Sequence[str], only: Sequence[str], exclude: Sequence[str]) -> bool:
+    def matches(patterns: Sequence[str]) -> bool:
+        return any(fnmatchcase(name, pattern) for name in names for pattern in patterns)
+
+    return (not only or matches(only)) and not matches(exclude)
 
 
 def read_run(folder: Path) -> Run:

@@ -14,6 +14,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 import envgs_bench
+from envgs_bench.cli import checks
 from envgs_bench.cli.composition import config_names, register_methods
 from envgs_bench.cli.main import main
 from envgs_bench.datasets import DatasetError, load_scene
@@ -147,10 +148,14 @@ def test_data_root_is_an_override_or_an_environment_variable(monkeypatch: pytest
 
 
 def test_a_run_records_the_facts_and_where_to_get_what_is_missing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     set_environment(monkeypatch)
     overrides = ["dataset=ref_real/spheres", "method=envgs", "device=cpu", f"data_root={tmp_path}"]
+    assert main(["run", *overrides, f"runs_dir={tmp_path / 'runs'}"]) == 2
+    assert "ref_real.zip" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
+    monkeypatch.setattr(checks, "check_source", lambda settings: None)  # as where the data go after the check
     assert main(["run", *overrides, f"runs_dir={tmp_path / 'runs'}"]) == 1
     (path,) = find_records(tmp_path / "runs")
     record = read_record(path)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import io
 
+import pytest
 from rich.console import Console
 
 from envgs_bench.runs.display import Bar, Lines
+from envgs_bench.runs.estimates import training_left
 
 COUNTS = {"base": 1234, "env": 56}
 
@@ -45,6 +47,28 @@ def test_the_bar_shows_step_loss_psnr_and_primitives() -> None:
     shown = stream.getvalue()
     for part in ("room · envgs · seed 0", "training", "30/1000", "loss 0.5000", "PSNR 21.50", "base 1,234", "env 56"):
         assert part in shown
+
+
+def test_a_set_that_is_not_there_and_what_was_noted_of_the_data() -> None:
+    stream = io.StringIO()
+    display = Lines(stream)
+    display.start("room")
+    display.update({"stage": "loading"})
+    display.update({"stage": "loading", "notes": ["3 of 9 images are left out"]})
+    display.update({**training(1, 9), "primitives": {"base": 7, "env": 0}})
+    assert stream.getvalue().splitlines()[2:] == [
+        "room: 3 of 9 images are left out",
+        "room: step 1/9  loss 0.5000  PSNR 21.50  base 7",
+    ]
+
+
+def test_what_is_left_of_a_training_knows_that_models_grow() -> None:
+    """Step costs that rise to 2.5 first steps' until half of the run and then stay, summed step by step."""
+    costs = [1 + 1.5 * min((step + 0.5) / 500, 1) for step in range(1000)]
+    for first, step in ((0, 10), (0, 300), (200, 600), (0, 999)):
+        so_far, left = sum(costs[first:step]), sum(costs[step:])
+        assert training_left(so_far, first, step, 1000) == pytest.approx(left, rel=1e-3)
+    assert training_left(3.0, 5, 5, 9) == 0.0
 
 
 DROPPED = {"mono": "no normals [at all]", "gloss": "no varnish"}

@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from envgs_bench.runs import gpus
+from envgs_bench.runs import gpus, job
+from envgs_bench.settings import SettingsError
 
 
 @pytest.fixture(autouse=True)
@@ -79,6 +80,17 @@ def test_other_processes_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         assert seen(place) == "1"
     end.set()
     process.join()
+
+
+def test_a_run_can_be_given_one_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(gpus.VISIBLE, "4,GPU-a1/b2, 7")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(job, "available_backends", lambda: {"cuda": None})
+    assert [job.resolve_device(wanted) for wanted in ("auto", "cuda", "cuda:2")] == ["cuda", "cuda", "cuda:2"]
+    with gpus.placed("cuda:2") as chosen, gpus.placed("cuda:2") as again, gpus.placed("cuda") as free:
+        assert [seen(place) for place in (chosen, again, free)] == ["7", "7", "4"]
+    with pytest.raises(SettingsError, match="device=cuda:3: this machine shows 3 GPUs, the last one is cuda:2"):
+        job.resolve_device("cuda:3")
 
 
 @pytest.mark.parametrize(("device", "visible"), [("cpu", "0,1"), ("cuda", "3"), ("cuda", "")])

@@ -88,6 +88,9 @@ def test_what_was_trained_without_is_a_result(monkeypatch: pytest.MonkeyPatch, t
     monkeypatch.setenv("ENVGS_BENCH_VGG16", "off")
     results = execute("envgs", WITH_PERCEPTUAL, 1, monkeypatch, tmp_path)
     assert results.metrics is not None
+    assert results.losses == ["normal", "rgb"]
+    assert results.notes == ["data set tiny has only 5 training views, of which little can be learned"]
+    assert "normal_degrees" not in results.metrics.not_computed
     assert results.dropped_losses == {
         "mono": "the data set has no normals for its training views",
         "perceptual": "VGG-16 is switched off by ENVGS_BENCH_VGG16=off",
@@ -102,11 +105,24 @@ def test_a_run_that_a_method_ends_sooner_has_the_steps_that_it_trained(
     assert (tmp_path / "curve.csv").read_text().splitlines()[-1].startswith("2,")
 
 
+def test_test_views_without_exact_normals_are_said_to_be(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    scene = replace(tiny_scene(), test=[replace(view, normal=None) for view in tiny_scene().test])
+    metrics = execute("2dgs", {}, 1, monkeypatch, tmp_path, scene).metrics
+    assert metrics is not None
+    assert metrics.mean.get("normal_degrees") is None
+    assert metrics.not_computed["normal_degrees"] == "1 of 1 scored views bring no exact normals"
+
+
 def execute(
-    kind: str, settings: dict[str, float], steps: int, monkeypatch: pytest.MonkeyPatch, folder: Path
+    kind: str,
+    settings: dict[str, float],
+    steps: int,
+    monkeypatch: pytest.MonkeyPatch,
+    folder: Path,
+    scene: Scene | None = None,
 ) -> Results:
-    """What a run on a tiny scene without normals has reached."""
-    monkeypatch.setattr(execution, "load_run_scene", lambda *_: scene_without_normals(5))
+    """What a run has reached, on a tiny scene without normals for training where no other is given."""
+    monkeypatch.setattr(execution, "load_run_scene", lambda *_: scene or scene_without_normals(5))
     run = {
         "method": {"name": kind, "kind": kind, "settings": settings},
         "dataset": {"name": "tiny", "kind": "tiny"},
