@@ -101,7 +101,7 @@ def _run(arguments: list[str]) -> int:
         if outcomes:
             console = Console(width=None if sys.stdout.isatty() else 160)
             print_outcomes(outcomes, console)
-            print_next(runs_dir, console)
+            print_next(runs_dir)
         elif not code:
             print("envgs-bench run: no job reported back; `envgs-bench report` shows what is there", file=sys.stderr)
         return code or int(not outcomes or not all(outcome.ok for outcome in outcomes))

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import shlex
+import sys
 import time
 import uuid
 from contextlib import suppress
@@ -160,10 +161,10 @@ def print_outcomes(outcomes: list[Outcome], console: Console) -> None:
             console.print(plain(text), soft_wrap=True, highlight=False, markup=False)
 
 
-def print_next(runs_dir: str, console: Console) -> None:
+def print_next(runs_dir: str) -> None:
     """The command that makes tables, charts and a page of what there is now."""
     line = shlex.join(["envgs-bench", "report", runs_dir])
-    console.print(f"tables, charts and a page: {line}", soft_wrap=True, highlight=False, markup=False)
+    print(plain(f"tables, charts and a page: {line}"), file=sys.stderr)
 
 
 def _cell(number: float | None, digits: int) -> str:
