@@ -9,6 +9,7 @@ import shlex
 import sys
 import time
 import uuid
+from collections import Counter
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -155,10 +156,14 @@ def print_outcomes(outcomes: list[Outcome], console: Console) -> None:
         table.add_row(*(Text(plain(cell)) for cell in cells))
     console.print(table)
     for outcome in outcomes:
-        noted = "; ".join(filter(None, [outcome.message, *outcome.remarks]))
-        if noted:
-            text = f"{outcome.name}: {noted}\n  {outcome.folder}"
+        if outcome.message:
+            text = f"{outcome.name}: {outcome.message}\n  {outcome.folder}"
             console.print(plain(text), soft_wrap=True, highlight=False, markup=False)
+
+    remarks = Counter(remark for outcome in outcomes for remark in outcome.remarks)
+    for remark, count in remarks.items():
+        text = f"{count} of {len(outcomes)} runs: {remark}"
+        console.print(plain(text), soft_wrap=True, highlight=False, markup=False)
 
 
 def print_next(runs_dir: str) -> None:
