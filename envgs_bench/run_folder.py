@@ -44,6 +44,11 @@ def target_path(run: Path, view: str) -> Path:
     return run / "targets" / f"{view}.png"
 
 
+def exact_normal_path(run: Path, view: str) -> Path:
+    """What the layer "normal" is compared with, where the data set knows it."""
+    return run / "targets" / f"{view}.normal.png"
+
+
 def mask_path(run: Path, view: str, region: str) -> Path:
     """The region's pixels in the view: white."""
     return run / "masks" / f"{view}-{region}.png"

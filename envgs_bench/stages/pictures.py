@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from envgs_bench.core import Camera, Rendering, View
-from envgs_bench.run_folder import layer_path, mask_path, render_path, target_path
+from envgs_bench.run_folder import exact_normal_path, layer_path, mask_path, render_path, target_path
 
 ERROR_GAIN = 4.0  # an error of a quarter of the range and more is white
 
@@ -21,12 +21,16 @@ ERROR_GAIN = 4.0  # an error of a quarter of the range and more is white
 def save_view(folder: Path, view: View, rendering: Rendering, unit: float) -> None:
     """Write renders/<view>.png, targets/<view>.png, masks/<view>-<region>.png and layers/<view>-<layer>.png.
 
-    Layers are the method's own and "normal", "depth", "error"; colors are sRGB.
+    Layers are the method's own and "normal", "depth", "error"; colors are sRGB. Of a view that brings exact normals,
+    targets/<view>.normal.png too, black where there is none.
 
     Args:
         unit: depth that is shown as middle gray, world units: see `depth_picture`.
     """
     save_pair(folder, view, rendering.color.cpu(), layer_pictures(rendering, unit))
+    if view.normal is not None:
+        known = view.normal.norm(dim=-1, keepdim=True) > 0.5
+        save_png(exact_normal_path(folder, view.name), torch.where(known, view.normal / 2 + 0.5, torch.zeros(())))
 
 
 def layer_pictures(rendering: Rendering, unit: float) -> dict[str, Tensor]:

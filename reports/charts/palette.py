@@ -13,27 +13,54 @@ class Style:
     symbol: str  # plotly's
 
 
-# After Okabe and Ito for the paper's methods, lighter for their tuned variants, then Tol's muted ones: safe for every
-# common color blindness.
-METHOD_STYLES = {
-    "3dgs": Style("#0072B2", "s", "square"),
-    "3dgs_tuned": Style("#56B4E9", "8", "octagon"),
-    "2dgs": Style("#009E73", "D", "diamond"),
-    "2dgs_tuned": Style("#5CC9A7", "H", "hexagon2"),
-    "envmap_paper": Style("#B35900", "<", "triangle-left"),
-    "envmap": Style("#DB8A00", "^", "triangle-up"),
-    "envmap128": Style("#DB8A00", "^", "triangle-up"),
-    "envmap256": Style("#8F5B00", ">", "triangle-right"),
-    "envgs_paper": Style("#8C1C38", "d", "diamond-tall"),
-    "envgs_no_joint": Style("#CC79A7", "p", "pentagon"),
-    "envgs": Style("#D1495B", "o", "circle"),
+def _toward(color: str, share: float) -> str:
+    """#rrggbb moved toward white by `share` in [0, 1], toward black where it is below 0."""
+    end = 255 if share > 0 else 0
+    parts = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
+    return "#" + "".join(f"{round(part + (end - part) * abs(share)):02X}" for part in parts)
+
+
+# One color a family of methods. Every two are at least 20 ΔE (CIEDE2000) apart for people with normal vision and those
+# who lack red, green or blue cones (Machado et al. 2009); found by search under that condition.
+FAMILIES = {
+    "3dgs": "#336666",
+    "2dgs": "#80E6B3",
+    "envmap": "#FF9900",
+    "envgs": "#CC0000",
+    "3dgs_dr": "#8000E6",
+    "gaussian_shader": "#B380FF",
+    "3igs": "#FFCCFF",
+    "ref_gaussian": "#331A66",
+    "envgs_single_set": "#66001A",
+    "renders": "#809999",
 }
-COLORS = ("#6A5ACD", "#2A8F4E", "#AA4499", "#8C8C1F", "#A3386F", "#2F9C8F", "#CC6677")
+# method -> its family, matplotlib's mark, plotly's, and by how much it is lighter (darker where below 0)
+METHODS = {
+    "3dgs": ("3dgs", "s", "square", 0.35),
+    "3dgs_tuned": ("3dgs", "8", "octagon", 0.0),
+    "2dgs": ("2dgs", "D", "diamond", -0.25),
+    "2dgs_tuned": ("2dgs", "H", "hexagon2", 0.0),
+    "envmap_paper": ("envmap", "<", "triangle-left", -0.3),
+    "envmap": ("envmap", "^", "triangle-up", 0.0),
+    "envmap128": ("envmap", "^", "triangle-up", 0.0),
+    "envmap256": ("envmap", ">", "triangle-right", -0.3),
+    "envgs_paper": ("envgs", "d", "diamond-tall", 0.35),
+    "envgs_no_joint": ("envgs", "p", "pentagon", 0.5),
+    "envgs": ("envgs", "o", "circle", 0.0),
+    "3dgs_dr": ("3dgs_dr", "P", "cross", 0.0),
+    "gaussian_shader": ("gaussian_shader", "X", "x", 0.0),
+    "3igs": ("3igs", "*", "star", 0.0),
+    "ref_gaussian": ("ref_gaussian", "h", "hexagon", 0.0),
+}
+METHOD_STYLES = {
+    name: Style(_toward(FAMILIES[family], share), marker, symbol)
+    for name, (family, marker, symbol, share) in METHODS.items()
+}
 MARKS = (("v", "triangle-down"), ("P", "cross"), ("X", "x"), ("h", "hexagon"), ("*", "star"))
 
 
 def styles(methods: Sequence[str]) -> dict[str, Style]:
-    """A style for each of the methods, METHOD_STYLES by name, the others in turn.
+    """A style for each of the methods: METHOD_STYLES by name, the others in turn what no family here has.
 
     Variants of one method (`envgs [steps=9]`) share its color, each lighter than the one before, and its mark.
     """
@@ -41,20 +68,16 @@ def styles(methods: Sequence[str]) -> dict[str, Style]:
     families: dict[str, list[str]] = {}
     for method in methods:
         families.setdefault(method.split(" [")[0], []).append(method)
+    taken = {METHODS[name][0] for name in families if name in METHODS}
+    free = [color for family, color in reversed(FAMILIES.items()) if family not in taken] or list(FAMILIES.values())
     others = 0
     for name, members in families.items():
         if name in METHOD_STYLES:
             style = METHOD_STYLES[name]
         else:
             marker, symbol = MARKS[others % len(MARKS)]
-            style = Style(COLORS[others % len(COLORS)], marker, symbol)
+            style = Style(free[others % len(free)], marker, symbol)
             others += 1
         for index, method in enumerate(members):
-            chosen[method] = replace(style, color=_lighter(style.color, 0.55 * index / len(members)))
+            chosen[method] = replace(style, color=_toward(style.color, 0.55 * index / len(members)))
     return chosen
-
-
-def _lighter(color: str, share: float) -> str:
-    """#rrggbb moved toward white by `share` in [0, 1]."""
-    parts = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
-    return "#" + "".join(f"{round(part + (255 - part) * share):02X}" for part in parts)

@@ -63,7 +63,25 @@ def draw_panel(axis: Axes, panel: Panel, first: bool) -> None:
         count = len(panel.table.datasets)
         title = _short(panel.table.title, 44) + (f": mean of {count}" if count > 1 and panel.table.title != ALL else "")
         axis.set_title(title, loc="left", fontsize=13, pad=20)
-        axis.text(0, 1.03, panel.section.device, transform=axis.transAxes, fontsize=8.5, color=SOFT)
+        words = f"{panel.section.device}; {_basis(panel)}"
+        axis.text(0, 1.03, words, transform=axis.transAxes, fontsize=8.5, color=SOFT)
+    else:
+        axis.set_title(panel.accuracy.title, loc="left", fontsize=13, pad=20)
+        axis.text(0, 1.03, _basis(panel), transform=axis.transAxes, fontsize=8.5, color=SOFT)
+
+
+def _basis(panel: Panel) -> str:
+    """ "3 seeds, 800 steps": what the numbers are means of; the range where the methods' differ."""
+    seeds = [row.done // len(panel.table.datasets) for row in panel.table.rows if row.done]
+    runs = [item.run for dataset in panel.table.datasets for item in panel.section.of(dataset)]
+    steps = [run.record.steps for run in runs if run.ok and run.record.steps]
+    words = [_range(seeds, "seed")] if seeds else []
+    return ", ".join(words + ([_range(steps, "step")] if steps else []))
+
+
+def _range(counts: list[int], name: str) -> str:
+    low, high = min(counts), max(counts)
+    return f"{low:,} {name}{'s' * (low != 1)}" if low == high else f"{low:,} to {high:,} {name}s"
 
 
 def _staircase(axis: Axes, panel: Panel, best: list[Point], places: list[Point]) -> None:
@@ -98,8 +116,8 @@ def _mark(axis: Axes, point: Point, style: Style, dominated: bool) -> None:
         marker=style.marker,
         markersize=9.5 if style.marker != "D" else 8,
         markerfacecolor="white" if hollow else color,
-        markeredgecolor=color if hollow else "white",
-        markeredgewidth=1.8 if hollow else 1.0,
+        markeredgecolor=color if hollow else SOFT,
+        markeredgewidth=1.8 if hollow else 0.7,
         linestyle="none",
         zorder=5,
     )

@@ -47,12 +47,11 @@ class Run:
             return name
         return f"{name}, {threads} thread{'s' * (threads != 1)}"
 
-    @property
-    def view_psnr(self) -> dict[str, float]:
-        """PSNR of each test view, dB."""
+    def of_views(self, metric: str) -> dict[str, float]:
+        """One score of each test view that has it."""
         metrics = self.record.metrics
-        scores = {view.view: view.scores.get("psnr") for view in metrics.per_view} if metrics else {}
-        return {view: psnr for view, psnr in scores.items() if psnr is not None}
+        scores = {view.view: view.scores.get(metric) for view in metrics.per_view} if metrics else {}
+        return {view: score for view, score in scores.items() if score is not None}
 
 
 def read_runs(

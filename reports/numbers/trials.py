@@ -44,7 +44,7 @@ def _score(name: str, region: str = "full") -> Callable[[Run], float | None]:
 
 def _view_psnr(percent: float) -> Callable[[Run], float | None]:
     def of(run: Run) -> float | None:
-        found = list(run.view_psnr.values())
+        found = list(run.of_views("psnr").values())
         return float(np.percentile(found, percent)) if found else None
 
     return of

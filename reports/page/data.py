@@ -10,9 +10,10 @@ from typing import Any
 from ..charts.curves import QUANTITIES, training_curves
 from ..charts.palette import styles
 from ..pictures.gallery import Gallery, Shot
-from ..tables.columns import COSTS, MAIN_COLUMNS, Column
+from ..tables.columns import ACCURACIES, COSTS, MAIN_COLUMNS, Column
 from ..tables.sections import Section
 from ..tables.table import Cell, Row, Table
+from .sizes import png_size
 
 COST_KEYS = {column.key for column in COSTS}
 DIGITS = 7  # significant ones, of a point in a chart
@@ -47,7 +48,7 @@ def _section(section: Section, galleries: Sequence[Gallery]) -> dict[str, Any]:
                 "title": column.title,
                 "axis": column.axis,
                 "better": column.better,
-                "cost": column.key in COST_KEYS,
+                "axis_of": "cost" if column.key in COST_KEYS else "accuracy" if column in ACCURACIES else None,
             }
             for column in MAIN_COLUMNS
         },
@@ -103,7 +104,9 @@ def _gallery(gallery: Gallery) -> dict[str, Any]:
 def _shot(shot: Shot, gallery: Gallery) -> dict[str, Any]:
     return {
         "title": shot.title,
-        "target": gallery.files[shot.target],
+        "target": {"image": gallery.files[shot.target]}
+        | ({"normal": gallery.files[shot.normal]} if shot.normal is not None else {}),
+        "size": png_size(shot.target),
         "pictures": {
             method: {
                 "image": gallery.files[path],
@@ -113,6 +116,7 @@ def _shot(shot: Shot, gallery: Gallery) -> dict[str, Any]:
             for method, path in shot.renders.items()
         },
         "psnr": shot.psnr,
+        "degrees": shot.degrees,
     }
 
 

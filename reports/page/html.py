@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from ..charts.ladder import LadderChart
@@ -21,8 +22,10 @@ from ..tables.layouts import KINDS
 from ..tables.sections import Section
 from .budgets import BudgetPart, budget_data
 from .data import write_data
+from .headlines import headlines
 from .ladder import ladder_data
 from .origin import commands, dropped_losses, failures, origins
+from .sizes import png_size
 from .stability import StabilityPart, stability_data
 from .tables import page_table
 
@@ -61,6 +64,8 @@ def write_page(
             ],
             broken=broken,
             tiles=_tiles(sections, broken),
+            sized=lambda path, shown=None: _sized(out / path, shown),
+            headlines=[found for s, g in zip(sections, galleries, strict=True) if (found := headlines(s, g, out))],
             legend=LEGEND,
             dagger=DAGGER,
             glyphs=GLYPHS,
@@ -159,6 +164,14 @@ def _tiles(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> list[
             note = f"{column.text(mean)} {unit}" if mean is not None else ""
             tiles.append({"name": f"{name}, {table.title}", "value": best[0].method, "note": note})
     return tiles
+
+
+def _sized(picture: Path, shown: int | None) -> Markup:
+    """The picture's attributes of size, px; those of `shown` px in width where that is given."""
+    width, height = png_size(picture)
+    if shown is not None and width:
+        width, height = shown, round(height * shown / width)
+    return Markup(f'width="{width}" height="{height}"')
 
 
 def _version() -> str:

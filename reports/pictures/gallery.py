@@ -11,7 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from envgs_bench.parts import LAYERS
-from envgs_bench.run_folder import has_renders, is_file_name, is_png, layers_of, mask_path, render_path, target_path
+from envgs_bench.run_folder import (
+    exact_normal_path,
+    has_renders,
+    is_file_name,
+    is_png,
+    layers_of,
+    mask_path,
+    render_path,
+    target_path,
+)
 
 from ..numbers.runs import Run
 from ..tables.sections import Section
@@ -20,6 +29,7 @@ MAX_VIEWS = 8
 MAX_PICTURES = 800  # over all data sets and methods together, before fewer views are shown of each
 SHOWN_FIRST = ("error", "flip", *LAYERS, "normal", "depth")  # the layers of a view, in this order
 REGION = "reflective"
+NORMALS = "normal_degrees"  # the score of a view's normals
 
 
 @dataclass(frozen=True)
@@ -32,6 +42,8 @@ class Shot:
     renders: dict[str, Path]  # method -> picture, of its first finished seed
     layers: dict[str, dict[str, Path]]  # method -> layer -> picture
     psnr: dict[str, float]  # method -> dB, of the same run
+    degrees: dict[str, float]  # method -> mean angle between its normals and the exact ones, of the same run
+    normal: Path | None  # the exact normals, where the data set knows them
     mask: Path | None  # where the view shows REGION
 
     @property
@@ -62,6 +74,8 @@ def copy_pictures(gallery: Gallery, out: Path, folder: str) -> None:
     for number, shot in enumerate(gallery.shots):
         stem = f"{number:02d}-{slug(shot.view)}"
         wanted = {f"{stem}-target": shot.target}
+        if shot.normal is not None:
+            wanted[f"{stem}-target-normal"] = shot.normal
         for index, method in enumerate(gallery.methods):
             name = f"{stem}-{index:02d}-{slug(method)}"
             if method in shot.renders:
@@ -91,7 +105,7 @@ def _gallery(section: Section, dataset: str, most: int) -> Gallery:
     difficulty: dict[str, list[float]] = {}
     for item in section.of(dataset):
         if item.run.ok:
-            for view, psnr in item.run.view_psnr.items():
+            for view, psnr in item.run.of_views("psnr").items():
                 difficulty.setdefault(view, []).append(psnr)
             if has_renders(item.run.folder):
                 chosen.setdefault(item.method, item.run)
@@ -121,6 +135,7 @@ def _views(difficulty: dict[str, list[float]], most: int) -> Iterable[tuple[str,
 def _shot(view: str, roles: tuple[str, ...], chosen: dict[str, Run]) -> Shot | None:
     renders = {m: path for m, run in chosen.items() if is_png(path := render_path(run.folder, view))}
     targets = [path for m in renders if is_png(path := target_path(chosen[m].folder, view))]
+    normals = [path for m in renders if is_png(path := exact_normal_path(chosen[m].folder, view))]
     masks = [path for m in renders if is_png(path := mask_path(chosen[m].folder, view, REGION))]
     if not targets:
         return None
@@ -130,7 +145,9 @@ def _shot(view: str, roles: tuple[str, ...], chosen: dict[str, Run]) -> Shot | N
         target=targets[0],
         renders=renders,
         layers={m: layers for m in renders if (layers := _layers(chosen[m].folder, view))},
-        psnr={m: psnr for m in renders if (psnr := chosen[m].view_psnr.get(view)) is not None},
+        psnr={m: psnr for m in renders if (psnr := chosen[m].of_views("psnr").get(view)) is not None},
+        degrees={m: angle for m in renders if (angle := chosen[m].of_views(NORMALS).get(view)) is not None},
+        normal=normals[0] if normals else None,
         mask=masks[0] if masks else None,
     )
 

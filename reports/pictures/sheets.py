@@ -22,7 +22,8 @@ MARGIN, GAP, HEAD, MAX_SIDE = 26, 14, 44, 300
 MAX_COLUMNS = 7  # methods in one sheet
 ZOOM = 3.2  # the zoomed window is this fraction of the picture's edges
 INK, SOFT, FRAME, PAPER = "#1f2733", "#667085", "#ffd400", "#ffffff"
-Panel = tuple[np.ndarray | None, str]  # the picture, or the words in its place
+Panel = tuple[np.ndarray | None, str]  # the picture and its score, or the words in its place
+NORMAL = "normal"
 
 
 def draw_sheets(gallery: Gallery, out: Path, folder: str) -> dict[str, str]:
@@ -38,6 +39,24 @@ def draw_sheets(gallery: Gallery, out: Path, folder: str) -> dict[str, str]:
             _save(_layer_sheet(shot), out / f"{stem}-layers.png")
             written[f"{shot.title}: layers"] = f"{stem}-layers.png"
     return written
+
+
+def draw_headline(shot: Shot, methods: Sequence[str], path: Path) -> bool:
+    """Write the window of a view where the methods differ most; False where one of the pictures is not readable."""
+    pictures = [read_png_if_any(file) for file in (shot.target, *(shot.renders[method] for method in methods))]
+    drawn = [picture for picture in pictures if picture is not None]
+    if len({picture.shape for picture in drawn}) != 1 or len(drawn) < len(pictures):
+        return False
+    target = drawn[0]
+    errors = [np.abs(picture / 255.0 - target / 255.0).mean(-1) for picture in drawn[1:]]
+    window = zoom_window(errors, _weight(shot, target.shape[:2]))
+    notes = ["", *(f"{shot.psnr[method]:.2f} dB" if method in shot.psnr else "" for method in methods)]
+    lines: list[tuple[str, list[Panel]]] = [
+        ("", [(_framed(picture, *window), "") for picture in drawn]),
+        ("", [(picture[window], "") for picture in drawn]),
+    ]
+    _save(draw_grid(["ground truth", *methods], notes, lines, target.shape[0] / target.shape[1]), path)
+    return True
 
 
 def zoom_window(errors: Sequence[np.ndarray], weight: np.ndarray) -> tuple[slice, slice]:
@@ -84,14 +103,20 @@ def _comparison(gallery: Gallery, shot: Shot, out: Path) -> Image.Image:
 
 
 def _layer_sheet(shot: Shot) -> Image.Image:
+    """A line a method; above them the ground truth, as far as it is known."""
     names = ordered_layers({name for layers in shot.layers.values() for name in layers})
-    lines = []
-    shape = None
+    exact = read_png_if_any(shot.normal) if shot.normal is not None else None
+    truth = [(exact, "") if name == NORMAL and exact is not None else (None, "") for name in names]
+    target = read_png_if_any(shot.target)
+    lines: list[tuple[str, list[Panel]]] = [("ground truth", [(target, ""), *truth])]
+    shape = target.shape if target is not None else None
     for method in list(shot.layers)[:MAX_COLUMNS]:
         pictures = [read_png_if_any(shot.renders[method])]
         pictures += [read_png_if_any(path) if (path := shot.layers[method].get(n)) else None for n in names]
         shape = shape or next((picture.shape for picture in pictures if picture is not None), None)
-        lines.append((method, [(picture, "none" if picture is None else "") for picture in pictures]))
+        words = [f"{shot.psnr[method]:.2f} dB" if method in shot.psnr else ""]
+        words += [f"{shot.degrees[method]:.1f}°" if name == NORMAL and method in shot.degrees else "" for name in names]
+        lines.append((method, [(p, "none" if p is None else w) for p, w in zip(pictures, words, strict=True)]))
     titles = ["render", *("β" if name == BETA else name for name in names)]
     return draw_grid(titles, [""] * len(titles), lines, shape[0] / shape[1] if shape else 0.75)
 
@@ -136,6 +161,10 @@ def draw_grid(titles: list[str], notes: list[str], lines: list[tuple[str, list[P
                 draw.text((x + CELL / 2, y + height / 2), words, SOFT, _font(18), anchor="mm", align="center")
             else:
                 sheet.paste(_scaled(picture, (CELL, height)), (x, y))
+                if words:
+                    box = draw.textbbox((x + 8, y + height - 8), words, _font(18, True), anchor="lb")
+                    draw.rectangle((box[0] - 5, box[1] - 4, box[2] + 5, box[3] + 4), fill=INK)
+                    draw.text((x + 8, y + height - 8), words, PAPER, _font(18, True), anchor="lb")
     return sheet
 
 

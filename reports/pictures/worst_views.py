@@ -74,7 +74,7 @@ def _views(stability: Stability, case: Case, method: str) -> list[WorstView]:
         for trial in stability.cell(case, severity, method).tried:
             if trial.partner is None or not trial.paired or not trial.run.ok:
                 continue
-            own, theirs = trial.run.view_psnr, trial.partner.view_psnr
+            own, theirs = trial.run.of_views("psnr"), trial.partner.of_views("psnr")
             views += [
                 WorstView(case[1], severity, method, name, theirs[name] - psnr, trial)
                 for name, psnr in own.items()

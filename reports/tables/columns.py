@@ -77,7 +77,7 @@ def in_region(column: Column, region: str) -> Column:
 
 
 NORMALS = Column(
-    "normal_degrees", "full", "normal °", 1, "lower", "normal error, degrees", "mean angle to the exact normals"
+    "normal_degrees", "full", "normal error °", 1, "lower", "normal error, degrees", "mean angle to the exact normals"
 )
 FRAME_MS = Column("frame_ms", "full", "frame ms", 2, "lower", "frame time, ms", "mean over views of each view's median")
 TRAIN_SECONDS = Column(
@@ -87,7 +87,14 @@ PRIMITIVES = Column(
     "primitives", "full", "primitives", 0, "lower", "primitives", "Gaussians of all sets together", ranked=False
 )
 ENV_PRIMITIVES = Column(
-    f"primitives_{ENV}", "full", "of them env", 0, "lower", "env primitives", "those that only reflect", ranked=False
+    f"primitives_{ENV}",
+    "full",
+    "environment primitives",
+    0,
+    "lower",
+    "environment primitives",
+    "of the primitives, those that only reflected rays meet",
+    ranked=False,
 )
 MEGA = Decimal("1e-6")
 MEGABYTES = Column(

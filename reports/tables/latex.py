@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from itertools import groupby
 
 from envgs_bench.plain_text import plain_line
 
 from .entries import DAGGER, Entry, Heading, entries, headings
-from .notes import dropped_losses
+from .notes import caption, dropped_losses
 from .sections import Section
 from .table import Table
 
@@ -39,12 +40,24 @@ SPECIAL = {
 
 
 def latex(sections: Sequence[Section]) -> str:
-    """One tabular a table, after a comment that names it, its protocol and its device; below it what † means."""
+    """A float a table, with caption and label, after a comment that names its protocol and its device; below it what †
+    means."""
     parts = [PREAMBLE]
     for section in sections:
         for table in section.tables:
-            parts += [f"% {plain_line(table.title)}. {plain_line(section.title)}", _tabular(table), ""]
+            words = f"{table.title}: {told}" if (told := caption(section, table)) else table.title
+            label = f"tab:{section.slug}:{table.kind}:{_label(table.title)}"
+            parts += [f"% {plain_line(table.title)}. {plain_line(section.title)}", _float(table, words, label), ""]
     return "\n".join(parts)
+
+
+def _float(table: Table, words: str, label: str) -> str:
+    head = [r"\begin{table*}[t]", r"\centering", rf"\caption{{{_escaped(words)}.}}", rf"\label{{{label}}}"]
+    return "\n".join([*head, _tabular(table), r"\end{table*}"])
+
+
+def _label(title: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
 
 
 def _tabular(table: Table) -> str:

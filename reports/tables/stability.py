@@ -52,7 +52,7 @@ COLUMNS = (  # the metric is the quantity's name
     _count("peak_memory_bytes", "peak MB", "the device's where there is one", scale=MEGA),
     replace(TRAIN_SECONDS, ranked=False, places=1),
     _between("seeds_depth", "seeds: depth %", "of the scene radius: median over pixels", 2, Decimal(100)),
-    _between("seeds_normal_degrees", "seeds: normal °", "mean angle over pixels", 1),
+    _between("seeds_normal_degrees", "seeds: normal error °", "mean angle over pixels", 1),
     _between("seeds_reflected_rmse", "seeds: reflected", "RMSE, sRGB, of what rays see after the true mirrors", 3),
 )
 

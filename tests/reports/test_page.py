@@ -355,7 +355,7 @@ def test_the_pages_pictures_move_together_and_by_keyboard(report: Report, tmp_pa
     assert seen["flip"][1] == 32
     assert seen["absent"] == ["3dgs: β: none", True]
     assert seen["chosen"] == seen["pressed"] == "3dgs"
-    assert seen["quantities"] == ["psnr", "primitives", "skipped_steps"]
+    assert seen["quantities"] == ["psnr", "primitives", "loss"]  # which is never 0 all along
     assert seen["curves"] == [["3dgs", "2dgs", "envmap", "envgs"]] * 3
     table = next(t for t in report.sections[0].subjects if t.title == "toy/chrome_room")
     scored = sorted((row for row in table.rows if row.done), key=lambda row: row.cells["psnr"].mean or 0)

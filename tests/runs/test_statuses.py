@@ -158,7 +158,7 @@ def test_a_successful_run_has_a_complete_record_and_all_files(sweep: Sweep) -> N
         f"{kind}/{view}{layer}.png"
         for view in ("view0", "view1")
         for kind, layer in (
-            *(("renders", ""), ("targets", ""), ("layers", "-beta")),
+            *(("renders", ""), ("targets", ""), ("targets", ".normal"), ("layers", "-beta")),
             *(("layers", "-normal"), ("layers", "-depth"), ("layers", "-error")),
         )
     } | {"masks/view0-reflective.png"}

@@ -72,7 +72,7 @@
       textposition: place || "top left",
       textfont: { color: beaten ? css("--soft") : css("--ink"), size: 13 },
       cliponaxis: false,
-      marker: { size: 14, symbol: style.symbol + (point.complete ? "" : "-open"), color, line: { color: point.complete ? css("--paper") : color, width: point.complete ? 1.5 : 2.4 } },
+      marker: { size: 14, symbol: style.symbol + (point.complete ? "" : "-open"), color, line: { color: point.complete ? css("--soft") : color, width: point.complete ? 1 : 2.4 } },
       error_x: Object.assign(whisker(point.vx, whiskers), { color }),
       error_y: Object.assign(whisker(point.vy, whiskers), { color }),
       hovertemplate: [`<b>${escaped(point.method)}</b>`, ...facts(point, ...columns).map(escaped)].join("<br>") + "<extra></extra>",
@@ -93,12 +93,12 @@
 
     function chooseAxes() {
       const there = Object.entries(section.columns).filter(([key]) => subject().rows.some((row) => row.values[key]));
-      const keep = (select, cost, wanted) => {
-        const options = there.filter(([, column]) => column.cost === cost).map(([key, column]) => [key, column.title]);
+      const keep = (select, role, wanted) => {
+        const options = there.filter(([, column]) => column.axis_of === role).map(([key, column]) => [key, column.title]);
         fill(select, options, options.some(([key]) => key === select.value) ? select.value : wanted);
       };
-      keep(pick("y"), false, "psnr");
-      keep(pick("x"), true, "frame_ms");
+      keep(pick("y"), "accuracy", "psnr");
+      keep(pick("x"), "cost", "frame_ms");
     }
 
     function draw() {

@@ -3,7 +3,7 @@
 (function () {
   const { escaped, fill, groups } = window.Report;
   const { CONFIG, layout } = window.Report.axes;
-  const FIRST = ["psnr", "primitives", "skipped_steps"];
+  const FIRST = ["psnr", "primitives", "loss"];
   const loaded = {}; // "section place" -> the curves, once their file is loaded
   const waiting = {};
 

@@ -36,8 +36,8 @@ window.Report = (function () {
     picture.setAttribute("aria-hidden", "true");
     shape.setAttribute("d", SHAPES[style.symbol]);
     shape.setAttribute("fill", hollow ? "none" : style.color);
-    shape.setAttribute("stroke", style.color);
-    shape.setAttribute("stroke-width", hollow ? "2" : "0");
+    shape.setAttribute("stroke", hollow ? style.color : "currentColor");
+    shape.setAttribute("stroke-width", hollow ? "2" : "0.6");
     picture.append(shape);
     return picture;
   }

@@ -5,6 +5,7 @@
   const { element, fill, groups } = window.Report;
   const TARGET = "ground truth";
   const NAMES = { image: "image", beta: "β", flip: "FLIP map", error: "error map" };
+  const OF_PICTURES = ["image", "error", "flip"]; // what is compared with the photograph
   const MAX_ENLARGEMENT = 8; // screen pixels a pixel of the picture, unzoomed
   const PAN = 4; // per cent of the picture, a key press
 
@@ -40,25 +41,39 @@
       show();
     }
 
-    /* The ground truth has no layers: it is shown itself. null: the method has no such layer. */
+    /* Like with like: beside a normal the exact one, beside a picture or its errors the photograph, beside another layer
+       nothing of the ground truth's. null: there is no such layer. */
     function path(source) {
-      if (source === TARGET) return shot().target;
-      return shot().pictures[source][layer()] || null;
+      if (source !== TARGET) return shot().pictures[source][layer()] || null;
+      return shot().target[OF_PICTURES.includes(layer()) ? "image" : layer()] || null;
+    }
+
+    /* What the layer shown is scored by, of a method. */
+    function score(source) {
+      if (layer() === "normal") return source in shot().degrees ? `${shot().degrees[source].toFixed(1)}°` : "";
+      return OF_PICTURES.includes(layer()) && source in shot().psnr ? `${shot().psnr[source].toFixed(2)} dB` : "";
+    }
+
+    /* Where the ground truth has no such layer, another method's stands on the left. */
+    function compareLayers() {
+      const others = Object.keys(shot().pictures).filter((name) => name !== pick("b").value && path(name) !== null);
+      if (pick("a").value === TARGET && path(TARGET) === null && others.length) pick("a").value = others[others.length - 1];
+      show();
     }
 
     function caption(source) {
-      return source === TARGET || layer() === "image" ? source : `${source}: ${NAMES[layer()] || layer()}`;
+      const photograph = source === TARGET && OF_PICTURES.includes(layer());
+      return photograph || layer() === "image" ? source : `${source}: ${NAMES[layer()] || layer()}`;
     }
 
     function fillStrip() {
       strip.replaceChildren(...Array.from(pick("b").options).map((option) => {
         const name = option.value;
         const file = path(name);
-        const score = shot().psnr[name];
         const button = element("button", { type: "button" },
-          file ? element("img", { loading: "lazy", src: file, alt: "" }) : element("span", { className: "absent", textContent: "none" }),
+          file ? element("img", { loading: "lazy", src: file, alt: "", width: shot().size[0], height: shot().size[1] }) : element("span", { className: "absent", textContent: "none" }),
           element("b", { textContent: name }),
-          element("span", { textContent: score === undefined ? "" : ` ${score.toFixed(2)} dB` }));
+          element("span", { textContent: ` ${score(name)}` }));
         button.dataset.key = name;
         button.addEventListener("click", () => { pick("b").value = name; show(); });
         return element("li", {}, button);
@@ -70,6 +85,7 @@
       const file = path(source);
       const image = root.querySelector(".img-" + side);
       image.hidden = file === null;
+      [image.width, image.height] = shot().size;
       if (file !== null && image.getAttribute("src") !== file) image.src = file;
       image.alt = `${caption(source)}, ${shot().title} of ${gallery().dataset}`;
       root.querySelector(".tag-" + side).textContent = caption(source) + (file === null ? ": none" : "");
@@ -172,7 +188,8 @@
     pick("dataset").addEventListener("change", fillViews);
     pick("view").addEventListener("change", fillChoices);
     pick("zoom").addEventListener("change", () => zoomTo(Number(pick("zoom").value)));
-    ["a", "b", "mode", "layer"].forEach((name) => pick(name).addEventListener("change", show));
+    ["a", "b", "mode"].forEach((name) => pick(name).addEventListener("change", show));
+    pick("layer").addEventListener("change", compareLayers);
     group.addEventListener("show-method", (event) => {
       const { method, dataset } = event.detail;
       if (section.galleries.some((item) => item.dataset === dataset) && pick("dataset").value !== dataset) {
