@@ -14,6 +14,7 @@ from envgs_bench.stages.perturbations import perturbation_of
 from envgs_bench.stages.results import Results
 
 from . import provenance
+from .descriptions import described
 from .log import shortened
 
 
@@ -33,6 +34,7 @@ class Draft:
         protocol = get_protocol(settings.protocol)
         source = self.checkout | provenance.collect(settings.device)
         source["command"] = shlex.join(["envgs-bench", "run", *settings.overrides])  # the user's, not this process's
+        source["method"] = described(settings.method.name, settings.method.kind)
         if failure is not None:
             failure = failure.model_copy(update={"message": shortened(failure.message)})
         if results.went_on_from:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import tempfile
 from collections.abc import Iterator
@@ -11,6 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
+
+from envgs_bench.file_lock import lock
 
 VISIBLE = "CUDA_VISIBLE_DEVICES"
 
@@ -64,7 +65,7 @@ def _taken(gpus: list[str]) -> tuple[str, int]:
             name = f"gpu-{gpu.replace(os.sep, '-')}-{others}.lock"
             handle = os.open(folder / name, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
             try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                lock(handle)
                 return gpu, handle
             except BlockingIOError:
                 os.close(handle)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections import Counter
 from collections.abc import Sequence
@@ -9,10 +10,13 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
+
+from envgs_bench.run_folder import LOG_NAME, RECORD_NAME
 
 from ..charts.ladder import LadderChart
 from ..numbers.runs import BrokenRecord
@@ -24,12 +28,13 @@ from .budgets import BudgetPart, budget_data
 from .data import write_data
 from .headlines import headlines
 from .ladder import ladder_data
+from .methods import method_parts
 from .origin import commands, dropped_losses, failures, origins
 from .sizes import png_size
 from .stability import StabilityPart, stability_data
 from .tables import page_table
 
-SCRIPTS = ("marks.js", "tables.js", "axes.js", "chart.js", "curves.js", "viewer.js", "datasets.js")
+SCRIPTS = ("marks.js", "tables.js", "axes.js", "chart.js", "curves.js", "viewer.js", "datasets.js", "address.js")
 GLYPHS = {"ok": "✓", "failed": "✕", "diverged": "∿", "out_of_memory": "▣", "timeout": "◷", "interrupted": "‖"}
 ORDINALS = {1: "best", 2: "second", 3: "third"}
 
@@ -56,7 +61,7 @@ def write_page(
         )
         html = environment.get_template("index.html.j2").render(
             sections=[
-                _section(section, index, data["sections"][index], galleries[index], budgets[index])
+                _section(section, index, data["sections"][index], galleries[index], budgets[index], out)
                 | {"stability": stability_data(section, index, stability[index])}
                 | {"ladder": ladder_data(section, index, ladders[index])}
                 | {"budgets": budget_data(section, index, budgets[index])}
@@ -80,7 +85,12 @@ def write_page(
 
 
 def _section(
-    section: Section, index: int, data: dict[str, Any], galleries: Sequence[Gallery], budgets: BudgetPart | None
+    section: Section,
+    index: int,
+    data: dict[str, Any],
+    galleries: Sequence[Gallery],
+    budgets: BudgetPart | None,
+    out: Path,
 ) -> dict[str, Any]:
     parts = {
         "Chart": bool(data["subjects"]),
@@ -91,6 +101,7 @@ def _section(
         "Pictures": bool(galleries),
         "Training": bool(data["curves"]),
         "Runs": bool(section.runs),
+        "Methods": bool(section.runs),
         "Provenance": True,
     }
     return {
@@ -105,13 +116,15 @@ def _section(
         "galleries": galleries,
         "statuses": Counter(item.run.record.status for item in section.runs).most_common(),
         "datasets": section.datasets,
-        "matrix": _matrix(section),
+        "matrix": _matrix(section, out),
         "failures": failures(section),
         "superseded": len(section.superseded),
         "contracts": sorted({item.run.record.timing.contract for item in section.runs if item.run.record.timing}),
         "origins": origins(section),
         "commands": commands(section),
         "dropped": dropped_losses(section),
+        "methods": (described := method_parts(section, f"section-{index}-method")),
+        "method_links": {method["name"]: method["id"] for method in described},
     }
 
 
@@ -128,14 +141,22 @@ def _parts(section: Section) -> list[dict[str, Any]]:
     return parts
 
 
-def _matrix(section: Section) -> list[dict[str, Any]]:
+def _matrix(section: Section, out: Path) -> list[dict[str, Any]]:
     """A row a method, a cell a data set, in it its runs' seeds and statuses."""
     cells: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for dataset in section.datasets:
         for item in section.of(dataset):
-            run = {"seed": item.run.record.seed, "status": item.run.record.status}
+            run = {"seed": item.run.record.seed, "status": item.run.record.status, **_links(item.run.folder, out)}
             cells.setdefault((dataset, item.method), []).append(run)
     return [{"method": m, "cells": [cells.get((d, m), []) for d in section.datasets]} for m in section.methods]
+
+
+def _links(run: Path, out: Path) -> dict[str, str]:
+    """The run's folder as people read it, and the addresses of its record and its log, where there is one."""
+    place = Path(os.path.relpath(run, out))
+    files = {"record": run / RECORD_NAME, "log": run / LOG_NAME}
+    links = {name: quote((place / file.name).as_posix()) for name, file in files.items() if file.is_file()}
+    return {"folder": run.name, "record": "", "log": "", **links}
 
 
 def _tiles(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> list[dict[str, str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -135,3 +136,14 @@ def test_every_method_is_listed_with_a_sentence(capsys: pytest.CaptureFixture[st
     assert "EnvGS (Xie et al., CVPR 2025, Sec. 4): surfels, and a second set of them" in shown
     kinds = method_paths()
     assert all(described(name, kinds.get(name, name)).endswith(".") for name in config_names("method"))
+
+
+def test_a_shell_completes_commands_keys_and_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion"]) == 0
+    script = tmp_path / "completion.sh"
+    script.write_text(capsys.readouterr().out)
+    each = 'for COMP_LINE in "$@"; do COMP_POINT=${#COMP_LINE}; _envgs_bench; echo "${COMPREPLY[*]}"; done'
+    lines = ["re", "run see", "run method=envgs_no", "run -m dataset=a,toy/gl"]
+    command = ["bash", "-c", f"source {script}; {each}", "bash", *(f"envgs-bench {line}" for line in lines)]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert shown.splitlines() == ["report rescore", "seed=", "envgs_no_joint", "toy/glass"]

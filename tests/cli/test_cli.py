@@ -35,6 +35,8 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
         ["export"],
         ["download"],
         ["list"],
+        ["clean"],
+        ["completion"],
         ["doctor"],
         ["bench", "core"],
     ],

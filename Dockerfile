@@ -1,0 +1,14 @@
+# docker build -t envgs-bench . && docker run --rm -v "$PWD/out:/work/out" envgs-bench
+# builds the CPU backend and runs the demo; the report is out/demo/index.html.
+FROM python:3.12-slim
+
+RUN apt-get update \
+    && apt-get install --yes --no-install-recommends g++ make git libgl1 libglib2.0-0 \
+    && rm -rf /var/lib/apt/lists/*
+
+WORKDIR /work
+COPY . .
+RUN make install weights PIP_FLAGS="--no-cache-dir --extra-index-url https://download.pytorch.org/whl/cpu"
+
+ENV PATH="/work/.venv/bin:$PATH"
+CMD ["make", "demo"]
