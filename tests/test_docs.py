@@ -1,12 +1,19 @@
-"""Every file, folder, module and link that the documentation names is there."""
+"""Every file, folder, module, link, command and choice that the documentation names is there; its lines of code run."""
 
 from __future__ import annotations
 
 import importlib
 import re
+import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
+
+from envgs_bench.cli.composition import config_names
+from envgs_bench.cli.main import COMMANDS
+from envgs_bench.metrics import PROTOCOLS
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "envgs_bench" / "docs").glob("*.md"))]
@@ -16,6 +23,7 @@ ELSEWHERE = {"metrics.py", "render.py", "utils.py"}  # another program's, and wh
 
 CODE = re.compile(r"`([^`\n]+)`")
 COMMAND = re.compile(r"^ {4,}.*$|^```.*?^```", re.MULTILINE | re.DOTALL)
+PYTHON = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 PATH = re.compile(r"[\w.*-]+(?:/[\w.*-]*)+")
 MODULE = re.compile(r"\benvgs_bench(?:\.\w+)+")
@@ -91,3 +99,55 @@ def test_what_a_document_names_is_there(document: Path) -> None:
 )
 def test_what_is_not_there_is_found(text: str) -> None:
     assert len(problems(text, ROOT / "envgs_bench" / "docs" / "core.md")) == 1
+
+
+CHOICE = re.compile(r"\b(method|dataset|experiment|protocol)=([^\s`'\")…]+)")
+CALL = re.compile(r"envgs-bench ([a-z]\w*)\b")
+EXAMPLES = {"mine", "blobs"}  # what readers are shown how to add
+
+
+def names_that_are_none(text: str) -> list[str]:
+    """Commands, methods, data sets, experiments and protocols that the text names and that there are not."""
+    found = [f"envgs-bench {name}" for name in CALL.findall(text) if name not in COMMANDS]
+    for key, values in CHOICE.findall(text):
+        names = values.rstrip(".,;:").split(",")
+        known = set(PROTOCOLS) if key == "protocol" else set(config_names(key))
+        found += [f"{key}={name}" for name in names if not re.search("[:<*]", name) and name not in known | EXAMPLES]
+    return found
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.stem)
+def test_every_name_that_a_document_gives_a_command_is_one(document: Path) -> None:
+    assert names_that_are_none(document.read_text(encoding="utf-8")) == []
+
+
+def test_a_name_that_is_none_is_found() -> None:
+    text = "envgs-bench rnu -m method=envgs,envgz dataset=toy/glas experiment=demo protocol=strikt"
+    assert names_that_are_none(text) == ["envgs-bench rnu", "method=envgz", "dataset=toy/glas", "protocol=strikt"]
+
+
+def test_every_command_is_in_some_document() -> None:
+    text = "\n".join(document.read_text(encoding="utf-8") for document in DOCUMENTS)
+    assert set(COMMANDS) <= set(CALL.findall(text)), set(COMMANDS) - set(CALL.findall(text))
+
+
+def test_the_readmes_lines_on_the_core_run() -> None:
+    (block,) = [code for code in PYTHON.findall((ROOT / "README.md").read_text(encoding="utf-8")) if "trace(" in code]
+    names: dict[str, Any] = {}
+    exec(compile(block, "README.md", "exec"), names)
+    assert names["image"].color.shape == (240, 320, 3)
+    assert float(names["surfels"].sh.grad.abs().sum()) >= 0.0
+    assert float((names["image"].alpha - names["rays"].alpha).detach().abs().median()) < 1e-3
+
+
+def test_a_version_is_cited_that_there_is_and_the_change_list_begins_with_what_is_to_come() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == project["version"]
+    assert citation["references"][0]["title"].startswith("EnvGS")
+    titles = re.findall(r"^## (.*)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert titles[0] == "Unreleased"
+    assert project["version"] in titles
+    workflow = yaml.safe_load((ROOT / ".github/workflows/checks.yaml").read_text(encoding="utf-8"))
+    pythons = workflow["jobs"]["checks"]["strategy"]["matrix"]["python"]
+    assert [f"Programming Language :: Python :: {python}" in project["classifiers"] for python in pythons] == [True] * 3

@@ -125,6 +125,7 @@ async function probe(seen) {
   const focusable = "a[href], button, select, input, summary, [tabindex='0']";
   const names = (node) => [node.textContent.trim(), node.ariaLabel, node.querySelector("img"), (node.labels || [])[0]];
   seen.unnamed = all(focusable).filter((node) => !names(node).some(Boolean)).map((node) => node.outerHTML);
+  seen.address = Object.fromEntries(new URLSearchParams(location.search));
   seen.hacked = window.hacked === 1;
   seen.resources = performance.getEntriesByType("resource").map((entry) => entry.name);
   seen.wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
@@ -355,6 +356,8 @@ def test_the_pages_pictures_move_together_and_by_keyboard(report: Report, tmp_pa
     assert seen["flip"][1] == 32
     assert seen["absent"] == ["3dgs: β: none", True]
     assert seen["chosen"] == seen["pressed"] == "3dgs"
+    assert {"0.chart-y.0": "psnr_reflective", "0.viewer-mode.0": "difference"}.items() <= seen["address"].items()
+    assert "0.chart-x.0" not in seen["address"]  # as it is when nothing is chosen
     assert seen["quantities"] == ["psnr", "primitives", "loss"]  # which is never 0 all along
     assert seen["curves"] == [["3dgs", "2dgs", "envmap", "envgs"]] * 3
     table = next(t for t in report.sections[0].subjects if t.title == "toy/chrome_room")

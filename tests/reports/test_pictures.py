@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from PIL import Image
 from reports_runs import METHODS, ball_in_a_box, record, run_folder, write_failure, write_record, write_runs
 
 from envgs_bench.reports.numbers.runs import read_runs
+from envgs_bench.reports.page.data import _shot
 from envgs_bench.reports.pictures.error_maps import colored_flip_map, draw_error_maps
 from envgs_bench.reports.pictures.gallery import Gallery, copy_pictures, galleries, slug
 from envgs_bench.reports.pictures.sheets import CELL, draw_sheets, zoom_window
@@ -58,6 +60,26 @@ def test_sheets_have_a_column_a_method_and_name_what_failed(tmp_path: Path) -> N
     copies = [tmp_path / "out" / name for name in gallery.files.values()]
     assert len(copies) == 5 * (1 + len(METHODS) + 2 * 5)
     assert all(copy.read_bytes() == source.read_bytes() for source, copy in zip(gallery.files, copies, strict=True))
+
+
+def test_normals_stand_beside_exact_normals_with_the_angle_between(tmp_path: Path) -> None:
+    write_runs(tmp_path / "runs", methods=("envgs",), seeds=(0,))
+    run = run_folder(tmp_path / "runs", ROOM, "envgs", 0)
+    content = json.loads((run / "record.json").read_text())
+    content["metrics"]["per_view"][0]["normal_degrees"] = 7.25
+    (run / "record.json").write_text(json.dumps(content))
+    Image.new("RGB", (80, 60), (1, 2, 250)).save(run / "targets" / "000.normal.png")
+    gallery = gallery_of(tmp_path / "runs")
+    shot = next(shot for shot in gallery.shots if shot.view == "000")
+    assert shot.degrees == {"envgs": 7.25}
+    assert shot.normal == run / "targets" / "000.normal.png"
+    assert all(other.normal is None for other in gallery.shots if other is not shot)
+    copy_pictures(gallery, tmp_path / "out", "pictures/room")
+    sheets = draw_sheets(gallery, tmp_path / "out", "pictures/room")
+    with Image.open(tmp_path / "out" / sheets["worst view 000: layers"]) as sheet:
+        colors = sheet.convert("RGB").getcolors(1 << 24)
+    assert (1, 2, 250) in {color for _, color in colors}  # in the row of the ground truth
+    assert _shot(shot, gallery)["target"].keys() == {"image", "normal"}
 
 
 def test_damaged_and_missing_pictures_are_not_fatal(tmp_path: Path) -> None:
