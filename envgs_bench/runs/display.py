@@ -72,8 +72,8 @@ class Bar:
             self._task = self._progress.add_task(
                 plain(self._stage), total=event.get("steps"), title=self._title, numbers="", left=""
             )
-        shown = {"numbers": numbers(event), "left": self._pace.left(event)}
-        self._progress.update(self._task, completed=event.get("step", 0), **shown)
+        left = self._pace.left(event)
+        self._progress.update(self._task, completed=event.get("step", 0), numbers=numbers(event), left=left)
 
     def stop(self) -> None:
         if self._progress is not None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import bootstrap
 
 COVERAGE = 0.95
 DRAWS = 2000
@@ -50,16 +50,12 @@ def bootstrap_interval(
         return None
     if not all(np.isfinite(values).all() for values in arrays):
         raise ValueError("a value is not finite: leave failed runs out, and count them")
-    means = np.zeros(draws)
-    for values, picks in zip(arrays, _picks(tuple(map(len, arrays)), draws, seed), strict=True):
-        means += values[picks].mean(axis=1) / len(arrays)
-    tail = (1 - coverage) / 2
-    low, high = np.quantile(means, [tail, 1 - tail])
+    found = bootstrap(
+        arrays, _mean_of_means, confidence_level=coverage, n_resamples=draws, method="percentile", rng=seed
+    )
+    low, high = found.confidence_interval
     return Interval(float(low), float(high))
 
 
-@lru_cache(maxsize=32)
-def _picks(sizes: tuple[int, ...], draws: int, seed: int) -> list[np.ndarray]:
-    """Indices into strata of these sizes, [draws, size] each: the same for all numbers of one table."""
-    generator = np.random.default_rng(seed)
-    return [generator.integers(size, size=(draws, size)) for size in sizes]
+def _mean_of_means(*strata: NDArray, axis: int = -1) -> NDArray:
+    return np.sum([values.mean(axis=axis) / len(strata) for values in strata], axis=0)

@@ -53,7 +53,7 @@ def test_every_two_families_are_told_apart(vision: str) -> None:
 
 def test_the_methods_of_a_usual_page_have_their_families_colors() -> None:
     usual = ("3dgs_tuned", "2dgs_tuned", "envmap", "envgs", "3dgs_dr", "gaussian_shader", "3igs", "ref_gaussian")
-    chosen = styles([*usual, "somebodys", "anothers"])
+    chosen = styles([*usual, "somebody", "another"])
     assert len({style.color for style in chosen.values()}) == len(chosen)
     assert {style.color for style in chosen.values()} == set(FAMILIES.values())
     assert len({(style.color, style.marker) for style in METHOD_STYLES.values()}) == len(METHOD_STYLES) - 1  # envmap128
