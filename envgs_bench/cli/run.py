@@ -22,7 +22,7 @@ Keys of every run:
                       (`envgs-bench list method NAME` lists a method's)
   perturb.kind, perturb.severity      what is wrong on purpose: docs/stability.md
   budget.primitives, budget.mb        the most that the model may have at any step: docs/budgets.md
-  protocol, seed, steps, device=auto|cpu|cuda
+  protocol, seed, steps, device=auto|cpu|cuda|cuda:1
   runs_dir=runs, cache_dir, timing.frames, timing.seconds
   timeout_minutes, memory_gb, device_memory_fraction   limits of a run: it ends with status timeout or out_of_memory
   snapshot_minutes=5  how often a training is saved; one that was interrupted goes on from there

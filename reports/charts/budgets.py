@@ -96,7 +96,16 @@ def _draw_curve(axis: Axes, curve: BudgetCurve, quantity: Quantity, style: Style
         return
     xs, ys, low, high, knee = (np.array(values) for values in zip(*sorted(points), strict=True))
     axis.fill_between(xs, low, high, color=style.color, alpha=0.18, lw=0)
-    axis.plot(xs, ys, color=style.color, marker=style.marker, markersize=5, markeredgecolor="white", linewidth=1.5)
+    axis.plot(
+        xs,
+        ys,
+        color=style.color,
+        marker=style.marker,
+        markersize=5,
+        markeredgecolor=SOFT,
+        markeredgewidth=0.6,
+        linewidth=1.5,
+    )
     axis.plot(xs[knee], ys[knee], **_ring(style.color))
 
 

@@ -131,7 +131,7 @@ def _panel(axis: Axes, ladder: Ladder, found: Sequence[Step], style: dict[str, S
             marker=marker,
             markersize=7.5,
             markerfacecolor="white" if hollow else color,
-            markeredgecolor=color if hollow else "white",
+            markeredgecolor=color if hollow else SOFT,
             markeredgewidth=1.6 if hollow else 1.0,
             zorder=4,
         )

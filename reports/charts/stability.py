@@ -115,7 +115,9 @@ def _band(axis: Axes, points: Sequence[tuple[float, Estimate]], style: Style, ma
     ends = [estimate.interval or (y, y) for y, (_, estimate) in zip(ys, points, strict=True)]
     axis.fill_between(xs, [low for low, _ in ends], [high for _, high in ends], color=style.color, alpha=0.18, lw=0)
     marker = style.marker if marks else "none"
-    axis.plot(xs, ys, color=style.color, marker=marker, markersize=5, markeredgecolor="white", linewidth=1.5)
+    axis.plot(
+        xs, ys, color=style.color, marker=marker, markersize=5, markeredgecolor=SOFT, markeredgewidth=0.6, linewidth=1.5
+    )
 
 
 def _write(
