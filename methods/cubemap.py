@@ -62,25 +62,50 @@ def sample_cubemap(texels: Tensor, directions: Tensor, layout: CubemapLayout) ->
     flat = texels.reshape(-1, channels)
     flat = torch.cat([flat, flat[layout.corners].mean(1)])
 
-    face, column, row = _face_coordinates(directions, layout.axes, layout.signs)
-    x = (column + 1) * (size / 2) + 0.5  # in the padded face, whose texel i has its center at i
-    y = (row + 1) * (size / 2) + 0.5
-    x0 = x.detach().floor().clamp(0, size)
-    y0 = y.detach().floor().clamp(0, size)
-    fx, fy = (x - x0)[:, None], (y - y0)[:, None]
-
-    corner = (face * (size + 2) + y0.long()) * (size + 2) + x0.long()
-    index = torch.stack([corner, corner + 1, corner + size + 2, corner + size + 3])
-    around = flat.index_select(0, layout.around.reshape(-1)[index].reshape(-1)).reshape(4, -1, channels)
+    index, fx, fy = _four_texels(directions, layout, size)
+    around = flat.index_select(0, index.reshape(-1)).reshape(4, -1, channels)
     top = torch.lerp(around[0], around[1], fx)
     bottom = torch.lerp(around[2], around[3], fx)
     return torch.lerp(top, bottom, fy)
+
+
+def bilinear_texels(directions: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
+    """What `sample_cubemap` reads of a map with `size` texels an edge, as a sparse matrix.
+
+    Returns:
+        The number of the direction, the flat number of a texel, and that texel's share in the lookup, [K] each; a
+        direction's shares sum to 1, and a texel may occur more than once.
+    """
+    layout = layout_of(size)
+    index, fx, fy = _four_texels(directions, layout, size)
+    fx, fy = fx[:, 0], fy[:, 0]
+    shares = torch.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy])
+    rows = torch.arange(len(directions)).expand_as(index)
+    beyond = index >= 6 * size * size
+    corners = layout.corners[index[beyond] - 6 * size * size]  # [B, 3]
+    return (
+        torch.cat([rows[~beyond], rows[beyond].repeat_interleave(3)]),
+        torch.cat([index[~beyond], corners.reshape(-1)]),
+        torch.cat([shares[~beyond], (shares[beyond] / 3).repeat_interleave(3)]),
+    )
 
 
 def resized_cubemap(texels: Tensor, layout: CubemapLayout, size: int) -> Tensor:
     """The map [6, S, S, C] looked up at the texel centers of one with `size` texels an edge: [6, size, size, C]."""
     directions = texel_directions(size).to(texels)
     return sample_cubemap(texels, directions.reshape(-1, 3), layout).reshape(6, size, size, -1)
+
+
+def _four_texels(directions: Tensor, layout: CubemapLayout, size: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Numbers [4, R] of the texels around each direction, corners of the cube behind them, and the place between."""
+    face, column, row = _face_coordinates(directions, layout.axes, layout.signs)
+    x = (column + 1) * (size / 2) + 0.5  # in the padded face, whose texel i has its center at i
+    y = (row + 1) * (size / 2) + 0.5
+    x0 = x.detach().floor().clamp(0, size)
+    y0 = y.detach().floor().clamp(0, size)
+    corner = (face * (size + 2) + y0.long()) * (size + 2) + x0.long()
+    index = torch.stack([corner, corner + 1, corner + size + 2, corner + size + 3])
+    return layout.around.reshape(-1)[index], (x - x0)[:, None], (y - y0)[:, None]
 
 
 def _texels_around(size: int) -> Tensor:

@@ -47,12 +47,12 @@ class EnvMap(ReflectiveMethod):
 
     def before_step(self, step: int) -> None:
         super().before_step(step)
-        size = self._size_at(step)
+        size = self.map_size(step)
         if self.reflects and size != self.texels.shape[1]:
             self._set_texels(resized_cubemap(self.texels.detach(), self._layout, size))
 
-    def _size_at(self, step: int) -> int:
-        """Texels along a face's edge at a step of the training."""
+    def map_size(self, step: int) -> int:
+        """Texels along a face's edge at a step of the training, `envmap_size` at the last."""
         doublings_left = sum(step < self.schedule.at(doubling) for doubling in DOUBLES_AT)
         return max(2, self.settings.envmap_size >> doublings_left)
 

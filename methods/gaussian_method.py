@@ -52,7 +52,7 @@ class GaussianMethod(Method):
     | and learns | optimizers, densification_criterion, densification_interval, events, after_step |
     | an image | draw |
     | a budget is kept | primitive_bytes, other_bytes, own_bound, contributions |
-    | a set is new or loaded | densification_rule, initial_learning_rates, initial_beta |
+    | a set is new or loaded | densification_rule, initial_learning_rates, initial_beta, initial_materials |
     | a checkpoint is written or read | state, restore |
     | a training is interrupted and goes on | training_state, resume |
 
@@ -374,6 +374,10 @@ class GaussianMethod(Method):
         """The β in (0, 1) that base primitives start with; None for a base set without β."""
         return None
 
+    def initial_materials(self, name: str, count: int) -> dict[str, Tensor]:
+        """The fields [count, K] of a new set `name` that are this method's own; `initial_learning_rates` has theirs."""
+        return {}
+
     def state(self) -> dict:
         """What `save` writes: tensors, numbers, strings, and dictionaries of them."""
         sets = {name: trained.parameters.detached() for name, trained in self.sets.items()}
@@ -391,12 +395,16 @@ class GaussianMethod(Method):
     def rasterize_base(self, camera: Camera, step: int | None) -> Rendering:
         """The base set alone, [H, W, …], with `draw`'s arguments."""
         return rasterize(
-            self.gaussians(BASE, step),
+            self.base_seen_from(camera, step),
             camera,
             background=self.background,
             near=self.near,
             backend=self.settings.backend,
         )
+
+    def base_seen_from(self, camera: Camera, step: int | None) -> GaussianSet:
+        """The base set as it is drawn for this camera, with `draw`'s arguments: where a method shades primitives."""
+        return self.gaussians(BASE, step)
 
     def gaussians(self, name: str, step: int | None) -> GaussianSet:
         """The set `name` as it is drawn at a training step, or for an image where `step` is None."""
@@ -438,6 +446,7 @@ class GaussianMethod(Method):
             beta=beta,
             radius=self.radius,
         )
+        tensors |= self.initial_materials(name, len(points))
         return TrainedSet(GaussianParameters(tensors, self.initial_learning_rates(), self.radius), rule)
 
     def _growth(self) -> BaseGrowth:

@@ -40,6 +40,21 @@ def normal_distance(normal: Tensor, reference: Tensor, weight: Tensor | None = N
     return (error if weight is None else error * weight).mean()
 
 
+def edge_aware_smoothness(normal: Tensor, image: Tensor) -> Tensor:
+    """Mean over pixels of Σ |∂n|·exp(−|∂I|) in both directions, differences of neighboring pixels (Ref-Gaussian).
+
+    Args:
+        normal: [H, W, 3] blended normals as rendered.
+        image: [H, W, 3] in [0, 1], at whose edges normals may turn; receives no gradient.
+    """
+    total = normal.new_zeros(())
+    for axis in (0, 1):
+        turns, edges = (values.diff(dim=axis).abs() for values in (normal, image.detach()))
+        if turns.numel():
+            total = total + (turns * (-edges).exp()).sum(-1).mean()
+    return total
+
+
 def nearness(depth: Tensor) -> Tensor:
     """clip(1 − normalized depth, 0, 1), [H, W]: 1 at the nearest hits, 0 at the farthest; 1 everywhere on a flat map.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
@@ -12,6 +12,7 @@ from torch import Tensor
 from envgs_bench.core import GaussianSet
 
 ADAM_EPSILON = 1e-15  # as 3DGS: gradients of a mean over pixels are tiny
+COMMON_FIELDS = frozenset({"means", "quaternions", "log_scales", "opacity_logits", "sh_dc", "sh_rest", "beta_logits"})
 SH_DC = 0.28209479177387814  # the constant spherical harmonic, 1 / (2·√π)
 
 
@@ -26,12 +27,18 @@ class LearningRates:
     scale: float = 5e-3
     rotation: float = 1e-3
     beta: float = 1e-2
+    materials: Mapping[str, float] = field(default_factory=dict)  # of a method's own fields, by name
 
 
 def primitive_bytes(axes: int, sh_degree: int, has_beta: bool) -> int:
     """Bytes of one Gaussian's parameters as float32; `axes` is 2 for surfels, 3 for 3D Gaussians."""
     position, quaternion, opacity = 3, 4, 1
     return 4 * (position + quaternion + axes + opacity + 3 * (sh_degree + 1) ** 2 + has_beta)
+
+
+def material_fields(tensors: Mapping[str, Any]) -> list[str]:
+    """Those of `GaussianParameters`' tensors that are a method's own, sorted."""
+    return sorted(set(tensors) - COMMON_FIELDS)
 
 
 class RowDraft:
@@ -75,6 +82,7 @@ class GaussianParameters:
     | opacity_logits | [N] | sigmoid |
     | sh_dc, sh_rest | [N, 1, 3], [N, K − 1, 3] | none |
     | beta_logits (optional) | [N, 1] | sigmoid; the set's `extras` |
+    | any other (optional) | [N, K] | its method's, which draws it: a material |
 
     Rows are added and removed together with Adam's moments: a row that stays keeps its own, a new row starts at zero.
     """
@@ -89,6 +97,7 @@ class GaussianParameters:
             "sh_dc": rates.sh_dc,
             "sh_rest": rates.sh_rest,
             "beta_logits": rates.beta,
+            **rates.materials,
         }
         groups = [{"params": [value], "lr": by_field[name], "name": name} for name, value in self.tensors.items()]
         self.optimizer = torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)

@@ -12,11 +12,13 @@ One element `vertex` of float32 properties, a row a Gaussian, values as they are
 | scale_0 scale_1 scale_2 | logarithms; a surfel's third is its thickness, FLAT_SCALE, or left out as in 2DGS |
 | rot_0 … rot_3 | quaternion, wxyz, of any length |
 | beta | logit of EnvGS's blending weight; our addition, where the set has one |
+| material_<field>_0 … | a method's own field, as it is trained; our addition |
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -29,10 +31,11 @@ from torch import Tensor
 from envgs_bench.core import GaussianSet
 from envgs_bench.ply_file import number_names, read_elements
 
-from .parameters import GaussianParameters, LearningRates
+from .parameters import GaussianParameters, LearningRates, material_fields
 
 MEAN, NORMAL, OPACITY, BETA = ("x", "y", "z"), ("nx", "ny", "nz"), ("opacity",), ("beta",)
 DC, ROTATION = tuple(f"f_dc_{i}" for i in range(3)), tuple(f"rot_{i}" for i in range(4))
+MATERIAL = re.compile(r"material_(\w+)_\d+")
 REST_COUNTS = tuple(3 * ((degree + 1) ** 2 - 1) for degree in range(4))
 
 # A surfel's third scale, world units: viewers know three scales, and refuse or misread two. This one is what 2DGS's
@@ -66,6 +69,8 @@ def write_ply(path: Path, tensors: Mapping[str, Tensor], two_scales: bool = Fals
     columns |= _named(ROTATION, rows["quaternions"])
     if "beta_logits" in rows:
         columns |= _named(BETA, rows["beta_logits"])
+    for name in material_fields(rows):
+        columns |= _named(_numbered(f"material_{name}", rows[name].shape[1]), rows[name])
     table = np.empty(count, dtype=[(name, "<f4") for name in columns])
     for name, values in columns.items():
         table[name] = values
@@ -90,7 +95,9 @@ def vertex_tensors(vertices: PlyElement, path: Path | str) -> dict[str, Tensor]:
     present = number_names(vertices)
     rest, scales = (sorted(n for n in present if n.startswith(prefix)) for prefix in ("f_rest_", "scale_"))
     axes = 3 if "scale_2" in scales else 2
-    needed = (*MEAN, *DC, *OPACITY, *_numbered("scale", axes), *ROTATION)
+    materials = _materials(present)
+    own = [name for names in materials.values() for name in names]
+    needed = (*MEAN, *DC, *OPACITY, *_numbered("scale", axes), *ROTATION, *own)
     missing = [name for name in needed if name not in present]
     if missing:
         raise ValueError(
@@ -120,6 +127,7 @@ def vertex_tensors(vertices: PlyElement, path: Path | str) -> dict[str, Tensor]:
     }
     if "beta" in present:
         tensors["beta_logits"] = columns(BETA)
+    tensors |= {name: columns(properties) for name, properties in materials.items()}
     _check_values(path, tensors)
     return tensors
 
@@ -150,6 +158,12 @@ def _check_values(path: Path | str, tensors: Mapping[str, Tensor]) -> None:
     flat = int((tensors["quaternions"].abs().amax(1) == 0).sum()) if len(tensors["quaternions"]) else 0
     if flat:
         raise ValueError(f"{path}: {flat} Gaussians have a rotation of four zeros; remove them")
+
+
+def _materials(present: list[str]) -> dict[str, tuple[str, ...]]:
+    """The properties of each material field, in their order."""
+    names = [match[1] for name in present if (match := MATERIAL.fullmatch(name))]
+    return {name: _numbered(f"material_{name}", names.count(name)) for name in sorted(set(names))}
 
 
 def _named(names: tuple[str, ...], values: Values) -> dict[str, Values]:

@@ -20,7 +20,7 @@ from envgs_bench.parts import BASE, BETA, REFLECTION
 
 from .gaussian_method import GaussianMethod
 from .parameters import LearningRates, inverse_sigmoid
-from .settings import GaussianSettings
+from .settings import GaussianSettings, check_words
 
 SABOTAGE_BELOW = 0.05  # β up to which a base color is disturbed
 SABOTAGE_RANGE = 0.4
@@ -65,7 +65,8 @@ class ReflectionSettings(GaussianSettings):
     disturb_until: int = 18_000  # step up to which disturbances go on, and densifications are settling_interval apart
     sabotage: bool = True  # disturb the base color of primitives that do not reflect
     propagate: bool = True  # enlarge primitives that reflect, so that their normals spread
-    beta_reset_from: int = 0  # step from which opacity resets also lower β to at most its start; 0: never
+    beta_reset_from: int = 0  # step from which opacity resets also reset β; 0: never
+    beta_reset: str = "lower"  # that lowers β to at most its start, or raises it to at least that: raise
 
 
 class ReflectiveMethod(GaussianMethod):
@@ -77,6 +78,7 @@ class ReflectiveMethod(GaussianMethod):
 
     def __init__(self, settings: ReflectionSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
+        check_words(settings, {"beta_reset": ("lower", "raise")})
         if not 0 <= settings.beta_filter < 1:
             raise ValueError(f"beta_filter is {settings.beta_filter:g}, expected a share of at least 0 and below 1")
         if settings.settling_interval < 1:
@@ -211,16 +213,20 @@ class ReflectiveMethod(GaussianMethod):
         parameters = self.sets[BASE].parameters
         dc = parameters.tensors["sh_dc"].detach()
         noise = (2 * torch.rand(dc.shape, generator=self.generator) - 1).to(dc) * SABOTAGE_RANGE
-        parameters.replace("sh_dc", dc + noise * (self._beta() <= SABOTAGE_BELOW)[:, None])
+        parameters.replace("sh_dc", dc + noise * self.is_sabotaged()[:, None, None])
 
     def _propagate(self, step: int) -> None:
         """Grow primitives that reflect over their neighbors, so that good normals spread (3DGS-DR).
 
-        All become nearly opaque, and opacities are then not trained for a while.
+        They grow along their surface, which for a 3D Gaussian lies across its shortest axis. All become nearly opaque,
+        and opacities are then not trained for a while.
         """
         parameters = self.sets[BASE].parameters
         log_scales = parameters.tensors["log_scales"].detach()
-        parameters.replace("log_scales", log_scales + math.log(PROPAGATE_SCALE) * (self._beta() >= PROPAGATE_ABOVE))
+        grows = self.spreads()[:, None].expand_as(log_scales)
+        if self.axes == 3:
+            grows = grows.scatter(1, log_scales.argmin(1, keepdim=True), False)
+        parameters.replace("log_scales", log_scales + math.log(PROPAGATE_SCALE) * grows)
         self.sets[BASE].raise_opacity()
         self._hold_until = step + round(self.schedule.interval(PROPAGATE_HOLD, HOLD_FLOOR))
 
@@ -228,10 +234,20 @@ class ReflectiveMethod(GaussianMethod):
         parameters = self.sets[BASE].parameters
         logits = parameters.tensors["beta_logits"].detach()
         start = inverse_sigmoid(torch.full_like(logits, self.settings.initial_beta))
-        parameters.replace("beta_logits", torch.minimum(logits, start))
+        bounded = torch.minimum if self.settings.beta_reset == "lower" else torch.maximum
+        parameters.replace("beta_logits", bounded(logits, start))
 
-    def _beta(self) -> Tensor:
-        return self.sets[BASE].parameters.tensors["beta_logits"].detach().sigmoid()
+    def is_sabotaged(self) -> Tensor:
+        """Whose base color sabotage disturbs, [N] of the base set: what does not reflect."""
+        return self.beta() <= SABOTAGE_BELOW
+
+    def spreads(self) -> Tensor:
+        """What normal propagation enlarges, [N] of the base set: what reflects."""
+        return self.beta() >= PROPAGATE_ABOVE
+
+    def beta(self) -> Tensor:
+        """β of the base set's primitives, [N] without gradients."""
+        return self.sets[BASE].parameters.tensors["beta_logits"].detach()[:, 0].sigmoid()
 
     def initial_beta(self) -> float | None:
         return self.settings.initial_beta

@@ -19,6 +19,8 @@ BUILT_IN = {
     "2dgs": "envgs_bench.methods.two_d_gs:TwoDGS",
     "3dgs": "envgs_bench.methods.three_d_gs:ThreeDGS",
     "envmap": "envgs_bench.methods.envmap:EnvMap",
+    "3dgs_dr": "envgs_bench.methods.deferred_reflection:DeferredReflection",
+    "ref_gaussian": "envgs_bench.methods.ref_gaussian:RefGaussian",
     "envgs": "envgs_bench.methods.envgs:EnvGS",
     "envgs_single_set": "envgs_bench.methods.single_set:SingleSet",
 }

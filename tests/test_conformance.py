@@ -15,7 +15,15 @@ def test_a_method_that_conforms_passes() -> None:
 
 @pytest.mark.parametrize(
     ("kind", "settings"),
-    [("2dgs", {}), ("3dgs", {}), ("envmap", {"envmap_size": 16}), ("envgs", {"env_grid": 4}), ("envgs_single_set", {})],
+    [
+        ("2dgs", {}),
+        ("3dgs", {}),
+        ("envmap", {"envmap_size": 16}),
+        ("envgs", {"env_grid": 4}),
+        ("envgs_single_set", {}),
+        ("3dgs_dr", {"envmap_size": 16}),
+        ("ref_gaussian", {"envmap_size": 16}),
+    ],
 )
 def test_the_built_in_methods_pass(kind: str, settings: dict[str, Any]) -> None:
     check_method(kind, settings, steps=20)

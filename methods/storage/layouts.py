@@ -10,6 +10,7 @@ from pathlib import Path
 from torch import Tensor
 
 from ..gaussian_method import GaussianMethod
+from ..parameters import material_fields
 from ..ply import read_ply, write_ply
 from .compact import State, read_compact, write_compact
 from .splats import SPLAT_LAYOUTS, decode_splats, encode_splats
@@ -46,7 +47,10 @@ def _maps(method: GaussianMethod) -> list[str]:
 
 
 def _beta_and_maps(method: GaussianMethod) -> list[str]:
-    return [*(["β"] if any("beta_logits" in tensors for tensors in _sets(method).values()) else []), *_maps(method)]
+    """And a method's own fields of its primitives."""
+    fields = {name for tensors in _sets(method).values() for name in tensors}
+    beta = ["β"] if "beta_logits" in fields else []
+    return [*beta, *material_fields(dict.fromkeys(fields)), *_maps(method)]
 
 
 def _write_compact(method: GaussianMethod, folder: Path) -> list[Path]:

@@ -5,9 +5,9 @@ Rows are sorted along a Morton curve, so that neighbors in space are neighbors i
 | field | is stored as |
 |---|---|
 | means | differences of successive places on the curve, of a grid with one step for all axes |
-| log_scales, sh_dc, sh_rest | numbers of steps |
+| log_scales, sh_dc, sh_rest, and SH of a material | numbers of steps |
 | quaternions | the number of the largest component, which is made positive, and the other three as numbers of steps |
-| opacity_logits, beta_logits | the sigmoid as one of 256 levels |
+| opacity_logits, beta_logits, logits of a material | the sigmoid as one of 256 levels |
 | any other | float32, as it is |
 
 Whole numbers become planes of bytes (`planes.py`). Steps and origins stand in the header, so that a file is read
@@ -29,9 +29,9 @@ from .planes import planes_of, planes_of_steps, values_of, whole_numbers
 
 # The sizes of the steps, chosen by what they cost and lose one by one (docs/storage.md).
 POSITION_STEP = 0.1  # of the median over the primitives of their smallest scale
-STEPS = {"log_scales": 1 / 20, "quaternions": 1 / 256, "sh_dc": 1 / 16, "sh_rest": 1 / 16}
+STEPS = {"log_scales": 1 / 20, "quaternions": 1 / 256, "_dc": 1 / 16, "_rest": 1 / 16}  # by the ends of fields' names
 LARGEST = 88.0  # logarithm of a scale: float32 knows none that is larger
-LOGITS = ("opacity_logits", "beta_logits")
+LOGITS = "_logits"
 LEVELS = 255  # the highest level of a sigmoid; the lowest is 0
 END = 0.25  # levels: what the lowest and the highest are read as, from 0 and from 255, since their logits are infinite
 
@@ -62,11 +62,11 @@ def quantize(tensors: Mapping[str, Tensor]) -> tuple[Header, Arrays]:
         values = values[order]
         if name == "quaternions":
             arrays["quaternions_largest"], values = _without_largest(values)
-        if name in LOGITS:
+        if name.endswith(LOGITS):
             levels = np.rint(LEVELS / (1 + np.exp(-values.astype(np.float64))))
             arrays[name] = levels.astype(np.uint8)
             fields[name]["levels"] = LEVELS
-        elif name in STEPS:
+        elif name.endswith(tuple(STEPS)):
             arrays[name], steps = planes_of_steps(values, _step(name, values), name)
             fields[name] |= steps
         else:
@@ -103,7 +103,8 @@ def dequantize(header: Header, arrays: Mapping[str, NDArray[Any]]) -> dict[str, 
 def _step(name: str, values: NDArray[Any]) -> float:
     """The field's own; at most its values' root mean square, where a short training has left them small."""
     square = float(np.square(values, dtype=np.float64).mean()) if values.size else 0.0
-    return min(STEPS[name], square**0.5) if name == "sh_rest" and square else STEPS[name]
+    usual = next(step for end, step in STEPS.items() if name.endswith(end))
+    return min(usual, square**0.5) if name.endswith("_rest") and square else usual
 
 
 def _without_largest(quaternions: NDArray[np.float32]) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:

@@ -14,7 +14,8 @@ from envgs_bench.methods.registry import create_method
 from envgs_bench.testing import tiny_scene
 
 STEPS = 12
-SMALL = {"envmap": {"envmap_size": 8}, "envgs": {"env_grid": 2, "env_per_cell": 2}}
+MAP = {"envmap_size": 8}
+SMALL = {"envmap": MAP, "3dgs_dr": MAP, "ref_gaussian": MAP, "envgs": {"env_grid": 2, "env_per_cell": 2}}
 CALLS = [
     importlib.import_module(f"envgs_bench.core.{name}") for name in ["rasterize", "trace", "reflect", "normals", "ssim"]
 ]
@@ -47,7 +48,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
     return names
 
 
-@pytest.mark.parametrize("kind", ["2dgs", "3dgs", "envmap", "envgs", "envgs_single_set"])
+@pytest.mark.parametrize("kind", ["2dgs", "3dgs", "envmap", "envgs", "envgs_single_set", "3dgs_dr", "ref_gaussian"])
 def test_the_torch_backend_trains_and_draws_without_native_code(kind: str, asked: dict[str, set[str]]) -> None:
     method = create_method(kind, {"backend": "torch", **SMALL.get(kind, {})})
     scene = tiny_scene()
@@ -58,11 +59,11 @@ def test_the_torch_backend_trains_and_draws_without_native_code(kind: str, asked
     method.prepare()
     assert method.render(scene.test[0].camera).color.dtype == torch.float32
     expected = {"rasterize", "ssim"}
-    if kind != "3dgs":  # no loss on normals
+    if kind not in ("3dgs", "3dgs_dr"):  # no loss on normals
         expected.add("normals")
-    if kind in ("envmap", "envgs", "envgs_single_set"):
+    if kind not in ("2dgs", "3dgs"):
         expected.add("reflect")
-    if kind in ("envgs", "envgs_single_set"):
+    if kind in ("envgs", "envgs_single_set", "ref_gaussian"):
         expected.add("trace")
     assert asked == {name: {"torch"} for name in expected}
 

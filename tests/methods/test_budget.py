@@ -32,6 +32,7 @@ METHODS: dict[str, dict[str, Any]] = {
         "env_far_count": 90,
     },
     "envgs_single_set": REFLECTS,
+    "ref_gaussian": {**GROWS, "densify_until": 30_000, "envmap_size": 16},
 }
 STEPS = 125  # reflections from step 2 on; sets grow every 30 steps, the environment from 120 on
 
@@ -68,6 +69,7 @@ class Largest:
         pytest.param("envmap", Budget(primitives=257), marks=pytest.mark.slow),
         pytest.param("envgs", Budget(primitives=140), marks=pytest.mark.slow),
         pytest.param("envgs", Budget(primitives=450), marks=pytest.mark.slow),
+        pytest.param("ref_gaussian", Budget(mb=0.15), marks=pytest.mark.slow),
         pytest.param("envgs_single_set", Budget(primitives=300), marks=pytest.mark.slow),
     ],
 )

@@ -9,13 +9,15 @@ from envgs_bench.core import Camera, Scene, View
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method, method_names
 
-KINDS = ("2dgs", "3dgs", "envmap", "envgs", "envgs_single_set")
+KINDS = ("2dgs", "3dgs", "envmap", "envgs", "envgs_single_set", "3dgs_dr", "ref_gaussian")
 SMALL = {
     "2dgs": {},
     "3dgs": {},
     "envmap": {"envmap_size": 8},
     "envgs": {"env_grid": 3, "env_per_cell": 2},
     "envgs_single_set": {},
+    "3dgs_dr": {"envmap_size": 8},
+    "ref_gaussian": {"envmap_size": 8, "shade_until": 9_000, "indirect_from": 15_000},
 }
 STEPS = 60
 
@@ -108,11 +110,13 @@ def test_a_loaded_method_renders_as_the_saved_one(trained, scene, kind, tmp_path
 def test_counts_and_bytes(trained, kind):
     method, _ = trained[kind]
     primitives, size = method.primitives(), method.model_bytes()
-    published = {"2dgs": 58, "3dgs": 59}  # of them 48 spherical harmonics, and a third scale
+    published = {"2dgs": 58, "3dgs": 59, "3dgs_dr": 60}  # of them 48 spherical harmonics, and a third scale
+    published["ref_gaussian"] = 59 + 1 + 3 + 48  # roughness, albedo, and spherical harmonics of the indirect light
     floats = published.get(kind, 38)  # of them 27 spherical harmonics, and β
     assert set(primitives) == set(size) == {"base", "env"}
     assert size["base"] == 4 * floats * primitives["base"]
-    expected = {"envmap": 4 * 6 * 8 * 8 * 3, "envgs": 4 * 37 * primitives["env"]}
+    expected = dict.fromkeys(("envmap", "3dgs_dr", "ref_gaussian"), 4 * 6 * 8 * 8 * 3)
+    expected["envgs"] = 4 * 37 * primitives["env"]
     assert size["env"] == expected.get(kind, 0)
 
 
@@ -121,7 +125,7 @@ def test_a_seed_determines_a_run(scene, kind):
     first, second, other = make_method(kind, seed=1), make_method(kind, seed=1), make_method(kind, seed=2)
     losses = [[row["loss"] for row in train(method, scene, 20)] for method in (first, second, other)]
     assert losses[0] == losses[1]
-    if kind == "envgs":  # its environment starts at random; the others draw no number before they densify
+    if kind in ("envgs", "ref_gaussian"):  # environment, materials start at random; others draw no number so early
         assert losses[0] != losses[2]
     camera = scene.test[0].camera
     assert torch.equal(first.render(camera).color, second.render(camera).color)
@@ -137,7 +141,7 @@ def test_a_gradient_that_is_not_finite_never_reaches_adam(scene, kind):
     record = method.sets["base"].record.gradients.clone()
 
     damaged = dataclasses.replace(scene.train[0], normal=torch.full_like(scene.train[0].normal, float("nan")))
-    if kind in ("2dgs", "3dgs"):  # no view's normals enter their loss: a target that is not finite
+    if make_method(kind).settings.mono_weight == 0:  # no view's normals enter its loss: a target that is not finite
         damaged = NotFinite(**{f.name: getattr(damaged, f.name) for f in dataclasses.fields(damaged)})
     losses = method.training_step(damaged, 11)
 
