@@ -21,6 +21,7 @@ DOUBLES_AT = (7_500, 13_500, 21_000)  # steps of a run of 30,000
 @dataclass(frozen=True)
 class EnvMapSettings(ReflectionSettings):
     envmap_size: int = 128  # texels along a face's edge (EnvGS paper, App. B.1: 128 and 256)
+    envmap_doublings: int = 3  # times that the map's size doubles in training, 0 to 3
     envmap_lr: float = 1e-2  # learning rate of the texels' logits
 
 
@@ -29,8 +30,8 @@ class EnvMap(ReflectiveMethod):
 
     Its texels hold logits of colors in [0, 1].
 
-    The map starts with an eighth of its texels an edge and doubles three times: a texel that few pixels see begins as
-    what its surroundings have learned, and the early map is smooth enough to turn normals by.
+    The map starts with an eighth of its texels an edge and doubles three times, unless told otherwise: a texel that few
+    pixels see begins as what its surroundings have learned, and the early map is smooth enough to turn normals by.
     """
 
     Settings: ClassVar[type] = EnvMapSettings
@@ -40,6 +41,8 @@ class EnvMap(ReflectiveMethod):
         super().__init__(settings, device, seed)
         if settings.envmap_size < 2:
             raise ValueError(f"envmap_size is {settings.envmap_size}, expected at least 2")
+        if not 0 <= settings.envmap_doublings <= len(DOUBLES_AT):
+            raise ValueError(f"envmap_doublings is {settings.envmap_doublings}, expected 0 to {len(DOUBLES_AT)}")
         self._set_texels(torch.zeros(6, settings.envmap_size, settings.envmap_size, 3))
 
     def start_reflection(self) -> None:
@@ -47,13 +50,14 @@ class EnvMap(ReflectiveMethod):
 
     def before_step(self, step: int) -> None:
         super().before_step(step)
-        size = self.map_size(step)
+        size = self._size_at(step)
         if self.reflects and size != self.texels.shape[1]:
             self._set_texels(resized_cubemap(self.texels.detach(), self._layout, size))
 
-    def map_size(self, step: int) -> int:
-        """Texels along a face's edge at a step of the training, `envmap_size` at the last."""
-        doublings_left = sum(step < self.schedule.at(doubling) for doubling in DOUBLES_AT)
+    def _size_at(self, step: int) -> int:
+        """Texels along a face's edge at a step of the training."""
+        doublings = DOUBLES_AT[len(DOUBLES_AT) - self.settings.envmap_doublings :]
+        doublings_left = sum(step < self.schedule.at(doubling) for doubling in doublings)
         return max(2, self.settings.envmap_size >> doublings_left)
 
     def reflected_color(

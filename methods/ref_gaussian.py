@@ -67,6 +67,7 @@ class RefGaussianSettings(PublishedSettings, EnvMapSettings):
     beta_threshold: float = 0.0
     beta_reset_from: int = 1
     beta_reset: str = "raise"
+    envmap_doublings: int = 0
 
     disturb_every: int = 1_000
     disturb_until: int = 25_000
@@ -94,9 +95,6 @@ class RefGaussian(EnvMap):
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
         self.deferred = self.indirect = False
-
-    def map_size(self, step: int) -> int:
-        return self.settings.envmap_size
 
     def before_step(self, step: int) -> None:
         super().before_step(step)

@@ -213,7 +213,8 @@ class ReflectiveMethod(GaussianMethod):
         parameters = self.sets[BASE].parameters
         dc = parameters.tensors["sh_dc"].detach()
         noise = (2 * torch.rand(dc.shape, generator=self.generator) - 1).to(dc) * SABOTAGE_RANGE
-        parameters.replace("sh_dc", dc + noise * self.is_sabotaged()[:, None, None])
+        disturbed = self.is_sabotaged() & self.may_reflect()
+        parameters.replace("sh_dc", dc + noise * disturbed[:, None, None])
 
     def _propagate(self, step: int) -> None:
         """Grow primitives that reflect over their neighbors, so that good normals spread (3DGS-DR).
@@ -223,11 +224,12 @@ class ReflectiveMethod(GaussianMethod):
         """
         parameters = self.sets[BASE].parameters
         log_scales = parameters.tensors["log_scales"].detach()
-        grows = self.spreads()[:, None].expand_as(log_scales)
+        allowed = self.may_reflect()
+        grows = (self.spreads() & allowed)[:, None].expand_as(log_scales)
         if self.axes == 3:
             grows = grows.scatter(1, log_scales.argmin(1, keepdim=True), False)
         parameters.replace("log_scales", log_scales + math.log(PROPAGATE_SCALE) * grows)
-        self.sets[BASE].raise_opacity()
+        self.sets[BASE].raise_opacity(allowed)
         self._hold_until = step + round(self.schedule.interval(PROPAGATE_HOLD, HOLD_FLOOR))
 
     def _reset_beta(self) -> None:
@@ -235,7 +237,7 @@ class ReflectiveMethod(GaussianMethod):
         logits = parameters.tensors["beta_logits"].detach()
         start = inverse_sigmoid(torch.full_like(logits, self.settings.initial_beta))
         bounded = torch.minimum if self.settings.beta_reset == "lower" else torch.maximum
-        parameters.replace("beta_logits", bounded(logits, start))
+        parameters.replace("beta_logits", torch.where(self.may_reflect()[:, None], bounded(logits, start), logits))
 
     def is_sabotaged(self) -> Tensor:
         """Whose base color sabotage disturbs, [N] of the base set: what does not reflect."""
@@ -244,6 +246,11 @@ class ReflectiveMethod(GaussianMethod):
     def spreads(self) -> Tensor:
         """What normal propagation enlarges, [N] of the base set: what reflects."""
         return self.beta() >= PROPAGATE_ABOVE
+
+    def may_reflect(self) -> Tensor:
+        """What disturbances and resets of β are for, [N] of the base set: everything, unless a method knows better."""
+        means = self.sets[BASE].parameters.tensors["means"]
+        return torch.ones(len(means), dtype=torch.bool, device=means.device)
 
     def beta(self) -> Tensor:
         """β of the base set's primitives, [N] without gradients."""

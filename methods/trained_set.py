@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from .densification import DensificationRecord, DensificationRule, Oversized, densify
 from .parameters import GaussianParameters
@@ -37,10 +38,11 @@ class TrainedSet:
         logits = self.parameters.tensors["opacity_logits"].detach()
         self.parameters.replace("opacity_logits", logits.clamp_max(_logit(RESET_OPACITY)))
 
-    def raise_opacity(self) -> None:
-        """Opacities up to at least 0.9 (3DGS-DR's normal propagation)."""
+    def raise_opacity(self, rows: Tensor) -> None:
+        """Opacities of the primitives in a mask [N] up to at least 0.9 (3DGS-DR's normal propagation)."""
         logits = self.parameters.tensors["opacity_logits"].detach()
-        self.parameters.replace("opacity_logits", logits.clamp_min(_logit(PROPAGATED_OPACITY)))
+        raised = logits.clamp_min(_logit(PROPAGATED_OPACITY))
+        self.parameters.replace("opacity_logits", torch.where(rows, raised, logits))
 
 
 def _logit(probability: float) -> float:

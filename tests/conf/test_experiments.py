@@ -46,7 +46,9 @@ def test_an_experiment_after_a_table_is_on_the_tables_scenes(name: str) -> None:
     assert sorted(paper_scene(dataset) or () for dataset in choices["dataset"]) == sorted(expected)
     methods = choices["method"]
     assert methods[-1] == "envgs"  # ours, beside what the table has
-    assert {paper_method(method) for method in methods[:-1]} == {"3DGS", "2DGS", "EnvGS"} & set(rows["method"])
+    assert {paper_method(method) for method in methods[:-1]} == {"3DGS", "2DGS", "3DGS-DR", "EnvGS"} & set(
+        rows["method"]
+    )
 
 
 def test_the_commands_for_the_released_recipe_train_every_scene_once() -> None:

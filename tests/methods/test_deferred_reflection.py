@@ -16,6 +16,7 @@ from envgs_bench.methods.registry import create_method
 from envgs_bench.testing import tiny_scene
 
 RUN = 61_000
+CAMERA = tiny_scene().test[0].camera
 
 
 def initialized(steps: int = RUN, **settings) -> DeferredReflection:
@@ -81,16 +82,37 @@ def test_resets_raise_the_reflection_strength_to_its_start() -> None:
     torch.testing.assert_close(method.beta(), torch.tensor([0.1, 0.5]).repeat(100))
 
 
+def test_only_the_ball_that_the_cameras_look_at_may_reflect() -> None:
+    """The cameras of the tiny scene stand 4 from the origin: at half of that, points within 2 of it may."""
+    method = initialized(scope_radius=0.5, bootstrap=0)
+    parameters = method.sets["base"].parameters
+    inside = tiny_scene().points.norm(dim=1) <= 2
+    assert 20 < inside.sum() < 180
+    assert torch.equal(method.may_reflect(), inside)
+
+    before = {name: value.clone() for name, value in parameters.detached().items()}
+    parameters.replace("beta_logits", torch.full((200, 1), 0.03).logit())
+    for event in ("sabotage", "propagate", "reset_beta"):
+        method.after_step(4_000, {event})
+    now = parameters.detached()
+    assert torch.equal((now["opacity_logits"] != before["opacity_logits"]), inside)
+    assert torch.equal((now["log_scales"] != before["log_scales"]).any(1), inside)
+    method.before_step(1)
+    terms = method.losses(method.draw(CAMERA, 1)[0], torch.zeros(24, 32, 3), tiny_scene().test[0], 1)
+    assert float(terms["scope"].detach()) == pytest.approx(0.4 * 0.03, rel=1e-5)
+    terms["scope"].backward()
+    assert torch.equal(parameters.tensors["beta_logits"].grad[:, 0] > 0, ~inside)
+
+
 def test_a_pixel_is_the_blend_of_its_own_color_and_the_maps() -> None:
     method = initialized(bootstrap=0)
     method.before_step(1)
     assert method.texels.shape == (6, 8, 8, 3)
     method._set_texels(torch.randn(6, 8, 8, 3))
     method.sets["base"].parameters.replace("beta_logits", torch.zeros(200, 1))
-    camera = tiny_scene().test[0].camera
-    shown = method.render(camera)
-    base = method.rasterize_base(camera, None)
-    rays, normal = (functional.normalize(v, dim=-1) for v in (camera.rays()[1], base.normal))
+    shown = method.render(CAMERA)
+    base = method.rasterize_base(CAMERA, None)
+    rays, normal = (functional.normalize(v, dim=-1) for v in (CAMERA.rays()[1], base.normal))
     mirrored = rays - 2 * (rays * normal).sum(-1, keepdim=True) * normal
     color = sample_cubemap(method.texels.detach(), mirrored.reshape(-1, 3), layout_of(8)).sigmoid().reshape(24, 32, 3)
     strength = base.extras
