@@ -1,9 +1,10 @@
-"""The two ways to add a method that README shows: both are run as it says."""
+"""The two ways to add a method that README shows, and the way to bring another program's pictures: run as they say."""
 
 from __future__ import annotations
 
 import re
 import shlex
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -16,6 +17,7 @@ from envgs_bench.methods.registry import create_method
 from envgs_bench.testing import check_method, tiny_scene
 
 TESTS = Path(__file__).parent
+DOCS = TESTS.parent / "envgs_bench" / "docs"
 EXAMPLE = TESTS / "example_method"
 QUICK = ("dataset=tiny", "steps=6", "timing.frames=1", "timing.seconds=0.01", "device=cpu")
 
@@ -97,3 +99,22 @@ def test_readmes_method_conforms_and_runs_by_readmes_command(tmp_path: Path, mon
         assert (dark.render(camera).color == bright.render(camera).color * 0.5).all()
     finally:
         sys.modules.pop("my_method", None)
+
+
+def test_another_programs_pictures_come_into_the_tables_as_the_page_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page, _, _ = (DOCS / "other_programs.md").read_text(encoding="utf-8").partition("\n## ")
+    export, program, score, ours, report = re.findall(r"^ {4}(\S.*)$", page, re.MULTILINE)
+    assert ours == "envgs-bench run method=2dgs_tuned dataset=toy/chrome_room"
+    assert report == "envgs-bench report runs --out report"
+    monkeypatch.chdir(tmp_path)
+    (_, _, *exporting), (_, script, *folders), (_, _, *scoring) = map(shlex.split, (export, program, score))
+    assert "dataset=toy/chrome_room" in exporting
+    assert main(["export", *exporting, "dataset.kind=fakes.datasets:tiny"]) == 0
+    subprocess.run([sys.executable, TESTS.parent / script, *folders], check=True)
+    assert run(tmp_path / "runs", *scoring, "dataset=tiny") == 0
+    (record,) = records(tmp_path / "runs")
+    assert (record.status, record.kind, record.method) == ("ok", "renders", "nearest")
+    assert record.metrics is not None
+    assert len(record.metrics.per_view) == 2
