@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -73,7 +72,7 @@ def prefilter_of(size: int, device: torch.device | str = "cpu") -> Prefilter:
     sizes = tuple(max(SMALLEST, size >> level) for level in range(len(ROUGHNESSES)))
     chain = _halvings(size)
     levels = list(zip(sizes, ROUGHNESSES, SAMPLES, strict=True))[1:]
-    matrices = tuple(tuple(_filter(chain, *level, device=device)) for level in levels)
+    matrices = tuple(_filter(chain, *level, device=device) for level in levels)
     layouts = tuple(layout_of(each, device) for each in sizes)
     return Prefilter(layouts, sizes, matrices, _irradiance_matrix(size).float().to(device))
 
@@ -101,7 +100,7 @@ class _SparseProduct(torch.autograd.Function):
         return matrix.to(dense.dtype) @ dense
 
     @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:  # type: ignore[override]
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
         return ctx.transposed.to(gradient.dtype) @ gradient.contiguous(), None, None
 
 
@@ -124,7 +123,7 @@ def _halvings(size: int) -> list[int]:
 
 def _filter(
     chain: list[int], size: int, roughness: float, samples: int, device: torch.device | str
-) -> Iterator[Tensor]:
+) -> tuple[Tensor, Tensor]:
     """The matrix [6·size², Σ 6·s²] from the texels of all maps of the chain, one behind the other, to a level's; and
     its transpose."""
     outward = functional.normalize(texel_directions(size).reshape(-1, 3), dim=1)
@@ -140,8 +139,8 @@ def _filter(
         entries.append((row % len(outward), starts[level] + texel, sample * share))
     rows, columns, values = (torch.cat(each) for each in zip(*entries, strict=True))
     height, width = len(outward), int(starts[-1])
-    yield _csr(rows, columns, values, (height, width)).to(device)
-    yield _csr(columns, rows, values, (width, height)).to(device)
+    matrix = _csr(rows, columns, values, (height, width))
+    return matrix.to(device), _csr(columns, rows, values, (width, height)).to(device)
 
 
 def _irradiance_matrix(size: int) -> Tensor:

@@ -129,21 +129,20 @@ class RefGaussian(EnvMap):
             return gaussians
         tensors = self.sets[BASE].parameters.tensors
         roughness, albedo = tensors["roughness_logits"].sigmoid(), tensors["albedo_logits"].sigmoid()
-        directions, normals = seen_from(gaussians, camera.center)
+        metallic = tensors["beta_logits"].sigmoid()
+        directions, normals, _ = seen_from(gaussians, camera.center)
         outgoing, cosine = mirrored(directions, normals)
         if self.deferred:
             indirect = self._indirect_light(outgoing) if self.indirect else torch.zeros_like(albedo)
         else:
             light = self._light if step is None else self._filtered_map()
             assert light is not None
-            assert gaussians.extras is not None
-            metallic = gaussians.extras
             reflectance = _reflectance(albedo, metallic)
             specular = light.specular(outgoing, roughness[:, 0])
             specular = specular * specular_weight(reflectance, cosine, roughness[:, 0])
             diffuse = light.irradiance(normals) * (1 - metallic) * albedo
             gaussians, indirect = colored(gaussians, (diffuse + specular).clamp_min(0)), specular
-        return replace(gaussians, extras=torch.cat([gaussians.extras, roughness, albedo, indirect], dim=1))
+        return replace(gaussians, extras=torch.cat([metallic, roughness, albedo, indirect], dim=1))
 
     def _indirect_light(self, directions: Tensor) -> Tensor:
         """What comes along `directions` [N, 3] to each surfel from what is near, [N, 3]."""

@@ -20,6 +20,7 @@ BUILT_IN = {
     "3dgs": "envgs_bench.methods.three_d_gs:ThreeDGS",
     "envmap": "envgs_bench.methods.envmap:EnvMap",
     "3dgs_dr": "envgs_bench.methods.deferred_reflection:DeferredReflection",
+    "gaussian_shader": "envgs_bench.methods.gaussian_shader:GaussianShader",
     "ref_gaussian": "envgs_bench.methods.ref_gaussian:RefGaussian",
     "envgs": "envgs_bench.methods.envgs:EnvGS",
     "envgs_single_set": "envgs_bench.methods.single_set:SingleSet",

@@ -14,10 +14,11 @@ from envgs_bench.core.vectors import unit
 from .parameters import SH_DC
 
 
-def seen_from(gaussians: GaussianSet, center: Tensor) -> tuple[Tensor, Tensor]:
+def seen_from(gaussians: GaussianSet, center: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Unit directions to the primitives from a camera's `center` [3], and their unit normals, [N, 3] each.
 
-    A surfel's normal is that of its plane, a 3D Gaussian's is its shortest axis; both face the camera. Differentiable.
+    A surfel's normal is that of its plane, a 3D Gaussian's is its shortest axis; both face the camera, and which of
+    them were turned for that comes third, [N, 1]. Differentiable.
     """
     directions = unit(gaussians.means - center)
     frames = rotation_matrices(gaussians.quaternions)
@@ -27,7 +28,7 @@ def seen_from(gaussians: GaussianSet, center: Tensor) -> tuple[Tensor, Tensor]:
         shortest = gaussians.scales.argmin(1)[:, None, None].expand(-1, 3, 1)
         normals = frames.gather(2, shortest)[..., 0]
     away = (normals * directions).sum(-1, keepdim=True) > 0
-    return directions, torch.where(away, -normals, normals)
+    return directions, torch.where(away, -normals, normals), away
 
 
 def mirrored(directions: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:

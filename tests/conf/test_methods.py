@@ -25,6 +25,7 @@ from envgs_bench.methods.registry import BUILT_IN, create_method, method_class
 from envgs_bench.methods.schedule import Schedule
 from envgs_bench.methods.settings import make_settings, setting_comments
 from envgs_bench.settings import read_settings
+from envgs_bench.testing import tiny_scene
 
 DIFFERENCES = {
     **{kind: {} for kind in BUILT_IN},
@@ -110,6 +111,44 @@ def test_what_replaces_the_environment_leaves_the_rest_of_the_published_recipe(n
     common = method_class("envgs_single_set").Settings if method["kind"] != "envmap" else ReflectionSettings
     shared = {field.name for field in dataclasses.fields(common)}
     assert {key: method["settings"][key] for key in shared} == {key: paper["settings"][key] for key in shared}
+
+
+@pytest.mark.parametrize(
+    ("name", "own"),
+    [
+        ("3dgs_dr_tuned", {"min_opacity", "normal_weight", "normal_from", "beta_threshold", "beta_reset"}),
+        ("ref_gaussian_tuned", {"beta_threshold", "beta_reset"}),
+    ],
+)
+def test_a_tuned_rival_is_given_what_the_environment_map_is(name: str, own: set[str]) -> None:
+    rival, envmap = composed(name), composed("envmap")
+    assert (rival["name"], rival["kind"]) == (name, name.removesuffix("_tuned"))
+    create_method(rival["kind"], rival["settings"])
+    unlike = {key for key, value in envmap["settings"].items() if rival["settings"][key] != value}
+    assert unlike - {"disturb_until"} == own  # what is never disturbed ends that at no step
+
+
+@pytest.mark.parametrize(("name", "steps"), [("3dgs_dr_real", 97_000), ("ref_gaussian_real", 20_000)])
+def test_a_rival_for_captures_is_called_as_the_other_and_trains_as_long_as_released(name: str, steps: int) -> None:
+    method = composed(name)
+    assert method["name"] == method["kind"] == name.removesuffix("_real")
+    assert create_method(method["kind"], method["settings"]).training_steps(100_000) == steps
+
+
+def test_ref_gaussian_on_captures_does_everything_at_the_released_steps() -> None:
+    method = create_method("ref_gaussian", composed("ref_gaussian_real")["settings"] | {"envmap_size": 4})
+    method.initialize(tiny_scene(), 20_000)
+    stages = []
+    for step in (3_000, 3_001, 10_000, 10_001):
+        method.before_step(step)
+        stages.append((method.reflects, method.deferred, method.indirect))
+    assert stages == [(False, False, False), (True, True, False), (True, True, False), (True, True, True)]
+    events = {step: method.events(step) for step in (600, 3_000, 4_000, 17_000, 19_500)}
+    assert "densify_base" in events[600]
+    assert "densify_base" in events[19_500]
+    assert {"reset_base_opacity", "reset_beta"} <= events[3_000]
+    assert "propagate" in events[4_000]
+    assert "propagate" in events[17_000]
 
 
 def test_the_published_configurations_are_what_was_published() -> None:

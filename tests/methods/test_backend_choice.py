@@ -14,8 +14,8 @@ from envgs_bench.methods.registry import create_method
 from envgs_bench.testing import tiny_scene
 
 STEPS = 12
-MAP = {"envmap_size": 8}
-SMALL = {"envmap": MAP, "3dgs_dr": MAP, "ref_gaussian": MAP, "envgs": {"env_grid": 2, "env_per_cell": 2}}
+WITH_MAP = ["envmap", "3dgs_dr", "ref_gaussian", "gaussian_shader"]
+SMALL = {**{kind: {"envmap_size": 8} for kind in WITH_MAP}, "envgs": {"env_grid": 2, "env_per_cell": 2}}
 CALLS = [
     importlib.import_module(f"envgs_bench.core.{name}") for name in ["rasterize", "trace", "reflect", "normals", "ssim"]
 ]
@@ -48,7 +48,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
     return names
 
 
-@pytest.mark.parametrize("kind", ["2dgs", "3dgs", "envmap", "envgs", "envgs_single_set", "3dgs_dr", "ref_gaussian"])
+@pytest.mark.parametrize("kind", ["2dgs", "3dgs", "envgs", "envgs_single_set", *WITH_MAP])
 def test_the_torch_backend_trains_and_draws_without_native_code(kind: str, asked: dict[str, set[str]]) -> None:
     method = create_method(kind, {"backend": "torch", **SMALL.get(kind, {})})
     scene = tiny_scene()
@@ -61,7 +61,7 @@ def test_the_torch_backend_trains_and_draws_without_native_code(kind: str, asked
     expected = {"rasterize", "ssim"}
     if kind not in ("3dgs", "3dgs_dr"):  # no loss on normals
         expected.add("normals")
-    if kind not in ("2dgs", "3dgs"):
+    if kind not in ("2dgs", "3dgs", "gaussian_shader"):
         expected.add("reflect")
     if kind in ("envgs", "envgs_single_set", "ref_gaussian"):
         expected.add("trace")

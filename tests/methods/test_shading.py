@@ -31,7 +31,7 @@ def test_normals_are_those_that_the_core_draws(axes: int, seed: int) -> None:
     gaussians = one_primitive(axes, seed)
     drawn = rasterize(gaussians, CAMERA)
     row, column = divmod(int(drawn.alpha.argmax()), CAMERA.width)
-    directions, normals = seen_from(gaussians, CAMERA.center)
+    directions, normals, _ = seen_from(gaussians, CAMERA.center)
     torch.testing.assert_close(normals[0], functional.normalize(drawn.normal[row, column], dim=0), atol=1e-4, rtol=0)
     torch.testing.assert_close(directions[0], functional.normalize(-CAMERA.center, dim=0))
     assert (directions * normals).sum() <= 0

@@ -9,7 +9,7 @@ from envgs_bench.core import Camera, Scene, View
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method, method_names
 
-KINDS = ("2dgs", "3dgs", "envmap", "envgs", "envgs_single_set", "3dgs_dr", "ref_gaussian")
+KINDS = ("2dgs", "3dgs", "envmap", "envgs", "envgs_single_set", "3dgs_dr", "ref_gaussian", "gaussian_shader")
 SMALL = {
     "2dgs": {},
     "3dgs": {},
@@ -18,6 +18,7 @@ SMALL = {
     "envgs_single_set": {},
     "3dgs_dr": {"envmap_size": 8},
     "ref_gaussian": {"envmap_size": 8, "shade_until": 9_000, "indirect_from": 15_000},
+    "gaussian_shader": {"envmap_size": 8},
 }
 STEPS = 60
 
@@ -115,7 +116,8 @@ def test_counts_and_bytes(trained, kind):
     floats = published.get(kind, 38)  # of them 27 spherical harmonics, and β
     assert set(primitives) == set(size) == {"base", "env"}
     assert size["base"] == 4 * floats * primitives["base"]
-    expected = dict.fromkeys(("envmap", "3dgs_dr", "ref_gaussian"), 4 * 6 * 8 * 8 * 3)
+    published["gaussian_shader"] = 59 + 3 + 1 + 3 + 3  # tint, roughness, normals' residuals
+    expected = dict.fromkeys(("envmap", "3dgs_dr", "ref_gaussian", "gaussian_shader"), 4 * 6 * 8 * 8 * 3)
     expected["envgs"] = 4 * 37 * primitives["env"]
     assert size["env"] == expected.get(kind, 0)
 

@@ -1,0 +1,126 @@
+"""GaussianShader: 3D Gaussians shaded one by one, by normals of their own and a filtered cube map.
+
+A Gaussian's color is c(ω) + s·L(r, ρ): c its spherical harmonics, whose constant term is the diffuse color and whose
+others are the residual one, s its tint, and L the map filtered for its roughness ρ (GaussianShader, CVPR 2024, Eq. 3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, View
+from envgs_bench.core.torch.sh import sh_color
+from envgs_bench.core.vectors import unit
+from envgs_bench.parts import BASE, BETA, REFLECTION
+
+from .brdf_table import specular_weight
+from .learned_map import MapMethod, MapSettings
+from .parameters import LearningRates
+from .prefiltered_cubemap import RoughMap, prefilter_of, rough_map
+from .settings import PublishedSettings
+from .shading import colored, mirrored, seen_from
+
+INITIAL_TINT, INITIAL_ROUGHNESS = 0.0, 0.6  # logits
+INITIAL_LIGHT = 0.8
+LEAST_ALPHA = 1e-3  # of the logarithms that make alpha 0 or 1
+MATERIALS = {"tint_logits": 3, "roughness_logits": 1, "outer_residuals": 3, "inner_residuals": 3}  # fields, columns
+
+
+# PublishedSettings stands first, so that all that every Gaussian method has is as in 3DGS's released code.
+@dataclass(frozen=True)
+class GaussianShaderSettings(PublishedSettings, MapSettings):
+    initial_orientation: str = "world"
+    min_opacity: float = 0.005
+
+    normal_weight: float = 0.2
+    normal_weighting: str = "alpha"
+    mono_weight: float = 0.0
+    perceptual_weight: float = 0.0
+    sparse_weight: float = 1e-3  # weight of the loss that makes alpha 0 or 1
+    residual_weight: float = 1e-3  # weight of the lengths of what normals differ from the shortest axes by
+
+    material_lr: float = 1.6e-2  # learning rate of tints, roughnesses and normals at the start; log-linear to the last
+    material_lr_final: float = 1.6e-3  # learning rate of those and of the map at the end
+    envmap_size: int = 64
+    envmap_lr: float = 1.6e-2
+
+
+class GaussianShader(MapMethod):
+    """Normals are shortest axes plus a residual, one for either side that the camera may be on."""
+
+    Settings: ClassVar[type] = GaussianShaderSettings
+    settings: GaussianShaderSettings
+    axes = 3
+
+    def __init__(self, settings: GaussianShaderSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
+        super().__init__(settings, device, seed)
+        self._light: RoughMap | None = None
+
+    def initialize(self, scene: Scene, steps: int) -> None:
+        super().initialize(scene, steps)
+        size = self.settings.envmap_size
+        self._set_texels(torch.logit(torch.full((6, size, size, 3), INITIAL_LIGHT)))
+
+    def prepare(self) -> None:
+        super().prepare()
+        self._light = self._filtered_map()
+
+    def _filtered_map(self) -> RoughMap:
+        return rough_map(self.texels.sigmoid(), prefilter_of(self.texels.shape[1], self.device))
+
+    def set_learning_rates(self, step: int) -> None:
+        super().set_learning_rates(step)
+        s, schedule = self.settings, self.schedule
+        rate = schedule.rate(step, s.material_lr, s.material_lr_final)
+        for name in MATERIALS:
+            self.sets[BASE].parameters.set_learning_rate(name, rate * schedule.rate_scale)
+        self._texel_optimizer.param_groups[0]["lr"] = schedule.rate(step, s.envmap_lr, s.material_lr_final)
+
+    def base_seen_from(self, camera: Camera, step: int | None) -> GaussianSet:
+        """The shaded Gaussians; their extras are tint, normal's residual, normal [3] and reflected color [3]."""
+        gaussians = self.gaussians(BASE, step)
+        tensors = self.sets[BASE].parameters.tensors
+        tint, roughness = tensors["tint_logits"].sigmoid(), tensors["roughness_logits"][:, 0].sigmoid()
+        directions, axes, turned = seen_from(gaussians, camera.center)
+        residual = torch.where(turned, tensors["inner_residuals"], tensors["outer_residuals"])
+        normals = unit(axes + residual)
+        outgoing, cosine = mirrored(directions, normals)
+        light = self._light if step is None else self._filtered_map()
+        assert light is not None
+        specular = light.specular(outgoing, roughness) * specular_weight(tint, cosine, roughness)
+        reflected = specular + (1 - tint) * light.irradiance(normals)
+        colors = sh_color(gaussians.sh, directions) + reflected.clamp_min(0)
+        length = residual.square().sum(1, keepdim=True).clamp_min(1e-12).sqrt()
+        extras = torch.cat([tint.mean(1, keepdim=True), length, normals, reflected], dim=1)
+        return replace(colored(gaussians, colors), extras=extras)
+
+    def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
+        base = self.rasterize_base(camera, step)
+        tint, _, normal, reflected = base.extras.split([1, 1, 3, 3], dim=-1)
+        layers = {BASE: base.color - reflected, REFLECTION: reflected, BETA: tint}
+        return replace(base, normal=normal, layers=layers), {BASE: base.statistics}
+
+    def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
+        """Normals are held to the depth map, which is not moved by them (Ref-NeRF's predicted normals)."""
+        s = self.settings
+        terms = super().losses(replace(rendering, depth=rendering.depth.detach()), target, view, step)
+        alpha = rendering.alpha.clamp(LEAST_ALPHA, 1 - LEAST_ALPHA)
+        terms["sparse"] = s.sparse_weight * (alpha.log() + (1 - alpha).log()).mean()
+        terms["residual"] = s.residual_weight * (rendering.alpha.detach() * rendering.extras[..., 1]).mean()
+        return terms
+
+    def initial_materials(self, name: str, count: int) -> dict[str, Tensor]:
+        materials = {name: torch.zeros(count, columns, device=self.device) for name, columns in MATERIALS.items()}
+        materials["tint_logits"] += INITIAL_TINT
+        materials["roughness_logits"] += INITIAL_ROUGHNESS
+        return materials
+
+    def initial_learning_rates(self) -> LearningRates:
+        return replace(super().initial_learning_rates(), materials=dict.fromkeys(MATERIALS, self.settings.material_lr))
+
+    def primitive_bytes(self) -> dict[str, int]:
+        return {name: size + 4 * sum(MATERIALS.values()) for name, size in super().primitive_bytes().items()}

@@ -1,0 +1,126 @@
+"""GaussianShader: one Gaussian's color and normal by its equation, its losses, and gradients."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from mirror_ball import mirror_ball
+from torch import Tensor
+from torch.nn import functional
+
+from envgs_bench.core import Scene
+from envgs_bench.methods.brdf_table import specular_weight
+from envgs_bench.methods.gaussian_shader import MATERIALS, GaussianShader
+from envgs_bench.methods.prefiltered_cubemap import prefilter_of, rough_map
+from envgs_bench.methods.registry import create_method
+from envgs_bench.testing import tiny_scene
+
+CAMERA = tiny_scene().test[0].camera
+
+
+def initialized(scene: Scene, steps: int = 30_000, **settings) -> GaussianShader:
+    method = create_method("gaussian_shader", {"envmap_size": 8, **settings})
+    assert isinstance(method, GaussianShader)
+    method.initialize(scene, steps)
+    return method
+
+
+def drawn_at_random(scene: Scene, **settings) -> GaussianShader:
+    method = initialized(scene, **settings)
+    generator = torch.Generator().manual_seed(2)
+    parameters = method.sets["base"].parameters
+    for name in MATERIALS:
+        parameters.replace(name, 0.3 * torch.randn(parameters.tensors[name].shape, generator=generator))
+    method._set_texels(torch.randn(6, 8, 8, 3, generator=generator))
+    return method
+
+
+@pytest.mark.parametrize(("side", "field"), [(1.0, "outer_residuals"), (-1.0, "inner_residuals")])
+def test_a_gaussian_is_shaded_by_the_residual_of_its_side(side: float, field: str) -> None:
+    """One flat Gaussian at the origin, whose shortest axis points to the camera or away from it."""
+    scene = tiny_scene()
+    lone = Scene("lone", scene.train, scene.test, torch.zeros(1, 3), torch.tensor([[0.3, 0.5, 0.7]]))
+    method = drawn_at_random(lone)
+    parameters = method.sets["base"].parameters
+    toward = functional.normalize(CAMERA.center, dim=0)  # along z
+    parameters.replace("quaternions", torch.tensor([[1.0, 0, 0, 0]] if side > 0 else [[0.0, 1, 0, 0]]))
+    parameters.replace("log_scales", torch.tensor([[0.5, 0.5, 0.01]]).log())
+    tensors = parameters.detached()
+    normal = functional.normalize(toward + tensors[field][0], dim=0)
+    outgoing = 2 * (normal @ toward) * normal - toward
+    light = rough_map(method.texels.detach().sigmoid(), prefilter_of(8))
+    tint, roughness = tensors["tint_logits"].sigmoid(), tensors["roughness_logits"][:, 0].sigmoid()
+    weight = specular_weight(tint, (normal @ toward)[None], roughness)
+    reflected = light.specular(outgoing[None], roughness) * weight + (1 - tint) * light.irradiance(normal[None])
+    expected = torch.tensor([0.3, 0.5, 0.7]) + reflected[0]
+
+    shown = method.render(CAMERA)
+    row, column = divmod(int(shown.alpha.argmax()), CAMERA.width)
+    alpha = shown.alpha[row, column]
+    assert alpha > 0.05
+    torch.testing.assert_close(shown.color[row, column] / alpha, expected, atol=1e-4, rtol=0)
+    torch.testing.assert_close(shown.normal[row, column] / alpha, normal, atol=1e-4, rtol=0)
+    torch.testing.assert_close(shown.layers["beta"][row, column, 0] / alpha, tint.mean(), atol=1e-4, rtol=0)
+    torch.testing.assert_close(shown.layers["reflection"][row, column] / alpha, reflected[0], atol=1e-4, rtol=0)
+
+
+def test_its_own_losses_are_those_of_the_paper() -> None:
+    method = drawn_at_random(tiny_scene())
+    drawn, _ = method.draw(CAMERA, 1)
+    terms = method.losses(drawn, torch.zeros(24, 32, 3), tiny_scene().test[0], 1)
+    alpha = drawn.alpha.detach().clamp(1e-3, 1 - 1e-3)
+    assert float(terms["sparse"].detach()) == pytest.approx(1e-3 * float((alpha.log() + (1 - alpha).log()).mean()))
+    length = drawn.extras[..., 1].detach()
+    assert float(terms["residual"].detach()) == pytest.approx(1e-3 * float((drawn.alpha.detach() * length).mean()))
+    terms["normal"].backward()  # normals follow the depth map, which stays: no center moves through its depth
+    assert method.sets["base"].parameters.tensors["outer_residuals"].grad.abs().max() > 0
+
+
+def test_materials_and_map_slow_down_to_a_tenth() -> None:
+    method = initialized(tiny_scene())
+    for step, rate in ((0, 1.6e-2), (15_000, 1.6e-2 * math.sqrt(0.1)), (30_000, 1.6e-3)):
+        method.set_learning_rates(step)
+        groups = [group for optimizer in method.optimizers() for group in optimizer.param_groups]
+        rates = {group["name"]: group["lr"] for group in groups}
+        assert [rates[name] for name in (*MATERIALS, "texels")] == pytest.approx([rate] * 5)
+
+
+def test_gradients_are_those_of_finite_differences() -> None:
+    method = drawn_at_random(tiny_scene())
+    weights = torch.rand(24, 32, 3, generator=torch.Generator().manual_seed(4))
+
+    def loss() -> Tensor:
+        return (method.draw(CAMERA, 1)[0].color * weights).mean()
+
+    loss().backward()
+    inputs = {"texels": method.texels} | {name: method.sets["base"].parameters.tensors[name] for name in MATERIALS}
+    for name, values in inputs.items():
+        gradient = values.grad
+        assert gradient is not None, name
+        step = 2e-3 * gradient / gradient.norm()  # small: the map is bilinear, with kinks at its texels
+        with torch.no_grad():
+            values += step
+            above = loss()
+            values -= 2 * step
+            below = loss()
+            values += step
+        assert float(above - below) / 4e-3 == pytest.approx(float(gradient.norm()), rel=0.04), name
+
+
+@pytest.mark.slow
+def test_a_mirror_ball_is_learned() -> None:
+    scene = mirror_ball()
+    steps = 140
+    settings = {"envmap_size": 32, "initial_orientation": "surface", "densify_until": 0, "opacity_reset_every": 0}
+    method = initialized(scene, steps, **settings)
+
+    def psnr() -> float:
+        errors = [(method.render(view.camera).color - view.rgb()).square().mean() for view in scene.test]
+        return -10 * math.log10(sum(map(float, errors)) / len(errors))
+
+    before = psnr()
+    for step in range(1, steps + 1):
+        method.training_step(scene.train[5 * step % len(scene.train)], step)
+    assert psnr() > before + 2
