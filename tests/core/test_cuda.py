@@ -23,8 +23,10 @@ from core_scenes import (
 
 from envgs_bench.core import GaussianSet, build_bvh, rasterize, trace
 from envgs_bench.core import cuda as backend
+from envgs_bench.core.cuda.layout import CONSTANTS
 from envgs_bench.core.ssim import ssim_map
 
+SIZES = tuple((name, str(value)) for name, value in CONSTANTS.items())
 REASON = backend.why_unavailable()
 pytestmark = pytest.mark.skipif(REASON is not None, reason=f"backend cuda: {REASON}")
 
@@ -84,7 +86,7 @@ def test_a_cache_that_cannot_be_written_is_no_error(monkeypatch, tmp_path):
 
     (tmp_path / "file").write_text("not a folder")
     monkeypatch.setenv("ENVGS_BENCH_CACHE", str(tmp_path / "file"))
-    code = compile_kernels.__wrapped__(("radix_sort.cu",), (), torch.cuda.current_device())
+    code = compile_kernels.__wrapped__(("radix_sort.cu",), SIZES, torch.cuda.current_device())
     assert code.get_kernel("radix_pass") is not None
 
 
@@ -93,7 +95,7 @@ def test_the_cache_is_found_again(monkeypatch, tmp_path):
 
     monkeypatch.setenv("ENVGS_BENCH_CACHE", str(tmp_path))
     for _ in range(2):
-        compile_kernels.__wrapped__(("radix_sort.cu",), (), torch.cuda.current_device())
+        compile_kernels.__wrapped__(("radix_sort.cu",), SIZES, torch.cuda.current_device())
     assert len(list((tmp_path / "kernels").iterdir())) == 1
 
 
