@@ -27,7 +27,7 @@ from envgs_bench.stages.scoring import Pair, score_pairs
 
 from .reopening import reopen
 
-REFERENCE = "ply-2dgs"  # the layout that sizes are compared with: every parameter as float32 and nothing else
+REFERENCE = "ply-two-scales"  # the layout that sizes are compared with: every parameter as float32 and nothing else
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ LAYOUTS = {
     "spz": _splats("spz", "Niantic's, lossy, a file a set, for viewers"),
     "sog": _splats("sog", "PlayCanvas's, lossy, a file a set, for viewers"),
     "compressed-ply": _splats("compressed-ply", "PlayCanvas's compressed PLY, lossy, a file a set, for viewers"),
-    "ply-2dgs": _ply("as ply, but surfels have two scales, as 2DGS writes and reads them", two_scales=True),
+    "ply-two-scales": _ply("as ply, but surfels have two scales, as 2DGS writes and reads them", two_scales=True),
 }
 
 

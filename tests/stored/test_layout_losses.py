@@ -51,12 +51,12 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_row_a_run_and_layout(runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = {path: path.stat().st_mtime_ns for path in runs.rglob("*")}
-    command = ["layouts", str(runs), "--layout", "ply-2dgs", "--layout", "compact", "--device", "cpu", "--out"]
+    command = ["layouts", str(runs), "--layout", "ply-two-scales", "--layout", "compact", "--device", "cpu", "--out"]
     assert main([*command, str(tmp_path)]) == 0
     assert {path: path.stat().st_mtime_ns for path in runs.rglob("*")} == before
     rows = list(csv.DictReader((tmp_path / "layouts.csv").open()))
     assert [(row["method"], row["layout"]) for row in rows] == [
-        (f"our_{kind}", layout) for kind in ("2dgs", "envgs") for layout in ("ply-2dgs", "compact")
+        (f"our_{kind}", layout) for kind in ("2dgs", "envgs") for layout in ("ply-two-scales", "compact")
     ]
     for plain, small in (rows[:2], rows[2:]):
         assert (plain["dataset"], plain["seed"], plain["lacks"]) == ("tiny", "3", "")
