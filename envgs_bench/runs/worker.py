@@ -63,8 +63,10 @@ def main(arguments: list[str]) -> int:
         with suppress(OSError):  # the job, which reads it, may be gone
             traceback.print_exc()
             sys.stderr.flush()
-        status = _status(error)
-        failure = Failure(type=type(error).__name__, message=_message(error), log_tail="")  # which the job adds
+        # Half an import, cut off by the request to end, can fail in a way of its own.
+        reason = stop.reason or error
+        status = _status(reason)
+        failure = Failure(type=type(reason).__name__, message=_message(reason), log_tail="")  # which the job adds
     draft.write(status, failure)
     return 0 if status == "ok" else 1
 

@@ -20,6 +20,11 @@ class Stop:
     def wanted(self) -> bool:
         return self._wanted is not None
 
+    @property
+    def reason(self) -> BaseException | None:
+        """What the run was asked to end with; None where nobody asked."""
+        return self._wanted
+
     def ask(self, error: BaseException) -> None:
         """End with `error`, and at once if asked again or if the step under way takes too long. For signal handlers."""
         if self._deferred and self._wanted is None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
+from fakes.runs import records, run, set_environment
 
 from envgs_bench.runs import worker
 from envgs_bench.stages.health import Diverged
@@ -25,3 +28,15 @@ from envgs_bench.stages.health import Diverged
 )
 def test_every_exception_has_a_status(error: BaseException, status: str) -> None:
     assert worker._status(error) == status
+
+
+def test_who_was_asked_to_end_and_failed_over_it_was_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    set_environment(monkeypatch)
+    run(tmp_path, "method.kind=fakes.methods:FailsWhenAsked")
+    (record,) = records(tmp_path)
+    assert record.status == "interrupted"
+    assert record.error is not None
+    assert record.error.type == "KeyboardInterrupt"
+    assert "RecursionError: half of a module" in record.error.log_tail

@@ -163,6 +163,14 @@ class DiesAfterAWarning(LosesItsLoss):
         return super().training_step(view, step)
 
 
+class FailsWhenAsked(_Failing):
+    """Asked to end, by Ctrl-C, it fails before it does so."""
+
+    def fail(self, losses: dict[str, float]) -> dict[str, float]:
+        os.kill(os.getpid(), signal.SIGINT)
+        raise RecursionError("half of a module was imported")
+
+
 class RendersNaN(MeanColor):
     def render(self, camera: Camera) -> Rendering:
         rendering = super().render(camera)
