@@ -6,6 +6,7 @@ the split-sum approximation, L the map filtered for its roughness, and V how fre
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -22,6 +23,7 @@ from .envmap import EnvMap, EnvMapSettings
 from .losses import edge_aware_smoothness
 from .parameters import LearningRates, inverse_sigmoid
 from .prefiltered_cubemap import RoughMap, prefilter_of, rough_map
+from .regions import Ball, foreground_ball
 from .settings import PublishedSettings
 from .shading import colored, mirrored, seen_from
 
@@ -31,6 +33,7 @@ SMOOTH_BELOW = 0.01  # roughness up to which normals propagate
 ALBEDO, ALBEDO_NOISE = 0.5, 0.025  # that materials start with
 INDIRECT_DEGREE = 3  # of the indirect light's spherical harmonics
 OWN_SURFACE = 0.01  # hits of a mirrored ray nearer than this are of the surface that it leaves, × scene radius
+HIDES_WITHIN = 2.0  # what hides the map, around what the cameras look at, × their mean distance from it
 MATERIALS = {"roughness_logits": 1, "albedo_logits": 3, "indirect_dc": 3, "indirect_rest": 45}  # fields, their columns
 
 
@@ -89,12 +92,15 @@ class RefGaussian(EnvMap):
         if not 0 < settings.initial_roughness < 1:
             raise ValueError(f"initial_roughness is {settings.initial_roughness:g}, expected one between 0 and 1")
         self.deferred = self.indirect = False
+        self._near = Ball(torch.zeros(3), math.inf)
         self._light: RoughMap | None = None
         self._bvh: Bvh | None = None
 
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
         self.deferred = self.indirect = False
+        around = foreground_ball([view.camera for view in scene.train])
+        self._near = Ball(around.center.to(self.device), HIDES_WITHIN * around.radius)
 
     def before_step(self, step: int) -> None:
         super().before_step(step)
@@ -118,7 +124,7 @@ class RefGaussian(EnvMap):
     def prepare(self) -> None:
         super().prepare()
         self._light = self._filtered_map()
-        self._bvh = build_bvh(self.prepared[BASE], backend=self.settings.backend) if self.indirect else None
+        self._bvh = build_bvh(self._near_set(None), backend=self.settings.backend) if self.indirect else None
 
     def _filtered_map(self) -> RoughMap:
         return rough_map(self.texels.sigmoid(), prefilter_of(self.texels.shape[1], self.device))
@@ -185,15 +191,20 @@ class RefGaussian(EnvMap):
     @torch.no_grad()
     def _hidden(self, origins: Tensor, directions: Tensor, step: int | None) -> Tensor:
         """How much of the map the base set hides from each ray, [H, W] from 0 to 1."""
-        base = self.gaussians(BASE, step)
         return trace(
-            replace(base, sh=base.sh[:, :1], extras=None).map(Tensor.detach),
+            self._near_set(step),
             origins.detach(),
             directions.detach(),
             t_min=OWN_SURFACE * self.radius,
             bvh=self._bvh if step is None else None,
             backend=self.settings.backend,
         ).alpha
+
+    def _near_set(self, step: int | None) -> GaussianSet:
+        """The surfels that may hide the map, which is what lies beyond them: a far sky among them would hide it all."""
+        base = self.gaussians(BASE, step)
+        near = (base.means.detach() - self._near.center).norm(dim=1) <= self._near.radius
+        return replace(base, sh=base.sh[:, :1], extras=None).map(lambda values: values.detach()[near])
 
     def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
         terms, s = super().losses(rendering, target, view, step), self.settings
@@ -237,11 +248,13 @@ class RefGaussian(EnvMap):
         self.deferred, self.indirect = state["deferred"], state["indirect"]
 
     def state(self) -> dict:
-        return super().state() | {"deferred": self.deferred, "indirect": self.indirect}
+        near = {"center": self._near.center, "radius": self._near.radius}
+        return super().state() | {"deferred": self.deferred, "indirect": self.indirect, "near_ball": near}
 
     def restore(self, state: dict) -> None:
         super().restore(state)
         self.deferred, self.indirect = state["deferred"], state["indirect"]
+        self._near = Ball(**state["near_ball"])
 
 
 def _reflectance(albedo: Tensor, metallic: Tensor) -> Tensor:

@@ -113,10 +113,10 @@ def test_counts_and_bytes(trained, kind):
     primitives, size = method.primitives(), method.model_bytes()
     published = {"2dgs": 58, "3dgs": 59, "3dgs_dr": 60}  # of them 48 spherical harmonics, and a third scale
     published["ref_gaussian"] = 59 + 1 + 3 + 48  # roughness, albedo, and spherical harmonics of the indirect light
+    published["gaussian_shader"] = 59 + 3 + 1 + 3 + 3  # tint, roughness, normals' residuals
     floats = published.get(kind, 38)  # of them 27 spherical harmonics, and β
     assert set(primitives) == set(size) == {"base", "env"}
     assert size["base"] == 4 * floats * primitives["base"]
-    published["gaussian_shader"] = 59 + 3 + 1 + 3 + 3  # tint, roughness, normals' residuals
     expected = dict.fromkeys(("envmap", "3dgs_dr", "ref_gaussian", "gaussian_shader"), 4 * 6 * 8 * 8 * 3)
     expected["envgs"] = 4 * 37 * primitives["env"]
     assert size["env"] == expected.get(kind, 0)
