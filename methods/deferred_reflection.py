@@ -52,9 +52,9 @@ class DeferredReflectionSettings(PublishedSettings, EnvMapSettings):
 
 
 class DeferredReflection(EnvMap):
-    """Base color (1 − r)·c and reflected color r·E(d_ref), of maps of color, normal and reflection strength r.
+    """3DGS-DR (Ye et al., SIGGRAPH 2024): 3D Gaussians that reflect a cube map, a ray a pixel.
 
-    r is what the other methods here call β.
+    A pixel is (1 − r)·c + r·E(d_ref), of maps of color, normal and reflection strength r, which is β here.
     """
 
     Settings: ClassVar[type] = DeferredReflectionSettings

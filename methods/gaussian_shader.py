@@ -50,7 +50,10 @@ class GaussianShaderSettings(PublishedSettings, MapSettings):
 
 
 class GaussianShader(MapMethod):
-    """Normals are shortest axes plus a residual, one for either side that the camera may be on."""
+    """GaussianShader (Jiang et al., CVPR 2024): 3D Gaussians shaded one by one, by a filtered cube map.
+
+    Normals are shortest axes plus a residual, one for either side that the camera may be on.
+    """
 
     Settings: ClassVar[type] = GaussianShaderSettings
     settings: GaussianShaderSettings

@@ -77,7 +77,9 @@ class RefGaussianSettings(PublishedSettings, EnvMapSettings):
 
 
 class RefGaussian(EnvMap):
-    """Surfels with metallic share m, roughness, albedo and indirect light, drawn as further channels of the base.
+    """Ref-Gaussian (Yao et al., ICLR 2025): surfels with materials, lit by a filtered cube map and by each other.
+
+    Metallic share m, roughness, albedo and indirect light are drawn as further channels of the base.
 
     Attributes:
         deferred: whether pixels are shaded, which follows the shading of surfels.
