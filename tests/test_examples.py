@@ -61,8 +61,10 @@ def test_the_example_package_is_listed_runs_and_conforms(
     installed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["list"]) == 0
-    (row,) = (line for line in capsys.readouterr().out.splitlines() if line.split()[:1] == ["method="])
-    assert re.search(rf"\b{installed}\b", row)
+    methods, rest = capsys.readouterr().out.split("dataset=", 1)
+    assert "2dgs, 2dgs_tuned" in methods
+    assert re.search(rf"\b{installed}\b", methods)
+    assert not re.search(rf"\b{installed}\b", rest)
     assert run(tmp_path / "runs", f"method={installed}", "method.settings.size=0.05") == 0
     (record,) = records(tmp_path / "runs")
     assert (record.status, record.method, record.steps) == ("ok", installed, 6)
