@@ -52,8 +52,8 @@ inline F load_lanes(const float* p) {
     std::memcpy(&out, p, sizeof out);
     return out;
 }
-template <class F>
-inline void store_lanes(float* p, F value) { std::memcpy(p, &value, sizeof value); }
+template <class T, class F>
+inline void store_lanes(T* p, F value) { std::memcpy(p, &value, sizeof value); }
 
 // Bit i is set where lane i of the mask is.
 inline unsigned mask_bits(LaneTypes<4>::Int mask) {
@@ -105,6 +105,48 @@ inline float sum_lanes(F a) {
         std::memcpy(&high, reinterpret_cast<const char*>(&a) + sizeof low, sizeof high);
         return sum_lanes(typename LaneTypes<W / 2>::Float(low + high));
     }
+}
+
+// values[lanes[i]] in lane i.
+inline Int8 permuted(Int8 values, Int8 lanes) {
+#if defined(__AVX2__)
+    return (Int8)_mm256_permutevar8x32_epi32((__m256i)values, (__m256i)lanes);
+#else
+    Int8 out;
+    for (int i = 0; i < 8; ++i) out[i] = values[lanes[i] & 7];
+    return out;
+#endif
+}
+
+// Lane i and lane i ^ M exchange their values where the one further back holds the larger.
+template <int M>
+inline Int8 larger_first(Int8 x) {
+#if defined(__AVX2__)
+    Int8 other = __builtin_shufflevector(x, x, 0 ^ M, 1 ^ M, 2 ^ M, 3 ^ M, 4 ^ M, 5 ^ M, 6 ^ M, 7 ^ M);
+    constexpr Int8 front = {-1, 1 < (1 ^ M) ? -1 : 0, 2 < (2 ^ M) ? -1 : 0, 3 < (3 ^ M) ? -1 : 0,
+                            4 < (4 ^ M) ? -1 : 0, 5 < (5 ^ M) ? -1 : 0, 6 < (6 ^ M) ? -1 : 0, 0};
+    return front ? (x > other ? x : other) : (x < other ? x : other);
+#else
+    constexpr int m = M & 3;  // within a half; the compiler shuffles what is wider than a register lane by lane
+    LaneTypes<4>::Int halves[2], out[2];
+    std::memcpy(halves, &x, sizeof x);
+    for (int k = 0; k < 2; ++k) {
+        LaneTypes<4>::Int own = halves[k], from = halves[k ^ M >> 2];
+        LaneTypes<4>::Int other = __builtin_shufflevector(from, from, 0 ^ m, 1 ^ m, 2 ^ m, 3 ^ m);
+        LaneTypes<4>::Int front = {0 < (0 ^ m) ? -1 : 0, 1 < (1 ^ m) ? -1 : 0, 2 < (2 ^ m) ? -1 : 0, 0};
+        if (M >> 2) front = LaneTypes<4>::Int{} - (k == 0);
+        out[k] = front ? (own > other ? own : other) : (own < other ? own : other);
+    }
+    std::memcpy(&x, out, sizeof x);
+    return x;
+#endif
+}
+
+// The lanes' values, largest first: a bitonic network, without a branch.
+inline Int8 sorted_lanes(Int8 x) {
+    x = larger_first<1>(x);
+    x = larger_first<1>(larger_first<3>(x));
+    return larger_first<1>(larger_first<2>(larger_first<7>(x)));
 }
 
 // A struct whose members are all R, however nested, as the array of R that it is in memory.

@@ -5,6 +5,7 @@
 // order of (t, index), and the traversal ends when the ray's transmittance does. One traversal a ray, however many hits
 // it has; it is never restarted, so no hit can be lost or blended twice.
 #pragma once
+#include <bit>
 #include <vector>
 
 #include "bvh.h"
@@ -26,7 +27,7 @@ struct Hit {
 
 class Traversal {
 public:
-    explicit Traversal(const Bvh& bvh) : bvh_(bvh) {}
+    explicit Traversal(const Bvh& bvh) : bvh_(bvh), stack_children_(64), stack_nearest_(64) {}
 
     // The hits that a ray blends, in order. Valid until the next call.
     const std::vector<Hit>& hits(
@@ -37,22 +38,14 @@ public:
     );
 
 private:
-    struct StackEntry {
-        float t;        // where the ray enters the box
-        float nearest;  // the smallest t of this entry and of those below it
-        int child;
-    };
-
     void visit_node(const BvhNode& node);
     void visit_leaf(const BvhLeaf& leaf);
     bool finalize_hits(float t_end);
-    void push(float t, int child) {
-        float below = stack_.empty() ? kInfinity : stack_.back().nearest;
-        stack_.push_back({t, minimum(t, below), child});
-    }
 
     const Bvh& bvh_;
-    std::vector<StackEntry> stack_;
+    int stack_size_ = 0;
+    std::vector<int> stack_children_;   // nodes and leaves to visit, with room for eight more
+    std::vector<float> stack_nearest_;  // the smallest t at which this one or one below it is entered
     std::vector<Hit> found_;    // sorted; those before finalized_ are in blended_
     size_t finalized_ = 0;
     std::vector<Hit> blended_;
@@ -64,7 +57,7 @@ inline void Traversal::visit_node(const BvhNode& node) {
     auto slab = [&](int axis, float origin, float inverse, Float8& enter, Float8& leave) {
         Float8 a = (load_lanes<Float8>(node.low[axis]) - origin) * inverse;
         Float8 b = (load_lanes<Float8>(node.high[axis]) - origin) * inverse;
-        enter = maximum(enter, minimum(a, b));
+        enter = maximum(minimum(a, b), enter);  // in this order: −0 leaves 0, whose bits sort, as it is
         leave = minimum(leave, maximum(a, b));
     };
     Float8 enter = Float8{} + t_min_, leave = Float8{} + kInfinity;
@@ -74,18 +67,23 @@ inline void Traversal::visit_node(const BvhNode& node) {
     // Widened by the rounding of a few operations, so that no box is entered later than its content is hit.
     enter = enter * (1.0f - 1e-6f);
     leave = leave * (1.0f + 1e-6f);
-    unsigned bits = mask_bits((enter <= leave) & (load_lanes<Float8>(node.low[0]) <= load_lanes<Float8>(node.high[0])));
+    Int8 entered = (enter <= leave) & (load_lanes<Float8>(node.low[0]) <= load_lanes<Float8>(node.high[0]));
+    unsigned bits = mask_bits(entered);
     if (!bits) return;
-    float t[8];
-    store_lanes(t, enter);
-    // Sorted with the farthest first, so that the nearest ends on top of the stack.
-    int order[8], count = 0;
-    for (; bits; bits &= bits - 1) {
-        int lane = __builtin_ctz(bits), at = count++;
-        for (; at > 0 && t[order[at - 1]] < t[lane]; --at) order[at] = order[at - 1];
-        order[at] = lane;
+    // Sorted with the farthest first, so that the nearest ends on top of the stack, and without a branch, which would be
+    // mispredicted: keys are t's bits, the last three of them replaced by the lane. That rounds t down.
+    constexpr Int8 lanes = {0, 1, 2, 3, 4, 5, 6, 7};
+    Int8 sorted = sorted_lanes(select(entered, ((Int8)enter & ~7) | lanes, Int8{} - 1));
+    Int8 children;
+    std::memcpy(&children, node.child, sizeof children);
+    Float8 nearest = Float8{} + (stack_size_ ? stack_nearest_[stack_size_ - 1] : kInfinity);
+    store_lanes(&stack_children_[stack_size_], permuted(children, sorted & 7));
+    store_lanes(&stack_nearest_[stack_size_], minimum((Float8)(sorted & ~7), nearest));
+    stack_size_ += std::popcount(bits);
+    if (stack_size_ + 8 > int(stack_children_.size())) {
+        stack_children_.resize(2 * stack_children_.size());
+        stack_nearest_.resize(stack_children_.size());
     }
-    for (int i = 0; i < count; ++i) push(t[order[i]], node.child[order[i]]);
 }
 
 inline void Traversal::visit_leaf(const BvhLeaf& leaf) {
@@ -131,24 +129,23 @@ inline const std::vector<Hit>& Traversal::hits(Vec3<float> origin, Vec3<float> d
     origin_ = origin;
     direction_ = direction;
     inverse_ = {inverse(direction.x), inverse(direction.y), inverse(direction.z)};
-    t_min_ = t_min;
+    t_min_ = maximum(t_min, 0.0f);
     transmittance_ = 1.0f;
     transmittance_min_ = transmittance_min;
-    stack_.clear();
+    stack_size_ = 0;
     found_.clear();
     blended_.clear();
     finalized_ = 0;
     bool has_direction = direction.x != 0.0f || direction.y != 0.0f || direction.z != 0.0f;
     if (bvh_.nodes.empty() || !has_direction) return blended_;
-    push(t_min, 0);
-    while (!stack_.empty()) {
-        StackEntry next = stack_.back();
-        stack_.pop_back();
-        if (finalize_hits(next.nearest)) return blended_;
-        if (next.child >= 0)
-            visit_node(bvh_.nodes[next.child]);
+    visit_node(bvh_.nodes[0]);
+    while (stack_size_) {
+        int child = stack_children_[--stack_size_];
+        if (finalize_hits(stack_nearest_[stack_size_])) return blended_;
+        if (child >= 0)
+            visit_node(bvh_.nodes[child]);
         else
-            visit_leaf(bvh_.leaves[~next.child]);
+            visit_leaf(bvh_.leaves[~child]);
     }
     finalize_hits(kInfinity);
     return blended_;
