@@ -4,6 +4,8 @@ from torch import Tensor
 
 pixel_lanes: int  # pixels of a row that the rasterizer takes at once
 
+def sleep_while_waiting() -> None: ...  # from now on OpenMP threads that wait for others sleep, torch's too
+
 class RasterPass:
     def forward(
         self,

@@ -9,6 +9,7 @@
 #include <optional>
 #include <tuple>
 
+#include "parallel.h"
 #include "rasterize.h"
 #include "trace.h"
 
@@ -71,6 +72,7 @@ NB_MODULE(NATIVE_MODULE, m) {
     m.doc() = "The core's CPU backend. Called through envgs_bench.core.rasterize and trace, which check their input.";
     nb::set_leak_warnings(false);  // objects that outlive the interpreter at exit are no fault of the user's
     m.attr("pixel_lanes") = kPixelLanes;
+    m.def("sleep_while_waiting", &sleep_while_waiting, "From now on OpenMP threads that wait sleep, torch's too.");
 
     nb::class_<RasterPass>(m, "RasterPass")
         .def("forward", [](RasterPass& self,

@@ -11,6 +11,7 @@ import os
 from types import ModuleType
 
 VARIABLE = "ENVGS_BENCH_CPU_TARGET"
+WAITING = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")  # how threads wait, where somebody has said so
 
 
 def load() -> tuple[str, ModuleType]:
@@ -31,4 +32,7 @@ def load() -> tuple[str, ModuleType]:
             if supported
             else "it needs a CPU of x86-64-v2, which has SSE4.2, or newer"
         )
-    return target, importlib.import_module(f"{__package__}._native_{target.replace('-', '_')}")
+    module = importlib.import_module(f"{__package__}._native_{target.replace('-', '_')}")
+    if not any(name in os.environ for name in WAITING):
+        module.sleep_while_waiting()
+    return target, module

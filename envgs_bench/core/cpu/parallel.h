@@ -4,8 +4,27 @@
 // OpenMP, because torch brings its runtime along: two pools of threads that wait for work by spinning would take each
 // other's cores. Without OpenMP the same loops run on one core.
 #pragma once
+#if defined(_OPENMP)
+#include <omp.h>
+
+#include <chrono>
+#include <thread>
+#endif
 
 namespace envgs {
+
+// From now on threads that wait for others, torch's too, sleep. By default GNU's runtime lets them spin for milliseconds,
+// and beside another program they spin while that holds the core of the one they wait for. It has no call for this once
+// it is loaded, but spins a hundred times only where there are more threads than CPUs: so there are, asleep.
+inline void sleep_while_waiting() {
+#if defined(_OPENMP)
+    std::thread([] {
+#pragma omp parallel num_threads(omp_get_num_procs() + 1)
+        asm volatile("");  // or the team would never be made
+        for (;;) std::this_thread::sleep_for(std::chrono::hours(24));
+    }).detach();
+#endif
+}
 
 // work(worker) for each worker in [0, workers).
 template <class Work>
