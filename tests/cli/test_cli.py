@@ -162,7 +162,7 @@ def test_list_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list"]) == 0
     shown = capsys.readouterr().out
     for name in (
-        "2dgs, 2dgs_tuned, 3dgs, 3dgs_tuned",
+        "2dgs, 2dgs_tuned, 3dgs, 3dgs_dr",
         "envgs",
         "toy/chrome_room",
         "colmap",

@@ -66,6 +66,15 @@ RELEASED = {  # as the released code sets scenes apart
     },
 }
 RELEASED["envgs_released_ball"] = RELEASED["envgs_released_synthetic"] | {"initial_beta": 0.8}
+TUNED_RIVALS = {  # where they are not as the environment map
+    "3dgs_dr_tuned": {"min_opacity", "normal_weight", "normal_from", "beta_threshold", "beta_reset"},
+    "ref_gaussian_tuned": {"beta_threshold", "beta_reset"},
+}
+RELEASED_RIVALS = {  # steps that are trained at most, and settings that say nothing of how long
+    "3dgs_dr_real": (97_000, {"scope_radius": 0.5}),
+    "ref_gaussian_real": (20_000, {"shade_until": 0}),
+    "ref_gaussian_smooth": (50_000, {"smooth_weight": 1.0}),
+}
 REPLACED = {"envmap_paper": "envmap", "envgs_paper_single_set": "envgs_single_set"}  # name -> kind
 
 
@@ -113,26 +122,23 @@ def test_what_replaces_the_environment_leaves_the_rest_of_the_published_recipe(n
     assert {key: method["settings"][key] for key in shared} == {key: paper["settings"][key] for key in shared}
 
 
-@pytest.mark.parametrize(
-    ("name", "own"),
-    [
-        ("3dgs_dr_tuned", {"min_opacity", "normal_weight", "normal_from", "beta_threshold", "beta_reset"}),
-        ("ref_gaussian_tuned", {"beta_threshold", "beta_reset"}),
-    ],
-)
-def test_a_tuned_rival_is_given_what_the_environment_map_is(name: str, own: set[str]) -> None:
+@pytest.mark.parametrize("name", TUNED_RIVALS)
+def test_a_tuned_rival_is_given_what_the_environment_map_is(name: str) -> None:
     rival, envmap = composed(name), composed("envmap")
     assert (rival["name"], rival["kind"]) == (name, name.removesuffix("_tuned"))
     create_method(rival["kind"], rival["settings"])
     unlike = {key for key, value in envmap["settings"].items() if rival["settings"][key] != value}
-    assert unlike - {"disturb_until"} == own  # what is never disturbed ends that at no step
+    assert unlike - {"disturb_until"} == TUNED_RIVALS[name]  # what is never disturbed ends that at no step
 
 
-@pytest.mark.parametrize(("name", "steps"), [("3dgs_dr_real", 97_000), ("ref_gaussian_real", 20_000)])
-def test_a_rival_for_captures_is_called_as_the_other_and_trains_as_long_as_released(name: str, steps: int) -> None:
+@pytest.mark.parametrize("name", RELEASED_RIVALS)
+def test_a_rival_as_released_for_some_scenes_is_called_as_the_other_and_trains_as_long_as_released(name: str) -> None:
+    steps, settings = RELEASED_RIVALS[name]
     method = composed(name)
-    assert method["name"] == method["kind"] == name.removesuffix("_real")
+    assert method["name"] == method["kind"] == name.rpartition("_")[0]
     assert create_method(method["kind"], method["settings"]).training_steps(100_000) == steps
+    assert settings.items() <= method["settings"].items()
+    assert not settings.items() <= composed(method["kind"])["settings"].items()
 
 
 def test_ref_gaussian_on_captures_does_everything_at_the_released_steps() -> None:
@@ -255,9 +261,9 @@ def test_the_synthetic_scenes_have_a_schedule_of_their_own() -> None:
 
 
 def test_every_configuration_is_tested() -> None:
-    assert {*DIFFERENCES, *ABLATIONS, *RELEASED, *REPLACED, "envgs_paper", "envgs_released", "renders"} == set(
-        config_names("method")
-    )
+    rivals = {*TUNED_RIVALS, *RELEASED_RIVALS}
+    tested = {*DIFFERENCES, *ABLATIONS, *RELEASED, *REPLACED, *rivals, "envgs_paper", "envgs_released", "renders"}
+    assert tested == set(config_names("method"))
 
 
 @pytest.mark.parametrize("kind", BUILT_IN)
