@@ -38,7 +38,17 @@ def _without_docstrings(text: str) -> str:
             first = node.body[0] if node.body else None
             if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
                 node.body = node.body[isinstance(first.value.value, str) :]
-    return ast.unparse(tree)
+    return _tree_text(tree)
+
+
+def _tree_text(node: object) -> str:
+    """The tree in words that no version of Python changes: fields that are empty, as new ones are, are left out."""
+    if isinstance(node, list):
+        return f"[{','.join(map(_tree_text, node))}]"
+    if not isinstance(node, ast.AST):
+        return repr(node)
+    fields = (f"{name}={_tree_text(value)}" for name, value in ast.iter_fields(node) if value not in (None, []))
+    return f"{type(node).__name__}({','.join(fields)})"
 
 
 def _without_comments(text: str) -> str:

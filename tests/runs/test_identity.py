@@ -338,3 +338,14 @@ def test_a_damaged_capture_counts_by_all_that_lies_there(tmp_path: Path) -> None
     before = run_id(given, "cpu")
     (root / "README.md").write_text("why")
     assert run_id(given, "cpu") != before
+
+
+def test_code_means_the_same_to_every_version_of_python(tmp_path: Path) -> None:
+    """f-strings and parameters of types are parsed otherwise since 3.12, and empty fields left out since 3.13."""
+    path = tmp_path / "a.py"
+    path.write_text(
+        "@wraps\nasync def f(a: int = 1, *b, c=None, **d) -> str:\n    return f'{a!r:>{c}} {d[\"x\"]}'\n"
+        "class A(B, metaclass=C):\n    x: float = -1e-3j\n    def g(self): return {**self.x, 'y': [...]}\n"
+        "match f:\n    case [1, *_] | {'a': b}: pass\ntry: pass\nexcept* E as e: raise\n"
+    )
+    assert meaning_of(path).hex()[:16] == "6b061cde129c5b47"
