@@ -1,16 +1,6 @@
 """Which code draws: one folder a backend, chosen by device, the same results from each.
 
-A backend module offers some of
-
-    rasterize(gaussians, camera, options: RasterizeOptions) -> Rendering
-    trace(gaussians, origins [R, 3], directions [R, 3], bvh, options: TraceOptions) -> Rendering, one value a ray
-    reflect(image, camera, offset, alpha_min, beta_min) -> origins, directions, β
-    depth_normals(depth [H, W], camera) -> normals [H, W, 3]
-    ssim_map(image [H, W, C], target, taps, pad, c1, c2) -> SSIM of every pixel and channel
-    build_bvh(gaussians) -> Bvh
-    why_unavailable() -> str | None: one sentence for the user, or None where it works
-
-Where `reflect`, `depth_normals` or `ssim_map` is missing, torch's formula serves.
+A backend is a module with the functions of `Backend`, and of `Rasterizer` and `ImageKernels` where it offers those.
 
 | backend | draws | on |
 |---|---|---|
@@ -24,10 +14,18 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
-from types import ModuleType
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
+
+if TYPE_CHECKING:
+    from . import cpu, cuda, embree
+    from . import torch as oracle
+    from .camera import Camera
+    from .gaussians import GaussianSet
+    from .rendering import Rendering
+    from .trace import Bvh
 
 BACKENDS = ("cpu", "cuda", "torch", "embree")
 
@@ -48,7 +46,52 @@ class TraceOptions:
     sh_along_ray: bool  # else toward each primitive's center
 
 
-def load_backend(name: str, device: torch.device, dtype: torch.dtype) -> ModuleType:
+class Backend(Protocol):
+    """What every backend module offers."""
+
+    def why_unavailable(self) -> str | None:
+        """One sentence for the user, or None where it works."""
+
+    def build_bvh(self, gaussians: GaussianSet) -> Bvh: ...
+
+    def trace(
+        self, gaussians: GaussianSet, origins: Tensor, directions: Tensor, bvh: Bvh | None, options: TraceOptions
+    ) -> Rendering:
+        """Rays [R, 3] drawn to one value a ray, [R, …]."""
+
+
+@runtime_checkable
+class Rasterizer(Protocol):
+    """A backend that draws images too."""
+
+    def rasterize(self, gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> Rendering: ...
+
+
+@runtime_checkable
+class ImageKernels(Protocol):
+    """A backend with its own code for what is computed from drawn images; elsewhere torch's formulas serve."""
+
+    def reflect(
+        self, image: Rendering, camera: Camera, offset: float, alpha_min: float, beta_min: Tensor | float
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Origins [H, W, 3], directions [H, W, 3] and β [H, W]."""
+
+    def depth_normals(self, depth: Tensor, camera: Camera) -> Tensor:
+        """Normals [H, W, 3] from depths [H, W]."""
+
+    def ssim_map(
+        self, image: Tensor, target: Tensor, taps: tuple[float, ...], pad: int, c1: float, c2: float
+    ) -> Tensor:
+        """SSIM of every pixel and channel of images [H, W, C]."""
+
+
+if TYPE_CHECKING:  # each module is held to what it is to offer
+    _TRACERS: tuple[Backend, ...] = (cpu, cuda, oracle, embree)
+    _RASTERIZERS: tuple[Rasterizer, ...] = (cpu, cuda, oracle)
+    _IMAGE_KERNELS: ImageKernels = cuda
+
+
+def load_backend(name: str, device: torch.device, dtype: torch.dtype) -> Backend:
     """The backend module called `name`; "auto" takes `cuda` for CUDA tensors and `cpu` otherwise.
 
     Raises:
@@ -64,7 +107,7 @@ def load_backend(name: str, device: torch.device, dtype: torch.dtype) -> ModuleT
             f"backend {name!r} takes float32 tensors on {name}, got {dtype} on {device}; "
             "convert them, or use backend='torch'"
         )
-    module = importlib.import_module(f"{__package__}.{name}")
+    module: Backend = importlib.import_module(f"{__package__}.{name}")
     reason = module.why_unavailable()
     if reason:
         raise RuntimeError(f"backend {name!r} does not work here: {reason}")

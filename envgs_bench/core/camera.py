@@ -56,7 +56,8 @@ class Camera:
 
     def pixel_to_direction(self) -> Tensor:
         """The [3, 3] matrix that maps (x, y, 1) to the world-frame direction of pixel position (x, y), camera z = 1."""
-        inverse = torch.linalg.inv_ex(self.intrinsics.double()).inverse  # inv would wait for the device, to check
+        # linalg.inv would wait for the device, to check.
+        inverse: Tensor = torch.linalg.inv_ex(self.intrinsics.double()).inverse
         return (self.world_to_camera[:3, :3].double().T @ inverse).to(self.intrinsics.dtype)
 
     def rays(self) -> tuple[Tensor, Tensor]:

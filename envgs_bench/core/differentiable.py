@@ -6,7 +6,7 @@ backend that computes derivatives itself (`cpu`, `cuda`); here is all that such 
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -73,7 +73,9 @@ class Pass(Protocol):
 
 class _Draw(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, draw_pass: Pass, slot: list[Statistics], keep: bool, *inputs: Tensor | None):
+    def forward(
+        ctx: Any, draw_pass: Pass, slot: list[Statistics], keep: bool, *inputs: Tensor | None
+    ) -> tuple[Tensor, ...]:
         drawn = draw_pass.forward(keep)
         ctx.draw_pass, ctx.slot = draw_pass, slot
         ctx.save_for_backward(*drawn.planes)
@@ -83,7 +85,7 @@ class _Draw(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, *gradients: Tensor | None):
+    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         planes = Planes(*ctx.saved_tensors)
         contiguous = tuple(g if g is None else g.contiguous() for g in gradients[:5])
         result = ctx.draw_pass.backward(planes, contiguous)

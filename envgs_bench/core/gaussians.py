@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
@@ -66,7 +67,7 @@ class GaussianSet:
 
     @property
     def sh_degree(self) -> int:
-        return round(self.sh.shape[1] ** 0.5) - 1
+        return math.isqrt(self.sh.shape[1]) - 1
 
     @property
     def is_surfels(self) -> bool:
@@ -81,5 +82,5 @@ class GaussianSet:
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         return replace(self, **{name: function(value) for name, value in values.items() if value is not None})
 
-    def to(self, *args, **kwargs) -> GaussianSet:
-        return self.map(lambda tensor: tensor.to(*args, **kwargs))
+    def to(self, target: torch.device | torch.dtype | str) -> GaussianSet:
+        return self.map(lambda tensor: tensor.to(target))

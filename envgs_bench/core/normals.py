@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .backends import load_backend
+from .backends import ImageKernels, load_backend
 from .camera import Camera
 from .vectors import unit
 
@@ -31,7 +31,7 @@ def depth_normals(depth: Tensor, camera: Camera, *, backend: str = "auto") -> Te
     if depth.shape != (camera.height, camera.width):
         raise ValueError(f"depth {tuple(depth.shape)} is not of the camera's size {(camera.height, camera.width)}")
     module = load_backend(backend, depth.device, depth.dtype)
-    if hasattr(module, "depth_normals"):
+    if isinstance(module, ImageKernels):
         return module.depth_normals(depth, camera)
     points = depth[..., None] * camera.rays()[1]  # relative to the camera's center, which differences do not see
     down = points[2:, 1:-1] - points[:-2, 1:-1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .backends import RasterizeOptions, load_backend
+from .backends import RasterizeOptions, Rasterizer, load_backend
 from .camera import Camera
 from .gaussians import GaussianSet
 from .rendering import Rendering
@@ -54,7 +54,7 @@ def rasterize(
         transmittance_min=transmittance_min,
     )
     module = load_backend(backend, gaussians.device, gaussians.means.dtype)
-    if not hasattr(module, "rasterize"):
+    if not isinstance(module, Rasterizer):
         raise ValueError(f"backend {backend!r} traces rays only, it cannot rasterize")
     return module.rasterize(gaussians, camera, options)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .backends import load_backend
+from .backends import ImageKernels, load_backend
 from .camera import Camera
 from .rendering import Rendering
 from .vectors import unit
@@ -40,7 +40,7 @@ def reflect(
         reflects.
     """
     module = load_backend(backend, image.alpha.device, image.alpha.dtype)
-    if hasattr(module, "reflect"):
+    if isinstance(module, ImageKernels):
         return module.reflect(image, camera, offset, alpha_min, beta_min)
     depth, normal, beta = image.depth, image.normal, image.extras[..., 0]
     reflects = (image.alpha > alpha_min) & (normal.square().sum(-1) > alpha_min**2) & (beta > beta_min)

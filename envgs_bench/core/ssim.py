@@ -13,13 +13,14 @@ each way.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from .backends import load_backend
+from .backends import ImageKernels, load_backend
 
 WINDOW = 11  # pixels
 SIGMA = 1.5  # pixels
@@ -63,19 +64,20 @@ def ssim_map(image: Tensor, target: Tensor, padding: str = "zero", *, backend: s
         raise ValueError(f"a valid SSIM needs at least {WINDOW}×{WINDOW} pixels, got {tuple(image.shape[:2])}")
     pad = _RADIUS if padding == "zero" else 0
     module = load_backend(backend, image.device, image.dtype)
-    if hasattr(module, "ssim_map"):
+    if isinstance(module, ImageKernels):
         return module.ssim_map(image, target, TAPS, pad, K1**2, K2**2)
-    return _SsimMap.apply(image, target, pad)
+    similarity: Tensor = _SsimMap.apply(image, target, pad)
+    return similarity
 
 
 class _SsimMap(torch.autograd.Function):
     """Works in place on its own [C, H, W] temporaries: memory traffic is what a small image's SSIM costs."""
 
     @staticmethod
-    def forward(ctx, image: Tensor, target: Tensor, pad: int) -> Tensor:
+    def forward(ctx: Any, image: Tensor, target: Tensor, pad: int) -> Tensor:
         x, y = image.permute(2, 0, 1).contiguous(), target.permute(2, 0, 1).contiguous()
         squares = (x * x).addcmul_(y, y)
-        mean_x, mean_y, squares, product = _blur(torch.stack([x, y, squares, x * y]), pad)
+        mean_x, mean_y, squares, product = _blur(torch.stack([x, y, squares, x * y]), pad).unbind()
         mean_product = mean_x * mean_y
         mean_squares = (mean_x * mean_x).addcmul_(mean_y, mean_y)
         a2 = product.sub_(mean_product).mul_(2).add_(K2**2)  # 2·σ₁₂ + C₂
@@ -89,7 +91,7 @@ class _SsimMap(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, grad: Tensor) -> tuple[Tensor | None, None, None]:
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, None, None]:
         """The gradients of the blurred x, x² + y² and xy (half of the first and last), blurred back onto the pixels."""
         x, y, mean_x, mean_y, a1, a2, b1, b2, similarity = ctx.saved_tensors
         grad = grad.permute(2, 0, 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
 import os
 import tempfile
 from collections.abc import Mapping
@@ -79,13 +80,8 @@ def keep_kernels_in(folder: Path) -> None:
 
 @cache
 def cuda_core() -> ModuleType:
-    import cuda.core as core
-
-    if hasattr(core, "Program"):
-        return core
-    import cuda.core.experimental as experimental  # before version 1
-
-    return experimental
+    core = importlib.import_module("cuda.core")
+    return core if hasattr(core, "Program") else importlib.import_module("cuda.core.experimental")  # before version 1
 
 
 def _key(sources: tuple[str, ...], macros: tuple[tuple[str, str], ...], architecture: str) -> str:

@@ -16,7 +16,8 @@ from .raster_pass import make_camera
 def depth_normals(depth: Tensor, camera: Camera) -> Tensor:
     """As `core.depth_normals`; in memory a plane a channel, as what it is compared to."""
     with torch.cuda.device(depth.device):
-        return _DepthNormals.apply(depth, camera).movedim(0, 2)
+        planes: Tensor = _DepthNormals.apply(depth, camera)
+        return planes.movedim(0, 2)
 
 
 class _DepthNormals(torch.autograd.Function):

@@ -19,7 +19,8 @@ def reflect(
 ) -> tuple[Tensor, Tensor, Tensor]:
     planes = (image.alpha, image.depth, image.normal.movedim(2, 0), image.extras[..., 0])
     with torch.cuda.device(image.alpha.device):
-        return _Reflect.apply(*planes, camera, float(offset), float(alpha_min), beta_min)
+        rays: tuple[Tensor, Tensor, Tensor] = _Reflect.apply(*planes, camera, float(offset), float(alpha_min), beta_min)
+        return rays
 
 
 class _Reflect(torch.autograd.Function):

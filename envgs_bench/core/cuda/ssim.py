@@ -21,7 +21,8 @@ def ssim_map(image: Tensor, target: Tensor, taps: tuple[float, ...], pad: int, c
     H' = H + 2·pad − 10. Differentiable in `image`. Images that lie in memory a plane a channel are not copied.
     """
     with torch.cuda.device(image.device):
-        return _SsimKernel.apply(image.movedim(2, 0), target.movedim(2, 0), taps, pad, c1, c2).movedim(0, 2)
+        planes: Tensor = _SsimKernel.apply(image.movedim(2, 0), target.movedim(2, 0), taps, pad, c1, c2)
+        return planes.movedim(0, 2)
 
 
 class _SsimKernel(torch.autograd.Function):

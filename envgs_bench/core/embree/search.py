@@ -67,7 +67,7 @@ def hit_any(device: EmbreeDevice, triangles: np.ndarray, origins: np.ndarray, di
     """Which rays hit any of the triangles, [R] bool."""
     scene = EmbreeScene(device)
     mesh = TriangleMesh(scene, np.ascontiguousarray(triangles))  # the scene reads it while it is cast against
-    hit = scene.run(np.ascontiguousarray(origins), np.ascontiguousarray(directions)) >= 0
+    hit: np.ndarray = scene.run(np.ascontiguousarray(origins), np.ascontiguousarray(directions)) >= 0
     del mesh
     return hit
 

@@ -62,7 +62,8 @@ class RasterizedGaussians3D(Intersector):
         slope_y = clamped_slope(y / z, k[1, 1], k[1, 2], camera.height)
         zero, inverse = torch.zeros_like(z), 1 / z
         of_slopes = torch.stack([inverse, zero, -slope_x * inverse, zero, inverse, -slope_y * inverse], dim=-1)
-        return k[:2, :2] @ of_slopes.unflatten(-1, (2, 3))
+        by_position: Tensor = of_slopes.unflatten(-1, (2, 3))
+        return k[:2, :2] @ by_position
 
     def colors(self, rays: Tensor, primitives: Tensor) -> Tensor:
         return self.color_of[primitives]
