@@ -1,4 +1,4 @@
-# make install | weights | demo | test | test-slow | lint | bench | clean. Needs Python 3.11+, a C++ compiler and make.
+# make install | weights | demo | test | test-slow | lint | api | bench | clean. Needs Python 3.11+, a C++ compiler and make.
 PYTHON ?= python3
 VENV ?= .venv
 # Waiting threads sleep: two programs that spin on one machine slow each other tenfold.
@@ -9,7 +9,7 @@ STAMP := $(VENV)/.installed
 WEIGHTS := $(VENV)/.weights
 NATIVE := $(wildcard envgs_bench/core/cpu/*.cpp envgs_bench/core/cpu/*.h envgs_bench/core/kernels/*.h)
 
-.PHONY: install weights demo test test-slow lint bench clean
+.PHONY: install weights demo test test-slow lint api bench clean
 
 install: $(STAMP)
 
@@ -50,6 +50,13 @@ lint: install
 	@rm -rf $(TYPECHECK) && mkdir -p $(TYPECHECK)/envgs_bench
 	@ln -s $(CURDIR)/envgs_bench/* $(addprefix $(CURDIR)/,methods datasets metrics reports) $(TYPECHECK)/envgs_bench/
 	cd $(TYPECHECK) && MYPYPATH=. $(CURDIR)/$(BIN)/mypy --cache-dir $(CURDIR)/.mypy_cache --config-file $(CURDIR)/pyproject.toml -p envgs_bench
+
+# A page of what other code may build on: the core, the contracts between folders, the methods' base classes.
+API := build/api
+api: install
+	$(BIN)/python -m pdoc --docformat google -o $(API) \
+		envgs_bench.core '!envgs_bench.core.' $(addprefix envgs_bench.,parts records settings testing) \
+		$(addprefix envgs_bench.methods.,method gaussian_method reflection)
 
 bench: install
 	$(BIN)/envgs-bench bench core
