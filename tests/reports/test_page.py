@@ -129,6 +129,16 @@ async function probe(seen) {
   seen.hacked = window.hacked === 1;
   seen.resources = performance.getEntriesByType("resource").map((entry) => entry.name);
   seen.wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
+  all("details").forEach((part) => (part.open = true));
+  seen.scrolled = all(".scroll").map((box) => {
+    Object.assign(box.style, { maxHeight: "150px", maxWidth: "250px" });
+    box.scrollTo(60, 40);
+    const corner = box.querySelector("thead tr:last-child > *").getBoundingClientRect();
+    const first = box.querySelector("tbody tr > *").getBoundingClientRect();
+    const { left, top } = box.getBoundingClientRect();
+    const named = box.querySelector("tbody th") !== null;
+    return [named, box.scrollLeft, box.scrollTop, corner.left - left, first.left - left, corner.top - top].map(Math.round);
+  });
 }
 window.addEventListener("load", async () => {
   await probe(window.seen).catch((error) => window.seen.errors.push(String(error.stack)));
@@ -344,6 +354,10 @@ def test_the_page_works_in_a_browser_without_network(report: Report, tmp_path: P
 def test_the_pages_pictures_move_together_and_by_keyboard(report: Report, tmp_path: Path) -> None:
     seen = browse(report, tmp_path, 390)
     assert seen["wide"] <= 0  # nothing sticks out of a narrow window
+    for named, x, y, corner, first, head in seen["scrolled"]:
+        assert corner == first == (0 if named else -x)  # the first column stays where it names its rows
+        assert head == 0 or y < 40  # and the head, once the groups above it are out of sight
+    assert sum(y == 40 and x > 0 for _, x, y, *_ in seen["scrolled"]) > 5
     assert seen["split"] == "20%"
     assert seen["loaded"] == 32
     assert seen["opened"] == ["envgs", "stage"]
