@@ -137,7 +137,8 @@ async function probe(seen) {
     const first = box.querySelector("tbody tr > *").getBoundingClientRect();
     const { left, top } = box.getBoundingClientRect();
     const named = box.querySelector("tbody th") !== null;
-    return [named, box.scrollLeft, box.scrollTop, corner.left - left, first.left - left, corner.top - top].map(Math.round);
+    const { scrollLeft, scrollTop } = box;
+    return [named, scrollLeft, scrollTop, corner.left - left, first.left - left, corner.top - top].map(Math.round);
   });
 }
 window.addEventListener("load", async () => {
