@@ -33,3 +33,27 @@ def test_threads_sleep_between_parallel_loops():
         [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, check=True
     ).stdout
     assert float(printed) < 0.5 * PAUSES * SECONDS
+
+
+FEW_THREADS = """
+import resource, torch
+import envgs_bench.core
+torch.set_num_threads(1)
+taken = next(int(line.split()[1]) << 10 for line in open("/proc/self/status") if line.startswith("VmSize"))
+resource.setrlimit(resource.RLIMIT_AS, (taken + ROOM, taken + ROOM))
+from envgs_bench.core import cpu
+print(cpu.why_unavailable())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux's limits")
+@pytest.mark.parametrize("stacks", [0.5, 2.5])  # of too little memory for the first thread, and for the third
+def test_a_process_that_may_start_no_threads_can_load_the_backend(stacks: float) -> None:
+    """GNU's OpenMP ends a process that asks for more threads than it is given."""
+    stack = 1 << 30
+    program = FEW_THREADS.replace("ROOM", str(int(stacks * stack)))
+    environment = {name: value for name, value in os.environ.items() if name not in native.WAITING}
+    limited = ["bash", "-c", f'ulimit -S -s {stack >> 10} && exec "$@"', "bash", sys.executable, "-c", program]
+    run = subprocess.run(limited, env=environment, capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout) == (0, "None\n"), run.stderr

@@ -8,21 +8,58 @@
 #include <omp.h>
 
 #include <chrono>
+#include <future>
+#include <system_error>
 #include <thread>
+#include <utility>
+#include <vector>
 #endif
 
 namespace envgs {
 
+#if defined(_OPENMP)
+// Whether the system lets this process start `count` more threads: they are started, and end again.
+inline bool threads_can_be_had(int count) {
+    std::promise<void> end;
+    const std::shared_future<void> ended = end.get_future().share();
+    std::vector<std::thread> had;
+    had.reserve(count);
+    try {
+        while (int(had.size()) < count) had.emplace_back([ended] { ended.wait(); });
+    } catch (const std::system_error&) {  // too many processes, or no memory for a stack
+    }
+    end.set_value();
+    for (std::thread& thread : had) thread.join();
+    return int(had.size()) == count;
+}
+#endif
+
 // From now on threads that wait for others, torch's too, sleep. By default GNU's runtime lets them spin for milliseconds,
 // and beside another program they spin while that holds the core of the one they wait for. It has no call for this once
 // it is loaded, but spins a hundred times only where there are more threads than CPUs: so there are, asleep.
+//
+// That costs no time and next to no memory, but the addresses of a stack a thread (8 MB as most systems are set up),
+// which RLIMIT_AS and RLIMIT_DATA count, and CPUs + 1 of the threads that a user or a container may have. The runtime
+// ends the process where it cannot start a thread. So they are started only where there is room for as many again,
+// which torch will ask for; elsewhere threads go on spinning.
 inline void sleep_while_waiting() {
 #if defined(_OPENMP)
-    std::thread([] {
-#pragma omp parallel num_threads(omp_get_num_procs() + 1)
-        asm volatile("");  // or the team would never be made
-        for (;;) std::this_thread::sleep_for(std::chrono::hours(24));
-    }).detach();
+    const int sleepers = omp_get_num_procs() + 1;
+    if (!threads_can_be_had(2 * sleepers)) return;
+    std::promise<void> promise;
+    std::future<void> started = promise.get_future();
+    try {
+        std::thread([sleepers, promise = std::move(promise)]() mutable {
+#pragma omp parallel num_threads(sleepers)
+            {
+                if (omp_get_thread_num() == 0) promise.set_value();  // by now the runtime has started them all
+                for (;;) std::this_thread::sleep_for(std::chrono::hours(24));
+            }
+        }).detach();
+    } catch (const std::system_error&) {  // somebody else took the room
+        return;
+    }
+    started.wait();  // a limit that the caller sets next is not to meet them half started
 #endif
 }
 
