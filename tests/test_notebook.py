@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-NOTEBOOK = Path(__file__).parents[1] / "notebooks" / "demo.ipynb"
+NOTEBOOK = Path(__file__).parents[1] / "envgs_bench" / "docs" / "demo.ipynb"
 
 
 def cells() -> list[str]:
