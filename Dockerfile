@@ -1,4 +1,4 @@
-# docker build -t envgs-bench . && docker run --rm -v "$PWD/out:/work/out" envgs-bench
+# docker build -t envgs-bench . && docker run --rm -v "$PWD/out:/envgs-bench/out" envgs-bench
 # builds the CPU backend and runs the demo; the report is out/demo/index.html.
 FROM python:3.12-slim
 
@@ -6,9 +6,9 @@ RUN apt-get update \
     && apt-get install --yes --no-install-recommends g++ make git libgl1 libglib2.0-0 \
     && rm -rf /var/lib/apt/lists/*
 
-WORKDIR /work
+WORKDIR /envgs-bench
 COPY . .
 RUN make install weights PIP_FLAGS="--no-cache-dir --extra-index-url https://download.pytorch.org/whl/cpu"
 
-ENV PATH="/work/.venv/bin:$PATH"
+ENV PATH="/envgs-bench/.venv/bin:$PATH"
 CMD ["make", "demo"]

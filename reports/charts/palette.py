@@ -49,13 +49,10 @@ METHODS = {
     "envgs": ("envgs", "o", "circle", 0.0),
     "3dgs_dr": ("3dgs_dr", "P", "cross", 0.0),
     "3dgs_dr_tuned": ("3dgs_dr", "v", "triangle-down", 0.0),
-    "3dgs_dr_real": ("3dgs_dr", "P", "cross", 0.35),
     "gaussian_shader": ("gaussian_shader", "X", "x", 0.0),
     "3igs": ("3igs", "*", "star", 0.0),
     "ref_gaussian": ("ref_gaussian", "h", "hexagon", 0.0),
     "ref_gaussian_tuned": ("ref_gaussian", "p", "pentagon", 0.0),
-    "ref_gaussian_real": ("ref_gaussian", "h", "hexagon", 0.35),
-    "ref_gaussian_smooth": ("ref_gaussian", "8", "octagon", 0.5),
 }
 METHOD_STYLES = {
     name: Style(_toward(FAMILIES[family], share), marker, symbol)

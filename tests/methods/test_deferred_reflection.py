@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 from mirror_ball import facing_angle, mirror_ball
+from schedules import steps_of_events
 from torch.nn import functional
 
 from envgs_bench.core import Scene, View
@@ -27,11 +28,7 @@ def initialized(steps: int = RUN, **settings) -> DeferredReflection:
 
 
 def test_events_fall_on_the_released_steps() -> None:
-    method = initialized()
-    found: dict[str, list[int]] = {}
-    for step in (hundred + beside for hundred in range(100, RUN, 100) for beside in (-1, 0, 1)):
-        for event in method.events(step):
-            found.setdefault(event, []).append(step)
+    found = steps_of_events(initialized(), RUN)
     resets = list(range(3_000, 30_000, 3_000))
     between = [step for step in range(4_000, 24_001, 1_000) if step % 3_000]
     assert found["reset_base_opacity"] == found["reset_beta"] == resets

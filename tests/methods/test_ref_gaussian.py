@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from mirror_ball import mirror_ball
+from mirror_ball import gain_of_training, mirror_ball
+from schedules import steps_of_events
 from torch import Tensor
 from torch.nn import functional
 
@@ -73,11 +74,7 @@ def test_materials_start_anew_when_pixels_are_shaded() -> None:
 
 
 def test_events_fall_on_the_released_steps() -> None:
-    method = initialized()
-    found: dict[str, list[int]] = {}
-    for step in (hundred + beside for hundred in range(100, RUN, 100) for beside in (-1, 0, 1)):
-        for event in method.events(step):
-            found.setdefault(event, []).append(step)
+    found = steps_of_events(initialized(), RUN)
     resets = list(range(3_000, 25_000, 3_000))
     assert found["reset_base_opacity"] == found["reset_beta"] == resets
     assert found["propagate"] == [step for step in range(1_000, 25_001, 1_000) if step % 3_000]
@@ -213,13 +210,5 @@ def test_a_mirror_ball_is_learned() -> None:
         **{"envmap_size": 32, "initial_orientation": "surface", "initial_beta": 0.5, "sh_from": 30_000},
         **{"densify_until": 0, "disturb_every": 0, "opacity_reset_every": 0, "shade_until": 6_000},
     )
-
-    def psnr() -> float:
-        errors = [(method.render(view.camera).color - view.rgb()).square().mean() for view in scene.test]
-        return -10 * math.log10(sum(map(float, errors)) / len(errors))
-
-    before = psnr()
-    for step in range(1, steps + 1):
-        method.training_step(scene.train[5 * step % len(scene.train)], step)
+    assert gain_of_training(method, scene, steps) > 2
     assert method.deferred
-    assert psnr() > before + 2

@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from envgs_bench.core import Camera, Scene, View
+from envgs_bench.methods.gaussian_method import GaussianMethod
 
 SIZE = 32
 VIEWS = 48
@@ -27,6 +28,19 @@ def mirror_ball() -> Scene:
     views = [_view(f"view{index}", 3.5 * center) for index, center in enumerate(_spiral(VIEWS))]
     train, test = [v for i, v in enumerate(views) if i % 8], views[::8]
     return Scene("mirror_ball", train, test, points, torch.full((POINTS, 3), 0.5))
+
+
+def gain_of_training(method: GaussianMethod, scene: Scene, steps: int) -> float:
+    """What `steps` steps add to the mean PSNR of the test views, dB, of the mean squared error over all of them."""
+
+    def psnr() -> float:
+        errors = [(method.render(view.camera).color - view.rgb()).square().mean() for view in scene.test]
+        return -10 * math.log10(sum(map(float, errors)) / len(errors))
+
+    before = psnr()
+    for step in range(1, steps + 1):
+        method.training_step(scene.train[5 * step % len(scene.train)], step)
+    return psnr() - before
 
 
 def facing_angle(normals: Tensor, view: View) -> float:
