@@ -206,7 +206,8 @@ class RefGaussian(EnvMap):
         """The surfels that may hide the map, which is what lies beyond them: a far sky among them would hide it all."""
         base = self.gaussians(BASE, step)
         near = (base.means.detach() - self._near.center).norm(dim=1) <= self._near.radius
-        return replace(base, sh=base.sh[:, :1], extras=None).map(lambda values: values.detach()[near])
+        rows = torch.nonzero(near)[:, 0]  # once: by a mask, each field would wait for the device to count them
+        return replace(base, sh=base.sh[:, :1], extras=None).map(lambda values: values.detach()[rows])
 
     def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
         terms, s = super().losses(rendering, target, view, step), self.settings
