@@ -7,10 +7,9 @@ import signal
 import time
 from pathlib import Path
 
-import psutil
 import pytest
 from fakes.runs import only_folder, records, run, set_environment
-from fakes.whole_sweeps import Start, alive, statuses, sweep_of, training, until
+from fakes.whole_sweeps import Start, alive, lives, statuses, sweep_of, training, until
 
 from envgs_bench.claim import holder_of
 from envgs_bench.records import read_record
@@ -122,7 +121,7 @@ def test_what_a_worker_leaves_behind_is_ended(tmp_path: Path, monkeypatch: pytes
     assert time.monotonic() - began < 15
     left = [int(number) for number in (tmp_path / "left").read_text().split()]
     assert len(left) == 3
-    assert not any(psutil.pid_exists(number) and psutil.Process(number).status() != "zombie" for number in left)
+    until(lambda: not any(lives(number) for number in left), 15)
     assert holder_of(only_folder(tmp_path / "runs")) is None
 
 

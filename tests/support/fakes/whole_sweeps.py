@@ -30,6 +30,14 @@ def alive(root: Path) -> list[psutil.Process]:
     return found
 
 
+def lives(number: int) -> bool:
+    """Whether the process of this number is there, and not only waiting to be asked how it ended."""
+    try:
+        return psutil.Process(number).status() != "zombie"
+    except psutil.NoSuchProcess:
+        return False
+
+
 def sweep_of(shell: subprocess.Popen[str]) -> psutil.Process:
     """The process of `envgs-bench run` itself."""
     first = psutil.Process(shell.pid)
