@@ -8,12 +8,12 @@ import uuid
 import warnings
 import zlib
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import pycolmap
 
@@ -21,14 +21,40 @@ from ..errors import DatasetError
 from ..formats.colmap_model import Model
 from ..formats.pictures import read_header
 from ..progress import report
+from .lightglue import LightGlue
+from .sift import Sift
 
 Matching = Literal["exhaustive", "sequential"]
+MatcherName = Literal["sift", "lightglue"]
 
-IMAGES_A_BATCH, PAIRS_A_BATCH = 8, 64  # between two reports of progress
+IMAGES_A_BATCH = 8  # between two reports of progress
 NEIGHBORS = 10  # each image is matched with this many after it, and with those 2, 4, 8 … away
 MIN_IMAGES = 3  # images that a model must place
 SEED = 0
 CHECKSUMS = "checksums.json"  # of the model's files, beside them
+
+
+class Matcher(Protocol):
+    """Finds features in images, and which of them show the same point."""
+
+    pairs_a_batch: int  # between two reports of progress
+
+    def find_features(
+        self, database: Path, images: Path, names: Sequence[str], reader: pycolmap.ImageReaderOptions
+    ) -> None:
+        """Put the images and their features into the database; they share the camera that `reader` says."""
+
+    def match(
+        self,
+        database: Path,
+        pairs: Sequence[tuple[str, str]],
+        listing: Path,
+        verification: pycolmap.TwoViewGeometryOptions,
+    ) -> None:
+        """Put these pairs' matches into the database, and those that fit one motion; `listing` names the pairs."""
+
+
+MATCHERS: dict[MatcherName, Callable[[int], Matcher]] = {"sift": Sift, "lightglue": LightGlue}
 
 
 @dataclass(frozen=True)
@@ -36,11 +62,13 @@ class Reconstructor:
     """How photographs become a model.
 
     Attributes:
+        matcher: what finds features and matches them.
         camera_model: COLMAP's name; images of one size share a camera.
         matching: every image with every other, or with its neighbors in the order of names.
         feature_size: images are reduced to this many pixels along their longer side for finding features.
     """
 
+    matcher: MatcherName
     camera_model: str
     matching: Matching
     feature_size: int
@@ -51,21 +79,22 @@ class Reconstructor:
         Of several models, which share no points, the one that places the most images.
 
         Raises:
-            DatasetError: no two images could be placed.
+            DatasetError: no two images could be placed, or the matcher's weights cannot be had.
         """
         if folder.is_dir():
             if _checksums(folder) == _remembered(folder):
                 return Model(folder)
             warnings.warn(f"{folder} is damaged: it is not what was written; it is made again", stacklevel=2)
             shutil.rmtree(folder)
+        matcher = MATCHERS[self.matcher](self.feature_size)
         work = folder.with_name(f"{folder.name}-{uuid.uuid4().hex}.part")
         try:
             (work / "images").mkdir(parents=True)
             for index, name in enumerate(names):  # under names that no list of pairs can break
                 (work / "images" / _plain(index, name)).symlink_to((images / name).resolve())
             with _quiet():
-                self._find_features(names, images, work)
-                self._match(names, work)
+                self._find_features(matcher, names, images, work)
+                self._match(matcher, names, work)
                 model = self._map(names, images, work)
             (work / "model").mkdir()
             model.write_binary(str(work / "model"))
@@ -79,38 +108,31 @@ class Reconstructor:
             shutil.rmtree(work, ignore_errors=True)
         return Model(folder)
 
-    def _find_features(self, names: Sequence[str], images: Path, work: Path) -> None:
+    def _find_features(self, matcher: Matcher, names: Sequence[str], images: Path, work: Path) -> None:
         by_size: dict[tuple[int, int], list[str]] = defaultdict(list)
         for index, name in enumerate(names):
             header = read_header(images / name)
             by_size[header.width, header.height].append(_plain(index, name))
-        options = pycolmap.FeatureExtractionOptions()
-        options.max_image_size = self.feature_size
         done = 0
         for plain in by_size.values():
             reader = pycolmap.ImageReaderOptions()
             reader.camera_model = self.camera_model
             for batch in _batches(plain, IMAGES_A_BATCH):
-                pycolmap.extract_features(
-                    work / "database.db", work / "images", batch, pycolmap.CameraMode.SINGLE, reader, options
-                )
+                matcher.find_features(work / "database.db", work / "images", batch, reader)
                 if reader.existing_camera_id < 0:
                     reader.existing_camera_id = _newest_camera(work / "database.db")
                 done += len(batch)
                 report("finding features", done, len(names))
 
-    def _match(self, names: Sequence[str], work: Path) -> None:
+    def _match(self, matcher: Matcher, names: Sequence[str], work: Path) -> None:
         plain = [_plain(index, name) for index, name in enumerate(names)]
         pairs = list(combinations(plain, 2)) if self.matching == "exhaustive" else list(_neighbors(plain))
-        options = pycolmap.FeatureMatchingOptions()
         verification = pycolmap.TwoViewGeometryOptions()
         verification.ransac.random_seed = SEED
-        pairing = pycolmap.ImportedPairingOptions()
-        pairing.match_list_path = work / "pairs.txt"
         done = 0
-        for batch in _batches(pairs, PAIRS_A_BATCH):
+        for batch in _batches(pairs, matcher.pairs_a_batch):
             (work / "pairs.txt").write_text("".join(f"{first} {second}\n" for first, second in batch))
-            pycolmap.match_image_pairs(work / "database.db", options, pairing, verification)
+            matcher.match(work / "database.db", batch, work / "pairs.txt", verification)
             done += len(batch)
             report("matching images", done, len(pairs))
 

@@ -17,7 +17,7 @@ from ..formats.photograph import Photograph
 from ..formats.pictures import PICTURE_EXTENSIONS, read_picture
 from ..notes import note
 from ..photographs.exposure import with_equal_exposure
-from ..photographs.reconstruction import MIN_IMAGES, Matching, Reconstructor
+from ..photographs.reconstruction import MIN_IMAGES, MatcherName, Matching, Reconstructor
 from ..photographs.siblings import sibling_files, with_siblings
 from ..progress import mapped
 from ..settings import parse_dataset_settings, require_folder
@@ -34,6 +34,7 @@ class PhotosSettings(PhotographSettings):
     kind: Literal["photos"]
     equalize_exposure: bool = False  # undo automatic exposure and white balance, as estimated from the points
     images: str | None = None  # folder below root; images/ where there is one, else root itself, where None
+    matcher: MatcherName = "sift"  # lightglue: learned, for what shines or has little texture; needs weights
     matching: Matching = "exhaustive"  # sequential: with neighbors in the order of names, as for a video's frames
     camera_model: Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"] = "OPENCV"
     feature_size: Annotated[int, Field(ge=100)] = 1600  # pixels along the longer side, for finding features
@@ -42,12 +43,13 @@ class PhotosSettings(PhotographSettings):
 
 
 def load_photos(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
-    """A folder of photographs: pycolmap's SIFT features, matches and incremental mapping give cameras and points.
+    """A folder of photographs: features, matches and pycolmap's incremental mapping give cameras and points.
 
     The model is kept in the cache, under `models/`; the log says how many images were placed.
 
     Raises:
-        DatasetError: too few images, some that cannot be decoded, or too few that could be placed.
+        DatasetError: too few images, some that cannot be decoded, too few that could be placed, or a matcher whose
+            weights cannot be had.
     """
     choice = parse_dataset_settings(PhotosSettings, settings)
     require_folder(choice.root)
@@ -103,8 +105,9 @@ def _model(choice: PhotosSettings, images: Path, names: Sequence[str], cache_dir
     """The images' model, from the cache or made now."""
     _check_decodable([images / name for name in names], choice)
     contents = digest_of([images / name for name in names], choice.root, cache_dir)
-    how = Reconstructor(choice.camera_model, choice.matching, choice.feature_size)
-    label = f"{choice.camera_model}-{choice.matching}-{choice.feature_size}-{MODEL_VERSION}-{contents[:16]}"
+    how = Reconstructor(choice.matcher, choice.camera_model, choice.matching, choice.feature_size)
+    settings = f"{choice.matcher}-{choice.camera_model}-{choice.matching}-{choice.feature_size}"
+    label = f"{settings}-{MODEL_VERSION}-{contents[:16]}"
     return how.model_of(names, images, cache_dir / "models" / label.lower())
 
 
