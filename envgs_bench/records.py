@@ -59,6 +59,10 @@ WarningKind = Literal[
     "set_shrinks",  # in one step: the base to less than a half, the environment to less than a tenth
     "set_doubles",  # to more than twice in one step
     "budget",  # of primitives or memory
+    "views_sparse",  # of the scene, before any step: neighboring views are too far apart
+    "points_missing",  # the views show much where no point is
+    "points_unsupported",  # the points have not the colors of what the views show there
+    "normals_mirrored",  # some views' agree with the others' only when mirrored
 ]
 
 
@@ -184,7 +188,7 @@ class Record(_Part):
     scored_on: ScoredOn = "test"  # which views' scores and times these are
     perturbation: Perturbed | None = None
     warnings: list[TrainingWarning] = []  # in the order of their steps
-    notes: list[str] = []  # what was noticed of the data
+    notes: list[str] = []  # what was noticed of the data, and what of it the method mended
     losses: list[str] = []  # the terms that the loss was made of, in some step at least
     dropped_losses: dict[str, str] = {}  # a loss that the settings ask for -> why it could not be computed
     metrics: Metrics | None = None

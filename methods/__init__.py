@@ -7,12 +7,13 @@
 | envmap | envmap.py | surfels with β, and a cube map for what they reflect |
 | 3dgs_dr | deferred_reflection.py | 3D Gaussians with β, and a cube map for what they reflect |
 | gaussian_shader | gaussian_shader.py | 3D Gaussians shaded one by one, by a filtered cube map |
+| 3igs | three_igs.py | 3D Gaussians shaded one by one, by a network and a factorized illumination field |
 | ref_gaussian | ref_gaussian.py | surfels with materials, and a filtered cube map for what they reflect |
 | envgs | envgs.py | surfels with β, and traced environment surfels for what they reflect |
 | envgs_single_set | single_set.py | surfels with β, traced for what they reflect themselves |
 
-The first two are `gaussian_method.py` and no more; gaussian_shader adds a map, `learned_map.py`; the others are
-`reflection.py` and differ in where the reflected color comes from: `envmap.py` is what the three with a map share,
-`traced.py` the last two. Another
+The first two are `gaussian_method.py` and no more; gaussian_shader adds a map, `learned_map.py`; 3igs is 3dgs with
+colors of its own, by `tensor_field.py` and `directional_encoding.py`; the others are `reflection.py` and differ in
+where the reflected color comes from: `envmap.py` is what the three with a map share, `traced.py` the last two. Another
 package adds a method by an entry point of group `envgs_bench.methods`.
 """

@@ -8,7 +8,7 @@ from fractions import Fraction
 from envgs_bench.core import Scene
 
 from .densification import Oversized
-from .schedule import RECOVERY, RESET_FLOOR, Schedule
+from .schedule import DENSIFY_FLOOR, RECOVERY, RESET_FLOOR, Schedule
 from .settings import GaussianSettings
 
 
@@ -25,7 +25,7 @@ class BaseGrowth:
     on_white: bool
 
     def events(self, step: int, every: Fraction) -> set[str]:
-        """What befalls the base set after Adam's step number `step`, of densify_base and reset_base_opacity.
+        """What befalls the base set after Adam's step number `step`, of prune, densify_base and reset_base_opacity.
 
         Args:
             every: steps of this run between two densifications as of `step`; 0: never.
@@ -37,6 +37,13 @@ class BaseGrowth:
         happens = set()
         if not recovers and schedule.densifies(step, start=s.densify_from, stop=s.densify_until, every=every):
             happens.add("densify_base")
+        pruned_every = schedule.interval(s.prune_every, DENSIFY_FLOOR)
+        if (
+            s.prune_error > 0
+            and not recovers
+            and schedule.densifies(step, start=s.prune_from, stop=s.prune_until, every=pruned_every)
+        ):
+            happens.add("prune")
         if step == on_white or schedule.resets(step, stop=s.densify_until, interval=s.opacity_reset_every):
             happens.add("reset_base_opacity")
         return happens

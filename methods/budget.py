@@ -75,12 +75,16 @@ class SharedBudget:
     def measure(self, contributed: Mapping[str, Tensor]) -> None:
         """Add what each set gave to one step's picture, scalars; nothing where that says little as yet."""
         for name, amount in contributed.items():
-            self._contributed[name] = amount + self._contributed.get(name, 0.0)
+            if name in self._contributed:
+                self._contributed[name] += amount
+            else:
+                self._contributed[name] = amount.clone()
 
     def decide(self) -> None:
         """Share the budget anew, by what was measured since the last time; as before where nothing was."""
         given = {name: max(0.0, float(amount)) for name, amount in self._contributed.items()}
-        self._contributed = {}
+        for amount in self._contributed.values():
+            amount.zero_()
         total = sum(given.values())
         if total > 0:
             rest = 1 - LEAST_SHARE * len(self._names)
@@ -108,7 +112,7 @@ class SharedBudget:
         )
 
     def training_state(self) -> dict[str, Any]:
-        return {"shares": dict(self.shares), "contributed": dict(self._contributed)}
+        return {"shares": dict(self.shares), "contributed": {name: x.clone() for name, x in self._contributed.items()}}
 
     def restore_training(self, state: Mapping[str, Any], device: Any) -> None:
         """Become what `training_state` returned, tensors on `device`."""

@@ -64,6 +64,11 @@ class DensificationRecord:
         self.weights += weights
         self.squares += weights.square()
 
+    def keep(self, rows: Tensor) -> None:
+        """Keep only the primitives that a mask [N] names."""
+        for name, values in vars(self).items():
+            setattr(self, name, values[rows])
+
     def training_state(self) -> dict[str, Tensor]:
         return dict(vars(self))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -43,6 +44,7 @@ class EnvGS(TracedReflection):
     Settings: ClassVar[type] = EnvGSSettings
     settings: EnvGSSettings
     traced: ClassVar[str] = ENV
+    captured: ClassVar[bool] = True
 
     def __init__(self, settings: EnvGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
@@ -50,7 +52,7 @@ class EnvGS(TracedReflection):
 
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
-        self._box = environment_box(scene, self.settings)
+        self._box = environment_box(self.started_from, self.settings)
 
     def start_reflection(self) -> None:
         """Fill the box with random primitives (Sec. 4.3), and a sphere around it: the sky, where no point lies."""
@@ -115,6 +117,9 @@ class EnvGS(TracedReflection):
 
     def own_bound(self, name: str) -> int:
         return self.settings.env_max_primitives if name == ENV else super().own_bound(name)
+
+    def phase(self, step: int) -> Hashable:
+        return super().phase(step), self._young(step)
 
     def contributions(self, rendering: Rendering, step: int) -> dict[str, Tensor]:
         """How much the picture would change without the set: to the base's color alone, or to the background."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Hashable, Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, ClassVar, cast
@@ -17,11 +18,14 @@ from envgs_bench.parts import ALPHA, BASE, BETA, MONO, PERCEPTUAL, SETS
 
 from .base_growth import BaseGrowth, max_base_primitives
 from .budget import Budget, SharedBudget
+from .captured_steps import CapturedSteps, StepNumbers
 from .checkpoint import on_device, read_checkpoint, write_checkpoint
 from .densification import DensificationRule, Oversized, screen_criterion
 from .frustum import in_view
+from .importance import removal_errors, without_least
 from .initialization import ORIENTATIONS, Orientation, evenly_thinned, initial_orientation, initial_tensors
 from .losses import nearness, normal_distance, normal_loss, photometric_loss, training_psnr
+from .mending import Mended, mended
 from .method import Method
 from .parameters import GaussianParameters, LearningRates, primitive_bytes
 from .resident_views import ResidentViews
@@ -40,6 +44,7 @@ WORDS = {  # of settings that choose
     "mean_gradient_over": ("drawn", "in_view"),
     "oversized": ("split", "prune"),
 }
+TRANSPARENT = -100.0  # logit of an opacity that draws nothing
 REMEMBERED_STEPS = 32  # whose gradients' magnitudes are kept, to say which were not finite
 
 
@@ -48,7 +53,7 @@ class GaussianMethod(Method):
 
     | when | what is called |
     |---|---|
-    | a training step draws | before_step, set_learning_rates, draw, losses |
+    | a training step draws | before_step, set_learning_rates, draw, losses, phase |
     | and learns | optimizers, densification_criterion, densification_interval, events, after_step |
     | an image | draw |
     | a budget is kept | primitive_bytes, other_bytes, own_bound, contributions |
@@ -63,11 +68,14 @@ class GaussianMethod(Method):
         schedule: the clock of this run, see `Schedule`.
         radius: the scene's, world units.
         background: [3] color behind everything, in [0, 1].
+        started_from: the scene that the sets start from, its points mended where `mends_input` says so.
     """
 
     Settings: ClassVar[type] = GaussianSettings
     settings: GaussianSettings
+    started_from: Scene
     axes: ClassVar[int]  # 2: surfels, 3: 3D Gaussians
+    captured: ClassVar[bool] = False  # a GPU records its steps: all that the host decides in one is in `phase`
 
     def __init__(self, settings: GaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
@@ -81,9 +89,10 @@ class GaussianMethod(Method):
         self._budget: SharedBudget | None = None
         self._on_white = False
         self.prepared: dict[str, GaussianSet] = {}
-        self._maps: dict[str, Tensor] = {}
+        self._maps: Mapping[str, Tensor] = {}
         self._norms: deque[tuple[list[str], Tensor]] = deque(maxlen=REMEMBERED_STEPS)
         self._views = ResidentViews(self.device, room=0)
+        self._steps = CapturedSteps(self._learn, self._learn_again)
 
     def limit(self, budget: Budget) -> None:
         self._budget = SharedBudget(budget, self.primitive_bytes(), self.other_bytes())
@@ -96,6 +105,11 @@ class GaussianMethod(Method):
         self.schedule = Schedule(steps, self.settings.stretches)
         self.radius = scene.radius or _extent(scene.points)
         self.near = max(self.settings.near, scene.free_space)
+        found = Mended(scene)
+        if self.settings.mends_input:
+            found = mended(scene, self.near, self.settings.mono_weight > 0, self.generator, self.device)
+        self.started_from = scene = found.scene
+        self.mended = list(found.notes)
         self.background = scene.background.to(self.device)
         self._on_white = bool((scene.background == 1).all())
         self._max_base = max_base_primitives(self.settings, scene)
@@ -111,20 +125,41 @@ class GaussianMethod(Method):
             orientation=cast(Orientation, self.settings.initial_orientation),
         )
         self.prepared.clear()
-        self._views = ResidentViews.of(self.device)
+        self._views = ResidentViews.of(self.device, found.mirrored)
+        self._steps = CapturedSteps(self._learn, self._learn_again)
 
     def training_step(self, view: View, step: int) -> dict[str, Tensor]:
         view = self._views.on_device(view)
-        camera, target = view.camera, view.rgb(self.device)
         self.prepared.clear()
         self.before_step(step)
         self.set_learning_rates(step)
+        if self._captures():
+            holds = tuple(parameter for _, parameter in self._trained())
+            numbers = self._steps.take(view, step, self.phase(step), holds)
+        else:
+            numbers = self._learn(view, step)
+        self._norms.append(numbers.magnitudes())
+        self._maps = numbers.maps
+        if happens := self.events(step):
+            self.settle()
+        with torch.no_grad():
+            self.after_step(step, happens)
+        return numbers.losses()
+
+    def _captures(self) -> bool:
+        return self.captured and self.device.type == "cuda"
+
+    def _learn(self, view: View, step: int) -> StepNumbers:
+        """All of a step that happens on the device. It never waits there, not even to learn whether the step counts."""
+        camera, target = view.camera, view.rgb(self.device)
         rendering, statistics = self.draw(camera, step)
         terms = self.losses(rendering, target, view, step)
         loss = torch.stack(list(terms.values())).sum()
         loss.backward()
 
-        finite = self._finite(loss.detach())  # on the device: a step never waits to learn whether it counts
+        names, gradients = self._gradients()
+        magnitudes = _largest_magnitudes([loss.detach(), *gradients])
+        finite = magnitudes.isfinite().all()
         for name, seen in statistics.items():  # before Adam moves what was drawn
             learned = [self.densification_criterion(name, seen, camera), seen.weights]
             if name == BASE and self.settings.mean_gradient_over == "in_view":
@@ -134,19 +169,25 @@ class GaussianMethod(Method):
         for optimizer in self.optimizers():
             optimizer.found_inf = skipped  # type: ignore[attr-defined]  # torch's way to skip a fused step
             optimizer.step()
-        self.skipped_steps = self.skipped_steps + skipped
+        self.skipped_steps += skipped
         if self._budget is not None:
             given = self.contributions(rendering, step)
             self._budget.measure({name: torch.where(finite, amount, 0.0) for name, amount in given.items()})
         for optimizer in self.optimizers():
             optimizer.zero_grad(set_to_none=True)
-        with torch.no_grad():
-            self.after_step(step, self.events(step))
-        self._maps = {ALPHA: rendering.alpha.detach()}
+        maps = {ALPHA: rendering.alpha.detach()}
         if rendering.extras.shape[-1]:
-            self._maps[BETA] = rendering.extras.detach()[..., 0]
+            maps[BETA] = rendering.extras.detach()[..., 0]
         shown = {"loss": loss, "psnr": training_psnr(rendering.color, target), **terms}
-        return {name: value.detach() for name, value in shown.items()}
+        losses = torch.stack([value.detach() for value in shown.values()])
+        return StepNumbers(tuple(shown), tuple(names), torch.cat([losses, magnitudes[1:]]), maps)
+
+    def _learn_again(self, view: View, step: int) -> StepNumbers:
+        self.skipped_steps -= 1  # the first try
+        return self._learn(view, step)
+
+    def settle(self) -> None:
+        self._steps.settle()
 
     def training_steps(self, steps: int) -> int:
         longest = self.settings.longest_run
@@ -160,12 +201,14 @@ class GaussianMethod(Method):
 
     @torch.no_grad()
     def prepare(self) -> None:
+        self._steps.release()
         self.prepared = {name: trained.parameters.gaussians() for name, trained in self.sets.items()}
 
-    def last_maps(self) -> dict[str, Tensor]:
+    def last_maps(self) -> Mapping[str, Tensor]:
         return self._maps
 
     def non_finite_gradients(self) -> list[str]:
+        self.settle()
         found = [
             name
             for names, norms in self._norms
@@ -174,6 +217,9 @@ class GaussianMethod(Method):
         ]
         self._norms.clear()
         return list(dict.fromkeys(found))
+
+    def prunes(self, step: int) -> bool:
+        return "prune" in self.events(step)
 
     def primitives(self) -> dict[str, int]:
         return {name: len(self.sets[name].parameters) if name in self.sets else 0 for name in SETS}
@@ -196,10 +242,12 @@ class GaussianMethod(Method):
         self.prepared.clear()
 
     def training_state(self) -> dict[str, Any]:
+        self.settle()
+        skipped = self.skipped_steps
         return {
             "sets": {name: trained.training_state() for name, trained in self.sets.items()},
             "generator": self.generator.get_state(),
-            "skipped_steps": self.skipped_steps,
+            "skipped_steps": skipped.clone() if isinstance(skipped, Tensor) else skipped,
             "norms": [[names, norms] for names, norms in self._norms],
             "budget": self._budget.training_state() if self._budget is not None else None,
         }
@@ -244,6 +292,16 @@ class GaussianMethod(Method):
         """The learning rate of the positions of the set `name`, world units."""
         s, schedule = self.settings, self.schedule
         return schedule.rate(step, s.position_lr, s.position_lr_final) * schedule.rate_scale * self.radius
+
+    def phase(self, step: int) -> Hashable:
+        """What the host decides of a step: steps of equal phases launch the same kernels, whatever the numbers are.
+
+        Asked where a class says that its steps may be `captured`: what it draws and what it learns by must then depend
+        on the step number through this alone, and neither may wait for the device.
+        """
+        s, at = self.settings, self.schedule.at
+        losses = (step > at(start) for start in (s.normal_from, s.mono_from, s.perceptual_from))
+        return *losses, *(self._sh_degree(name, step) for name in self.sets)
 
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
         """The picture [H, W, …], and the statistics of each set's passes.
@@ -313,7 +371,9 @@ class GaussianMethod(Method):
         return self._growth().events(step, self.densification_interval(step))
 
     def after_step(self, step: int, events: set[str]) -> None:
-        """Do what `events` names, after Adam's step and without gradients: densification and opacity resets."""
+        """Do what `events` names, after Adam's step and without gradients: prunings, densification, opacity resets."""
+        if "prune" in events:
+            self._prune()
         if "densify_base" in events:
             self.densify(BASE, self._growth().oversized(step))
         if "reset_base_opacity" in events:
@@ -325,6 +385,35 @@ class GaussianMethod(Method):
             self._budget.decide()
         self.sets[name].rule = self.densification_rule(name)
         self.sets[name].densify(self.radius, self.generator, oversized)
+
+    def _prune(self) -> None:
+        """Remove what the training views miss least, of whichever set, as far as `prune_error` allows."""
+
+        def draw(sets: Mapping[str, GaussianSet], camera: Camera) -> Rendering:
+            self.prepared = dict(sets)
+            return self.draw(camera, None)[0]
+
+        self.prepare()
+        views = map(self._views.on_device, self.started_from.train)
+        errors = removal_errors(self.prepared, draw, views, self.generator)
+        most = (1 + self.settings.prune_error) * self._squared_error({})
+        for name, rows in without_least(errors, most, self._squared_error).items():
+            self.sets[name].keep(rows)
+
+    def _squared_error(self, drawn: Mapping[str, Tensor]) -> float:
+        """Σ over the training views' pixels and channels where of each set only the rows of a mask [N] are drawn."""
+        logits = {name: self.sets[name].parameters.detached()["opacity_logits"] for name in drawn}
+        before = {name: values.clone() for name, values in logits.items()}
+        for name, values in logits.items():
+            values.masked_fill_(~drawn[name], TRANSPARENT)
+        self.prepare()
+        error = torch.zeros((), device=self.device)
+        for view in map(self._views.on_device, self.started_from.train):
+            error += (self.draw(view.camera, None)[0].color - view.rgb(self.device)).square().sum()
+        for name, values in before.items():
+            logits[name].copy_(values)
+        self.prepared.clear()
+        return float(error)
 
     # What a budget is kept by
 
@@ -410,12 +499,14 @@ class GaussianMethod(Method):
         """The set `name` as it is drawn at a training step, or for an image where `step` is None."""
         if step is None:
             return self.prepared[name]
+        return self.sets[name].parameters.gaussians(self._sh_degree(name, step))
+
+    def _sh_degree(self, name: str, step: int) -> int:
+        """The SH degree that the color of the set `name` has at a training step."""
         every, since = self.schedule.at(self.settings.sh_every), step - self.schedule.at(self.sh_from(name))
         if since <= 0:
-            degree: int | None = 0
-        else:
-            degree = min(self.settings.sh_degree, since // every) if every else None
-        return self.sets[name].parameters.gaussians(degree)
+            return 0
+        return min(self.settings.sh_degree, since // every) if every else self.settings.sh_degree
 
     def sh_from(self, name: str) -> int:
         """The step of a run of 30,000 up to which the color of the set `name` is the same from everywhere."""
@@ -460,22 +551,18 @@ class GaussianMethod(Method):
                 return rendering.alpha.detach()
         return None
 
-    def _finite(self, loss: Tensor) -> Tensor:
-        """Whether the loss and all gradients are finite, a scalar tensor; judged by their largest magnitudes.
+    def _gradients(self) -> tuple[list[str], list[Tensor]]:
+        """The gradients of all that is trained, and the names of what they are of."""
+        trained = [(name, p.grad) for name, p in self._trained() if p.grad is not None and p.grad.numel()]
+        return [name for name, _ in trained], [gradient for _, gradient in trained]
 
-        These are remembered on the device: `non_finite_gradients` says which gradient it was.
-        """
-        names, gradients = [], []
+    def _trained(self) -> Iterator[tuple[str, Tensor]]:
+        """All that the optimizers move, by name."""
         owners = {id(trained.parameters.optimizer): f"{name}." for name, trained in self.sets.items()}
         for optimizer in self.optimizers():
             for group in optimizer.param_groups:
                 for parameter in group["params"]:
-                    if parameter.grad is not None and parameter.grad.numel():
-                        names.append(owners.get(id(optimizer), "") + group.get("name", "parameters"))
-                        gradients.append(parameter.grad)
-        norms = _largest_magnitudes([loss, *gradients])
-        self._norms.append((names, norms[1:]))
-        return norms.isfinite().all()
+                    yield owners.get(id(optimizer), "") + group.get("name", "parameters"), parameter
 
 
 def _largest_magnitudes(tensors: list[Tensor]) -> Tensor:

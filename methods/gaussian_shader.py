@@ -17,6 +17,7 @@ from envgs_bench.core.torch.sh import sh_color
 from envgs_bench.core.vectors import unit
 from envgs_bench.parts import BASE, BETA, REFLECTION
 
+from .adam import set_rate
 from .brdf_table import specular_weight
 from .learned_map import MapMethod, MapSettings
 from .parameters import LearningRates
@@ -81,7 +82,7 @@ class GaussianShader(MapMethod):
         rate = schedule.rate(step, s.material_lr, s.material_lr_final)
         for name in MATERIALS:
             self.sets[BASE].parameters.set_learning_rate(name, rate * schedule.rate_scale)
-        self._texel_optimizer.param_groups[0]["lr"] = schedule.rate(step, s.envmap_lr, s.material_lr_final)
+        set_rate(self._texel_optimizer.param_groups[0], schedule.rate(step, s.envmap_lr, s.material_lr_final))
 
     def base_seen_from(self, camera: Camera, step: int | None) -> GaussianSet:
         """The shaded Gaussians; their extras are tint, normal's residual, normal [3] and reflected color [3]."""

@@ -11,9 +11,9 @@ from torch import Tensor
 from envgs_bench.core import Scene
 from envgs_bench.parts import ENV
 
+from .adam import adam, optimizer_state, restore_optimizer
 from .cubemap import layout_of
 from .gaussian_method import GaussianMethod
-from .parameters import ADAM_EPSILON, optimizer_state, restore_optimizer
 from .settings import GaussianSettings
 
 
@@ -48,9 +48,7 @@ class MapMethod(GaussianMethod):
     def _set_texels(self, texels: Tensor) -> None:
         self.texels = texels.detach().to(self.device).requires_grad_()
         self._layout = layout_of(texels.shape[1], self.device)
-        self._texel_optimizer = torch.optim.Adam(
-            [{"params": [self.texels], "name": "texels"}], lr=self.settings.envmap_lr, eps=ADAM_EPSILON, fused=True
-        )
+        self._texel_optimizer = adam([{"params": [self.texels], "lr": self.settings.envmap_lr, "name": "texels"}])
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
         return [*super().optimizers(), self._texel_optimizer]

@@ -62,12 +62,15 @@ def nearness(depth: Tensor) -> Tensor:
     without the nearest and the farthest hundredth of them (EnvGS's released code, which takes pixels without one too).
     """
     depth = depth.detach()
-    hits = depth[depth > 0]
-    if not len(hits):
-        return torch.ones_like(depth)
-    rank = max(1, len(hits) // 100)
-    low, high = hits.kthvalue(rank).values, hits.kthvalue(len(hits) - rank + 1).values
-    return (1 - (depth - low) / (high - low).clamp_min(1e-6 * high)).clamp(0, 1)
+    ordered = depth.flatten().sort().values
+    misses = (ordered <= 0).sum()
+    count = ordered.numel() - misses
+    rank = (count // 100).clamp_min(1)
+    # By gather, which does not wait for a GPU to say how many hits there are.
+    ends = torch.stack([misses + rank - 1, ordered.numel() - rank]).clamp_max(ordered.numel() - 1)
+    low, high = ordered.gather(0, ends).unbind()
+    weight = (1 - (depth - low) / (high - low).clamp_min(1e-6 * high)).clamp(0, 1)
+    return torch.where(count > 0, weight, 1.0)
 
 
 def training_psnr(image: Tensor, target: Tensor) -> Tensor:

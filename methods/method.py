@@ -34,6 +34,8 @@ class Method(ABC):
         dropped_losses: a loss that the settings ask for and that cannot be computed here -> why, a loss of
             `envgs_bench.parts.LOSSES` under its key there; complete once `initialize` is done. The harness adds the
             perceptual loss where it has none to offer, the method what the scene lacks.
+        mended: what of the scene the method does not take as it is given, and what it takes instead, a sentence each;
+            complete once `initialize` is done.
     """
 
     Settings: ClassVar[type]
@@ -45,6 +47,7 @@ class Method(ABC):
         self.skipped_steps: int | Tensor = 0
         self.perceptual: Callable[[Tensor, Tensor], Tensor] | None = None
         self.dropped_losses: dict[str, str] = {}
+        self.mended: list[str] = []
 
     @property
     def uses_perceptual(self) -> bool:
@@ -79,6 +82,9 @@ class Method(ABC):
         A loss is a number, or a tensor of one: the harness reads several steps' at once, so that a step need not wait
         for the device. A step whose loss or gradient is not finite is not applied, and counted in `skipped_steps`.
         """
+
+    def settle(self) -> None:  # noqa: B027 (most methods leave nothing under way)
+        """Finish what the last steps left under way; the harness calls it before it reads what they returned."""
 
     def last_maps(self) -> Mapping[str, Tensor]:
         """What the last training step drew that shows whether the model is sound, [H, W] by name, without gradients.
@@ -116,6 +122,13 @@ class Method(ABC):
 
     def prepare(self) -> None:  # noqa: B027 (many methods need nothing)
         """Make what rendering needs once, such as acceleration structures. Timed apart from frames."""
+
+    def prunes(self, step: int) -> bool:
+        """Whether the method removes, right after this training step, what its pictures were found to do without.
+
+        A set may then lose most of itself, and the harness does not warn of it.
+        """
+        return False
 
     @abstractmethod
     def primitives(self) -> dict[str, int]:

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from envgs_bench.core import GaussianSet
 
-ADAM_EPSILON = 1e-15  # as 3DGS: gradients of a mean over pixels are tiny
+from .adam import adam, optimizer_state, restore_optimizer, set_rate
+
 COMMON_FIELDS = frozenset({"means", "quaternions", "log_scales", "opacity_logits", "sh_dc", "sh_rest", "beta_logits"})
 SH_DC = 0.28209479177387814  # the constant spherical harmonic, 1 / (2·√π)
 
@@ -100,7 +101,7 @@ class GaussianParameters:
             **rates.materials,
         }
         groups = [{"params": [value], "lr": by_field[name], "name": name} for name, value in self.tensors.items()]
-        self.optimizer = torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
+        self.optimizer = adam(groups)
 
     def __len__(self) -> int:
         return self.tensors["means"].shape[0]
@@ -126,7 +127,7 @@ class GaussianParameters:
         )
 
     def set_learning_rate(self, name: str, rate: float) -> None:
-        self._group(name)["lr"] = rate
+        set_rate(self._group(name), rate)
 
     def replace(self, name: str, values: Tensor) -> None:
         """Overwrite one field, same shape, and forget its moments."""
@@ -178,28 +179,6 @@ class GaussianParameters:
             self.optimizer.state[new] = {"step": state["step"], **moments}
         self._group(name)["params"] = [new]
         self.tensors[name] = new
-
-
-def optimizer_state(optimizer: torch.optim.Optimizer, parameters: Mapping[str, Tensor]) -> dict[str, Any]:
-    """What Adam remembers of each parameter that it has moved, and its learning rate, by the parameter's name."""
-    rates = {id(parameter): group["lr"] for group in optimizer.param_groups for parameter in group["params"]}
-    return {
-        name: {"lr": rates[id(parameter)], **optimizer.state.get(parameter, {})}
-        for name, parameter in parameters.items()
-    }
-
-
-def restore_optimizer(
-    optimizer: torch.optim.Optimizer, parameters: Mapping[str, Tensor], state: Mapping[str, Any]
-) -> None:
-    """Make the optimizer of these parameters what `optimizer_state` found."""
-    groups = {id(parameter): group for group in optimizer.param_groups for parameter in group["params"]}
-    for name, parameter in parameters.items():
-        moments = {key: value.to(parameter.device) for key, value in state[name].items() if key != "lr"}
-        groups[id(parameter)]["lr"] = state[name]["lr"]
-        optimizer.state.pop(parameter, None)
-        if moments:
-            optimizer.state[parameter] = moments
 
 
 def inverse_sigmoid(values: Tensor) -> Tensor:

@@ -88,6 +88,7 @@ class RefGaussian(EnvMap):
 
     Settings: ClassVar[type] = RefGaussianSettings
     settings: RefGaussianSettings
+    captured: ClassVar[bool] = False  # the host learns how many surfels may hide the map
 
     def __init__(self, settings: RefGaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, ClassVar
@@ -126,6 +127,10 @@ class ReflectiveMethod(GaussianMethod):
         super().set_learning_rates(step)
         opacity_rate = 0.0 if step <= self._hold_until else self.settings.opacity_lr
         self.sets[BASE].parameters.set_learning_rate("opacity_logits", opacity_rate)
+
+    def phase(self, step: int) -> Hashable:
+        reflects_less = step > self.schedule.at(self.settings.reflect_alpha_from)
+        return super().phase(step), self.reflects, reflects_less
 
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
         base = self.rasterize_base(camera, step)

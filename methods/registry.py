@@ -21,6 +21,7 @@ BUILT_IN = {
     "envmap": "envgs_bench.methods.envmap:EnvMap",
     "3dgs_dr": "envgs_bench.methods.deferred_reflection:DeferredReflection",
     "gaussian_shader": "envgs_bench.methods.gaussian_shader:GaussianShader",
+    "3igs": "envgs_bench.methods.three_igs:ThreeIGS",
     "ref_gaussian": "envgs_bench.methods.ref_gaussian:RefGaussian",
     "envgs": "envgs_bench.methods.envgs:EnvGS",
     "envgs_single_set": "envgs_bench.methods.single_set:SingleSet",

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from envgs_bench.core import View
+
+from .evidence import mirrored_normals
 
 SHARE_OF_DEVICE = 0.25  # part of a GPU's memory that views may stay in
 
@@ -20,17 +23,18 @@ class ResidentViews:
     Args:
         device: where the views go.
         room: bytes that may stay there; views that come later are copied whenever they are asked for.
+        mirrored: names of the views whose normals are mirrored from left to right on their way.
     """
 
-    def __init__(self, device: torch.device, room: int) -> None:
-        self.device, self._room = device, room
+    def __init__(self, device: torch.device, room: int, mirrored: Collection[str] = ()) -> None:
+        self.device, self._room, self._mirrored = device, room, mirrored
         self._copies: dict[int, tuple[View, View]] = {}  # by id(view); the view is kept, so that no other gets it
 
     @classmethod
-    def of(cls, device: torch.device) -> ResidentViews:
+    def of(cls, device: torch.device, mirrored: Collection[str] = ()) -> ResidentViews:
         """With room for SHARE_OF_DEVICE of a GPU; views on the CPU are where they are already."""
         on_gpu = device.type == "cuda"
-        return cls(device, int(SHARE_OF_DEVICE * torch.cuda.mem_get_info(device)[1]) if on_gpu else 0)
+        return cls(device, int(SHARE_OF_DEVICE * torch.cuda.mem_get_info(device)[1]) if on_gpu else 0, mirrored)
 
     def on_device(self, view: View) -> View:
         """The view there, without masks and depth."""
@@ -39,6 +43,8 @@ class ResidentViews:
             return known[1]
         image = view.image.to(self.device)
         normal = None if view.normal is None else view.normal.to(self.device)
+        if normal is not None and view.name in self._mirrored:
+            normal = mirrored_normals(normal, view)
         copy = replace(view, camera=view.camera.to(self.device), image=image, normal=normal, masks={}, depth=None)
         size = image.nbytes + (0 if normal is None else normal.nbytes)
         if size <= self._room:

@@ -34,6 +34,8 @@ class GaussianSettings:
     rotation_lr: float = 1e-3  # learning rate of the quaternions at the start; log-linear to rotation_lr_final
     rotation_lr_final: float = 1e-3  # learning rate of the quaternions at the end
 
+    mends_input: bool = True  # mend points and normals that the training views contradict, before the first step
+
     initial_opacity: float = 0.1  # opacity that all primitives start with
     initial_orientation: str = "surface"  # of the base set: along the surface of the points, random, or world (axes)
     densify_from: int = 500  # step after which the base set is densified
@@ -49,6 +51,10 @@ class GaussianSettings:
     max_primitives: int = 1_800_000  # largest base set; beyond, those of the least blending weight are pruned; 0: any
     pixels_per_primitive: float = 0.0  # the base set has at most a primitive for so many training pixels; 0: no bound
     opacity_reset_every: int = 3_000  # steps between the base set's opacity resets; 0: never
+    prune_error: float = 0.0  # a pruning removes what adds so much to the training views' squared error; 0: none
+    prune_from: int = 21_000  # step after which there are prunings, of all sets together
+    prune_until: int = 28_000  # step before which they end
+    prune_every: int = 1_500  # steps between two of them
     reset_on_white: bool = False  # over a white background, opacities are also reset at densify_from
 
     normal_weight: float = 0.04  # weight of L_norm, rendered normals against those of the depth map
@@ -73,6 +79,7 @@ class PublishedSettings(GaussianSettings):
     sh_every: int = 1_000
 
     longest_run: int = 30_000
+    mends_input: bool = False
 
     mean_gradient_over: str = "in_view"
     max_growth: float = 0.0

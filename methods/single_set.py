@@ -20,6 +20,7 @@ class SingleSet(TracedReflection):
     """
 
     traced: ClassVar[str] = BASE
+    captured: ClassVar[bool] = True
 
     def start_reflection(self) -> None:
         pass

@@ -27,3 +27,4 @@ class ThreeDGS(GaussianMethod):
 
     Settings: ClassVar[type] = ThreeDGSSettings
     axes = 3
+    captured: ClassVar[bool] = True

@@ -33,6 +33,13 @@ class TrainedSet:
         """Grow and shrink by the rule and what the last steps recorded, with `densify`'s arguments."""
         self.record = densify(self.parameters, self.record, self.rule, radius, generator, oversized)
 
+    def keep(self, rows: Tensor) -> None:
+        """Keep only the primitives that a mask [N] names, with what was recorded of them."""
+        draft = self.parameters.draft()
+        draft.keep(rows)
+        self.parameters.become(draft)
+        self.record.keep(rows)
+
     def reset_opacity(self) -> None:
         """Opacities down to at most 0.01 (3DGS), so that what no view needs can be pruned."""
         logits = self.parameters.tensors["opacity_logits"].detach()

@@ -28,3 +28,4 @@ class TwoDGS(GaussianMethod):
 
     Settings: ClassVar[type] = TwoDGSSettings
     axes = 2
+    captured: ClassVar[bool] = True

@@ -52,9 +52,9 @@ def stage_distances(prediction: Tensor, target: Tensor, input_range: str) -> Ite
     network = load_vgg16(prediction.device)
     # One image at a time: half the memory, and equal images get equal features to the last bit.
     features = [network(_network_input(image, input_range)) for image in (prediction, target)]
-    for first, second, head in zip(*features, load_heads(), strict=True):
+    for first, second, head in zip(*features, _heads_on(prediction.device), strict=True):
         squared = (_unit(first) - _unit(second)).square()
-        yield torch.einsum("c,bchw->bhw", head.to(squared.device), squared)
+        yield torch.einsum("c,bchw->bhw", head, squared)
 
 
 @cache
@@ -74,10 +74,22 @@ def load_heads() -> tuple[Tensor, ...]:
     return tuple(state[f"lin{stage}.model.1.weight"].flatten() for stage in range(5))
 
 
+# Copied to a device once: each copy of numbers to a GPU waits for it, and a recorded training step allows none.
+@cache
+def _heads_on(device: torch.device) -> tuple[Tensor, ...]:
+    return tuple(head.to(device) for head in load_heads())
+
+
+@cache
+def _normalization(device: torch.device) -> tuple[Tensor, Tensor]:
+    return torch.tensor(_MEAN, device=device), torch.tensor(_DEVIATION, device=device)
+
+
 def _network_input(image: Tensor, input_range: str) -> Tensor:
     """[1, 3, H, W] of about zero mean and unit deviation, were the image in [−1, 1]."""
     image = image.float() if input_range == "[0, 1]" else 2 * image.float() - 1
-    return ((image - image.new_tensor(_MEAN)) / image.new_tensor(_DEVIATION)).permute(2, 0, 1)[None]
+    mean, deviation = _normalization(image.device)
+    return ((image - mean) / deviation).permute(2, 0, 1)[None]
 
 
 def _unit(features: Tensor) -> Tensor:

@@ -24,6 +24,7 @@ def test_a_method_that_conforms_passes() -> None:
         ("3dgs_dr", {"envmap_size": 16}),
         ("ref_gaussian", {"envmap_size": 16}),
         ("gaussian_shader", {"envmap_size": 16}),
+        ("3igs", {"field_size": 8}),
     ],
 )
 def test_the_built_in_methods_pass(kind: str, settings: dict[str, Any]) -> None:

@@ -24,6 +24,7 @@ def draw_chart(rows: Sequence[Row], path: Path) -> None:
 
     Bars are the distance between the quartiles.
     """
+    rows = [row for row in rows if row["op"] in COLORS]
     figure, (by_primitives, by_pixels, by_rays) = plt.subplots(1, 3, figsize=(15, 4.8), layout="constrained")
     base = [row for row in rows if (row["width"], row["height"]) == BASE[row["op"]]]
     _lines(by_primitives, base, lambda row: row["primitives"], lambda row: 1.0)

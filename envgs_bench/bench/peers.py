@@ -10,9 +10,6 @@ from torch.nn.functional import pad
 
 from envgs_bench.core import Camera, GaussianSet
 
-PEERS = ("gsplat",)
-NEAR = 0.2
-
 
 @dataclass
 class PeerImage:
@@ -33,12 +30,15 @@ def why_unavailable() -> str | None:
     return None
 
 
-def peer_drawing(gaussians: GaussianSet, camera: Camera) -> Callable[[], PeerImage]:
-    """A call of gsplat's rasterizer for this kind of Gaussian. It is asked for no depth, which ours returns too."""
+def peer_drawing(gaussians: GaussianSet, camera: Camera, near: float) -> Callable[[], PeerImage]:
+    """A call of gsplat's rasterizer for this kind of Gaussian.
+
+    It is asked for no depth and for none of the set's extras, which ours returns too.
+    """
     from gsplat import rasterization, rasterization_2dgs
 
     view, intrinsics = camera.world_to_camera[None], camera.intrinsics[None]
-    common = {"viewmats": view, "Ks": intrinsics, "width": camera.width, "height": camera.height, "near_plane": NEAR,
+    common = {"viewmats": view, "Ks": intrinsics, "width": camera.width, "height": camera.height, "near_plane": near,
               "sh_degree": gaussians.sh_degree, "packed": False}  # fmt: skip
 
     def fields(scales: Tensor) -> dict[str, Tensor]:

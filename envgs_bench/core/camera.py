@@ -20,8 +20,10 @@ class Camera:
             or the last row of K not (0, 0, 1).
     """
 
-    world_to_camera: Tensor  # [4, 4]
-    intrinsics: Tensor  # [3, 3], pixels
+    world_to_camera: Tensor
+    """[4, 4]"""
+    intrinsics: Tensor
+    """[3, 3], pixels"""
     width: int
     height: int
 

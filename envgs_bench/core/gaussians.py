@@ -28,12 +28,18 @@ class GaussianSet:
         ValueError: shapes, dtypes or devices disagree; the message names the field and its shape.
     """
 
-    means: Tensor  # [N, 3] centers, world frame
-    quaternions: Tensor  # [N, 4] wxyz, local to world, any non-zero norm
-    scales: Tensor  # [N, 2] or [N, 3] standard deviations along the local axes, > 0, world units
-    opacities: Tensor  # [N] in [0, 1]
-    sh: Tensor  # [N, K, 3] spherical harmonics, K = (degree + 1)², degree 0 to 3; color = max(0, SH + 0.5)
-    extras: Tensor | None = None  # [N, E] further values to blend as color is (EnvGS: β), E ≤ 8
+    means: Tensor
+    """[N, 3] centers, world frame."""
+    quaternions: Tensor
+    """[N, 4] wxyz, local to world, any non-zero norm."""
+    scales: Tensor
+    """[N, 2] or [N, 3] standard deviations along the local axes, > 0, world units."""
+    opacities: Tensor
+    """[N] in [0, 1]."""
+    sh: Tensor
+    """[N, K, 3] spherical harmonics, K = (degree + 1)², degree 0 to 3; color = max(0, SH + 0.5)."""
+    extras: Tensor | None = None
+    """[N, E] further values to blend as color is (EnvGS: β), E ≤ 8."""
 
     def __post_init__(self) -> None:
         for field in fields(self):

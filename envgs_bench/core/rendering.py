@@ -18,8 +18,10 @@ class Statistics:
     3DGS's gradient of the projected center, ½ gives the EnvGS paper's (Sec. 5.1).
     """
 
-    weights: Tensor  # [N] Σ over hits of the blending weight T·α; > 0 where the primitive was seen
-    position_gradients: Tensor | None = None  # [N, 3]
+    weights: Tensor
+    """[N] Σ over hits of the blending weight T·α; > 0 where the primitive was seen."""
+    position_gradients: Tensor | None = None
+    """[N, 3]"""
 
 
 @dataclass
@@ -31,14 +33,21 @@ class Rendering:
     facing the ray's origin, the sum not normalized; extras = Σ wᵢeᵢ.
     """
 
-    color: Tensor  # [..., 3]
-    alpha: Tensor  # [...]
-    depth: Tensor  # [...]
-    normal: Tensor  # [..., 3]
-    extras: Tensor  # [..., E]
-    hits: Tensor  # [...] int32, blended primitives of each pixel or ray
+    color: Tensor
+    """[..., 3]"""
+    alpha: Tensor
+    """[...]"""
+    depth: Tensor
+    """[...]"""
+    normal: Tensor
+    """[..., 3]"""
+    extras: Tensor
+    """[..., E]"""
+    hits: Tensor
+    """[...] int32, blended primitives of each pixel or ray."""
     statistics: Statistics
-    layers: dict[str, Tensor] = field(default_factory=dict)  # a method's named parts
+    layers: dict[str, Tensor] = field(default_factory=dict)
+    """A method's named parts."""
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Rendering:
         """The rendering with `function` applied to each of the core's fields: the same rays in another shape."""

@@ -15,14 +15,18 @@ from .camera import Camera
 class View:
     """One posed photograph and what is known about it."""
 
-    name: str  # unique within the scene: the image's stem
+    name: str
+    """Unique within the scene: the image's stem."""
     camera: Camera
-    image: Tensor  # [H, W, 3] uint8, sRGB
-    masks: dict[str, Tensor] = field(default_factory=dict)  # region name -> [H, W] bool, True inside
-    # [H, W, 3] unit, world frame, facing the camera; 0 where unknown. A training view's may be an estimate to learn
-    # from; a test view's is what scores refer to.
+    image: Tensor
+    """[H, W, 3] uint8, sRGB."""
+    masks: dict[str, Tensor] = field(default_factory=dict)
+    """Region name -> [H, W] bool, True inside."""
     normal: Tensor | None = None
-    depth: Tensor | None = None  # [H, W] camera-frame z; 0 where unknown
+    """[H, W, 3] unit, world frame, facing the camera; 0 where unknown. A training view's may be an estimate to learn
+    from; a test view's is what scores refer to."""
+    depth: Tensor | None = None
+    """[H, W] camera-frame z; 0 where unknown."""
 
     def rgb(self, device: torch.device | str = "cpu") -> Tensor:
         """The image as [H, W, 3] float32 in [0, 1], sRGB."""
@@ -39,12 +43,18 @@ class Scene:
     name: str
     train: list[View]
     test: list[View]
-    points: Tensor  # [P, 3] world frame
-    point_colors: Tensor  # [P, 3] in [0, 1], sRGB
-    background: Tensor = field(default_factory=lambda: torch.zeros(3))  # [3] in [0, 1], behind everything
-    val: Sequence[View] = ()  # taken out of the training views, to choose settings by
-    free_space: float = 0.0  # nothing is nearer than this to any camera
-    bounds: float = 0.0  # half the edge of a cube around the world's origin that holds the surroundings
+    points: Tensor
+    """[P, 3] world frame."""
+    point_colors: Tensor
+    """[P, 3] in [0, 1], sRGB."""
+    background: Tensor = field(default_factory=lambda: torch.zeros(3))
+    """[3] in [0, 1], behind everything."""
+    val: Sequence[View] = ()
+    """Taken out of the training views, to choose settings by."""
+    free_space: float = 0.0
+    """Nothing is nearer than this to any camera."""
+    bounds: float = 0.0
+    """Half the edge of a cube around the world's origin that holds the surroundings."""
 
     @property
     def radius(self) -> float:

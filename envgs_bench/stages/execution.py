@@ -29,6 +29,7 @@ from .perturbations import load_run_scene, perturbed_settings
 from .probing import probe
 from .renders import score_renders
 from .results import Results
+from .scene_check import scene_warnings
 from .snapshots import Snapshots
 from .stop import Stop
 from .timing import time_frames
@@ -66,10 +67,13 @@ def execute(
         return
     actual = perturbed_settings(settings)
     method = limited_method(actual, settings.device)
-    _offer_perceptual_loss(method)
+    offer_perceptual_loss(method)
     scene = _load(settings, results, report)
-    _check_scene(scene)
+    check_scene(scene)
     results.steps = method.training_steps(actual.steps)
+    results.warnings = scene_warnings(scene)
+    for warning in results.warnings:
+        report({"stage": "training", "step": 0, "steps": results.steps, "warning": warning.model_dump()})
     log = None
     if logger and settings.logger:
         log = TrainingLog(logger, method, scene, settings.logger.every, settings.logger.views)
@@ -83,7 +87,8 @@ def execute(
         results.went_on_from = training.went_on_from
         results.losses = sorted(training.losses)
         results.dropped_losses = dict(method.dropped_losses)
-        results.warnings = list(training.health.warnings)
+        results.notes = [*results.notes, *method.mended]
+        results.warnings = [*results.warnings, *training.health.warnings]
         if training.step:  # however it ends, what was learned is kept
             results.cost = cost_of(method, training)
             method.save(folder / CHECKPOINT)
@@ -123,13 +128,13 @@ def _load(settings: RunSettings, results: Results, report: EventListener) -> Sce
     return scene
 
 
-def _check_scene(scene: Scene) -> None:
+def check_scene(scene: Scene) -> None:
     for name, views in (("training", scene.train), ("test", scene.test)):
         if not views:
             raise ValueError(f"data set {scene.name} has no {name} views: it needs at least two images")
 
 
-def _offer_perceptual_loss(method: Method) -> None:
+def offer_perceptual_loss(method: Method) -> None:
     """Methods must not import metrics: those that use the perceptual loss are given it, if it can be had."""
     if method.uses_perceptual:
         try:

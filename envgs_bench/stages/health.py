@@ -73,7 +73,7 @@ class Health:
             earlier = before.get(name, 0)
             if count == earlier or earlier < MIN_SET:
                 continue
-            if count < KEPT.get(name, KEPT[BASE]) * earlier:
+            if count < KEPT.get(name, KEPT[BASE]) * earlier and not self._method.prunes(step):
                 self._warn("set_shrinks", step, name, f"from {earlier:,} to {count:,} primitives in one step")
             if count > 2 * earlier:
                 self._warn("set_doubles", step, name, f"from {earlier:,} to {count:,} primitives in one step")

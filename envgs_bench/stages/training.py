@@ -79,6 +79,8 @@ class Training:
                 self._go_on_from(state)
             if self.method.dropped_losses:
                 report({"stage": "training", "steps": self.steps, "dropped_losses": dict(self.method.dropped_losses)})
+            if self.method.mended:
+                report({"stage": "training", "steps": self.steps, "notes": list(self.method.mended)})
             self._tell_warnings(report)  # those before an interruption: who reads this may not have heard of them
             rows = _rows_up_to(curve, self.step) if self.step else []
             with curve.open("w", buffering=1, newline="", encoding="utf-8") as stream:
@@ -173,6 +175,7 @@ class Training:
 
     def _judge(self, unread: Sequence[Mapping[str, float | Tensor]]) -> tuple[float, float]:
         """The last step's loss and the running PSNR."""
+        self.method.settle()
         loss = math.nan
         for step, losses in enumerate(unread, self.step - len(unread) + 1):
             loss, psnr = self.health.read(step, losses)

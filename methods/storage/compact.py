@@ -34,7 +34,11 @@ from .quantized_set import Arrays, dequantize, quantize
 FILE_NAME = "model.npz"
 HEADER = "header.json"
 LAYOUT = 1
-STEPS = {"texels": 1 / 16}  # of the logits of a cube map's colors, which are then off by 1/128 at most
+STEPS = {  # of tensors outside of sets
+    "texels": 1 / 16,  # logits of a cube map's colors, which are then off by 1/128 at most
+    "planes": 1 / 32,  # of an illumination field; trained values are some tenths
+    "lines": 1 / 32,
+}
 SET, TENSOR = "set", "tensor"  # the keys of a header's nodes that stand for arrays
 TIME = (1980, 1, 1, 0, 0, 0)  # of every member: the earliest that a zip knows
 

@@ -38,8 +38,10 @@ FAMILIES = {
 METHODS = {
     "3dgs": ("3dgs", "s", "square", 0.35),
     "3dgs_tuned": ("3dgs", "8", "octagon", 0.0),
+    "3dgs_lean": ("3dgs", "v", "triangle-down", -0.4),
     "2dgs": ("2dgs", "D", "diamond", -0.25),
     "2dgs_tuned": ("2dgs", "H", "hexagon2", 0.0),
+    "2dgs_lean": ("2dgs", "v", "triangle-down", -0.5),
     "envmap_paper": ("envmap", "<", "triangle-left", -0.3),
     "envmap": ("envmap", "^", "triangle-up", 0.0),
     "envmap128": ("envmap", "^", "triangle-up", 0.0),
@@ -47,10 +49,12 @@ METHODS = {
     "envgs_paper": ("envgs", "d", "diamond-tall", 0.35),
     "envgs_no_joint": ("envgs", "p", "pentagon", 0.5),
     "envgs": ("envgs", "o", "circle", 0.0),
+    "envgs_lean": ("envgs", "v", "triangle-down", -0.4),
     "3dgs_dr": ("3dgs_dr", "P", "cross", 0.0),
     "3dgs_dr_tuned": ("3dgs_dr", "v", "triangle-down", 0.0),
     "gaussian_shader": ("gaussian_shader", "X", "x", 0.0),
     "3igs": ("3igs", "*", "star", 0.0),
+    "3igs_tuned": ("3igs", "v", "triangle-down", 0.0),
     "ref_gaussian": ("ref_gaussian", "h", "hexagon", 0.0),
     "ref_gaussian_tuned": ("ref_gaussian", "p", "pentagon", 0.0),
 }

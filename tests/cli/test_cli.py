@@ -39,6 +39,7 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
         ["completion"],
         ["doctor"],
         ["bench", "core"],
+        ["bench", "train"],
     ],
 )
 def test_help_answers_without_pytorch(command: list[str]) -> None:
@@ -77,7 +78,10 @@ def test_wrong_usage_ends_with_status_2(arguments: list[str], capsys: pytest.Cap
 @pytest.mark.parametrize(
     ("overrides", "parts"),
     [
-        (["method=envgz"], ["there is no method 'envgz'", "2dgs, 2dgs_tuned, 3dgs", "Did you mean 'envgs'?"]),
+        (
+            ["method=envgz"],
+            ["there is no method 'envgz'", "2dgs, 2dgs_lean, 2dgs_tuned, 3dgs", "Did you mean 'envgs'?"],
+        ),
         (["dataset=tinny"], ["there is no dataset 'tinny'", "tiny", "Did you mean 'tiny'?"]),
         (["experiment=demmo"], ["there is no experiment 'demmo'", "Did you mean 'demo'?"]),
         (
@@ -162,7 +166,7 @@ def test_list_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list"]) == 0
     shown = capsys.readouterr().out
     for name in (
-        "2dgs, 2dgs_tuned, 3dgs, 3dgs_dr",
+        "2dgs, 2dgs_lean, 2dgs_tuned, 3dgs, 3dgs_dr",
         "envgs",
         "toy/chrome_room",
         "colmap",

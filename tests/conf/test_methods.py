@@ -27,13 +27,18 @@ from envgs_bench.methods.settings import make_settings, setting_comments
 from envgs_bench.settings import read_settings
 from envgs_bench.testing import tiny_scene
 
+LEAN = {"prune_error": 0.05, "prune_from": 14_000}
 DIFFERENCES = {
     **{kind: {} for kind in BUILT_IN},
     "2dgs_tuned": TUNED_2DGS,
     "3dgs_tuned": TUNED_3DGS,
+    "3igs_tuned": TUNED_3DGS | {"sh_degree": 0},
     "envmap128": {"envmap_size": 128},
     "envmap256": {"envmap_size": 256},
     "envgs_no_joint": {"joint": False},
+    "2dgs_lean": TUNED_2DGS | LEAN,
+    "3dgs_lean": TUNED_3DGS | LEAN,
+    "envgs_lean": {"prune_error": 0.05},
 }
 ABLATIONS = {  # of the published recipe
     "envgs_paper_no_joint": {"joint": False},
@@ -74,6 +79,7 @@ RELEASED_RIVALS = {  # steps that are trained at most, and settings that say not
     "3dgs_dr_real": (97_000, {"scope_radius": 0.5}),
     "ref_gaussian_real": (20_000, {"shade_until": 0}),
     "ref_gaussian_smooth": (50_000, {"smooth_weight": 1.0}),
+    "3igs_real": (30_000, {"field_size": 300}),
 }
 REPLACED = {"envmap_paper": "envmap", "envgs_paper_single_set": "envgs_single_set"}  # name -> kind
 
@@ -96,7 +102,7 @@ def composed(name: str) -> dict[str, Any]:
 def test_a_configuration_holds_every_setting(name: str) -> None:
     method = composed(name)
     assert method["name"] == name
-    assert method["kind"] in (name, name.removesuffix("_tuned"), "envgs", "envmap")
+    assert method["kind"] in (name, name.removesuffix("_tuned"), name.removesuffix("_lean"), "envgs", "envmap")
     defaults = dataclasses.asdict(create_method(method["kind"]).settings)
     assert method["settings"] == defaults | DIFFERENCES[name]
 

@@ -5,17 +5,22 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 import torch
+from trained_runs import trained_run
 
-from envgs_bench.bench.cases import Case, chosen_cases, sweep_cases, time_case
+from envgs_bench.bench.cases import Case, chosen_cases, sweep_cases
 from envgs_bench.bench.core import main
 from envgs_bench.bench.room import LOWER, SPHERES, UPPER, first_hits, reflected_rays, room_camera, room_gaussians
+from envgs_bench.bench.rows import time_case
+from envgs_bench.bench.tile_lists import tile_list_lengths
 from envgs_bench.bench.tracers import compare, pixel_along
-from envgs_bench.core import trace
+from envgs_bench.core import GaussianSet, rasterize, trace
 from envgs_bench.core.backends import BACKENDS
 from envgs_bench.core.torch.rotation import rotation_matrices
+from envgs_bench.testing import tiny_scene
 
 KEYS = {"op", "direction", "backend", "primitives", "width", "height", "median_ms", "spread_ms", "hits_per_ray"}
 
@@ -186,3 +191,89 @@ def test_the_rows_of_envgs_belong_to_the_gpu():
         "forward_backward",
     ]
     assert not [c for c in chosen_cases(["cpu"], None, None) + chosen_cases(["cuda"], [10], None) if c.op == "envgs"]
+
+
+@pytest.mark.parametrize("op", ["adam", "ssim", "cubemap", "2dgs", "3dgs", "envmap"])
+def test_what_a_training_step_takes_is_timed_alone(op):
+    width, height = (None, None) if op == "adam" else (20, 14)
+    primitives = 0 if op in ("ssim", "cubemap") else 60
+    direction = "forward" if op == "adam" else "forward_backward"
+    row = time_case(Case(op, direction, "cpu", primitives, width, height), repeats=3)
+    assert row["repeats"] == 3
+    assert row["median_ms"] > 0
+    assert (row["alpha"] is not None) == (op in ("2dgs", "3dgs", "envmap"))
+    assert row["peak_bytes"] is None  # of a GPU
+
+
+def test_a_backend_is_asked_for_what_it_has():
+    default = {backend: {c.op for c in chosen_cases([backend], None, None)} for backend in ("cpu", "cuda", "torch")}
+    assert {"adam", "ssim", "cubemap", "prefiltered"} <= default["cpu"] & default["cuda"]
+    assert {"refit", "2dgs", "3dgs", "envmap"} <= default["cuda"] - default["cpu"]
+    assert default["torch"] == {"trace", "rasterize_2d", "rasterize_3d"}
+    chosen = chosen_cases(["cpu", "torch"], [10], [(4, 3)], ["envgs", "ssim", "refit"])
+    assert {(c.op, c.backend, c.primitives) for c in chosen} == {("envgs", "cpu", 10), ("ssim", "cpu", 0)}
+
+
+def test_rows_say_how_many_hits_and_how_long_lists_are():
+    """Against the hits that the oracle counts: their distribution, and that no pixel has more than its tile's list."""
+    row = time_case(Case("rasterize_2d", "forward", "cpu", 300, 32, 16), repeats=3)
+    hits = rasterize(room_gaussians(300), room_camera(32, 16), backend="torch").hits
+    assert row["hits_per_ray"] == pytest.approx(hits.double().mean().item(), rel=1e-3)
+    assert abs(row["hits_max"] - hits.max()) <= 1
+    assert row["hits_p50"] <= row["hits_p99"] <= row["hits_max"] <= row["lists_max"] <= 300
+    assert row["lists_p50"] <= row["lists_p99"]
+
+
+def spots(camera, centers):
+    """Small opaque surfels that face the camera at pixel positions, at depth 2."""
+    x, y = torch.tensor(centers).T
+    at = torch.stack([x, y, torch.ones_like(x)], dim=1) @ camera.intrinsics.inverse().T * 2
+    in_world = (at - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
+    turned = torch.tensor([[1.0, 0, 0, 0]]).repeat(len(centers), 1)
+    count = len(centers)
+    return GaussianSet(
+        in_world, turned, torch.full((count, 2), 1e-3), torch.full((count,), 0.9), torch.zeros(count, 1, 3)
+    )
+
+
+def test_a_tiles_list_holds_what_lies_in_it():
+    camera = replace(room_camera(48, 32), world_to_camera=torch.eye(4))
+    drawn = spots(camera, [(8.0, 8.0), (24.0, 8.0), (25.0, 9.0), (40.0, 24.0)])
+    assert tile_list_lengths(drawn, camera, 0.2, "cpu").tolist() == [1, 2, 0, 0, 0, 1]
+
+
+def test_a_trained_run_is_timed_on_its_own_views(tmp_path, capsys):
+    method = trained_run(tmp_path / "run", "envgs", steps=4, bootstrap=0, env_grid=2, env_far_count=8)
+    file = tmp_path / "rows.json"
+    arguments = ["--scene", str(tmp_path / "run"), "--backend", "cpu", "--repeats", "1", "--views", "1"]
+    assert main([*arguments, "--json", str(file)]) == 0
+    rows = {(row["op"], row["direction"]): row for row in json.loads(file.read_text())}
+    counts, view = method.primitives(), tiny_scene().test[0]
+    assert {op for op, _ in rows} == {"rasterize_2d", "trace", "build", "adam", "ssim", "envgs"}
+    assert rows["rasterize_2d", "forward"]["primitives"] == counts["base"]
+    assert rows["trace", "forward"]["primitives"] == rows["build", "forward"]["primitives"] == counts["env"]
+    assert rows["envgs", "forward_backward"]["primitives"] == sum(counts.values())
+    drawn = method.rasterize_base(view.camera, None)
+    assert rows["rasterize_2d", "forward"]["hits_per_ray"] == pytest.approx(drawn.hits.double().mean().item())
+    assert rows["envgs", "forward"]["alpha"] == pytest.approx(drawn.alpha.mean().item())
+    assert (rows["trace", "forward"]["width"], rows["trace", "forward"]["height"]) == (
+        view.camera.width,
+        view.camera.height,
+    )
+    assert "tiny/envgs/run" in capsys.readouterr().out
+    assert main(["--scene", str(tmp_path / "run"), "--backend", "embree", "--op", "envgs"]) == 1  # it has a backend
+    assert "and a backend that has them" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--op", "sorting"], "--op sorting: expected some of trace, "),
+        (["--op", "refit", "--backend", "cpu"], "and a backend that has them"),
+        (["--scene", "nowhere"], "nowhere: holds no config.yaml"),
+        (["--scene", "nowhere", "--size", "8x6"], "a run has its own primitives and sizes"),
+    ],
+)
+def test_what_cannot_be_timed_is_refused(arguments, message, capsys):
+    assert main(arguments) == 1
+    assert message in capsys.readouterr().err

@@ -8,6 +8,7 @@ import pytest
 import torch
 from core_scenes import (
     FIELDS,
+    assert_adam_is_torchs,
     assert_depth_normals_as_by_formula,
     assert_reflected_as_by_formula,
     assert_similar_as_by_formula,
@@ -183,3 +184,7 @@ def test_similarity_and_its_gradient_are_those_of_the_cpu(padding):
         gradients.append(leaf.grad.cpu())
     torch.testing.assert_close(maps[1].cpu(), maps[0], atol=1e-4, rtol=0)
     assert relative_error(gradients[1], gradients[0]) < 1e-4
+
+
+def test_steps_of_adam_are_torchs_on_the_cpu():
+    assert_adam_is_torchs("cuda")

@@ -15,6 +15,7 @@ from core_scenes import (
     FIELDS,
     ORACLE,
     Backend,
+    assert_adam_is_torchs,
     assert_depth_normals_as_by_formula,
     assert_reflected_as_by_formula,
     assert_similar_as_by_formula,
@@ -39,7 +40,8 @@ from oracle import (
 )
 from torch import Tensor
 
-from envgs_bench.core import GaussianSet, Rendering, build_bvh, cuda
+from envgs_bench.bench.tile_lists import tile_list_lengths
+from envgs_bench.core import Camera, GaussianSet, Rendering, build_bvh, cuda
 from envgs_bench.core.cuda import raster_pass, trace_pass
 from envgs_bench.core.differentiable import SetTensors
 
@@ -57,14 +59,18 @@ def dressed(gaussians: GaussianSet) -> GaussianSet:
 
 
 @pytest.mark.parametrize("low_pass", [True, False], ids=["low-pass", "exact"])
+@pytest.mark.parametrize("few_tiles", [0, 1000], ids=["a warp an area", "a block an area"])
 @pytest.mark.parametrize("as_gaussians_3d", [False, True], ids=["surfels", "gaussians_3d"])
-def test_images(backend, as_gaussians_3d, low_pass):
+def test_images(backend, as_gaussians_3d, few_tiles, low_pass, monkeypatch):
+    monkeypatch.setattr(raster_pass, "FEW_TILES", few_tiles)
     gaussians, keep, expected = oracle_image("many", as_gaussians_3d, low_pass)
     compare(drawn_with(backend, gaussians, image(low_pass), keep, ()), expected, keep)
 
 
-def test_a_tile_with_more_surfels_than_a_block_fetches_at_once(emulate):
+@pytest.mark.parametrize("few_tiles", [0, 1000], ids=["a warp an area", "a block an area"])
+def test_a_tile_with_more_surfels_than_a_block_fetches_at_once(emulate, few_tiles, monkeypatch):
     """Three batches in each of four tiles; no pixel is near a support's edge. The order where warps run ahead."""
+    monkeypatch.setattr(raster_pass, "FEW_TILES", few_tiles)
     count, camera = 600, plain_camera(20, 18)
     means = torch.stack([torch.zeros(count), torch.zeros(count), 2 + 0.01 * torch.arange(count)], 1)
     surfels = dressed(facing_surfels(means, scale=30.0, opacity=0.01))
@@ -77,6 +83,20 @@ def test_a_tile_with_more_surfels_than_a_block_fetches_at_once(emulate):
     assert (expected[0].hits == count).all()
     for order in ("ascending", "descending"):
         compare(drawn_with(emulate(order), surfels, draw, keep, ()), expected, keep)
+
+
+def test_a_tiles_list_holds_what_its_pixels_see(emulate):
+    """One surfel in the middle of the first tile, and one that covers all four."""
+    emulate("shuffled")
+    camera = plain_camera(20, 18)
+    small, large = (dressed(facing_surfels(unprojected(camera, 8.0, 8.0), s, 0.9)) for s in (1e-3, 30.0))
+    assert tile_list_lengths(small, camera, 0.2, "cuda").tolist() == [1, 0, 0, 0]
+    assert tile_list_lengths(large, camera, 0.2, "cuda").tolist() == [1, 1, 1, 1]
+
+
+def unprojected(camera: Camera, x: float, y: float) -> Tensor:
+    """The point [1, 3] at depth 2 that a camera without a pose shows at (x, y)."""
+    return (camera.intrinsics.inverse() @ torch.tensor([x, y, 1.0]) * 2)[None]
 
 
 @pytest.mark.parametrize(
@@ -334,3 +354,30 @@ def test_a_warp_that_runs_ahead_shows_that_a_barrier_is_missing(faulty):
         out = torch.zeros(64)
         faulty(order)("reused", 1, 64, out)
         assert out.any()
+
+
+def test_steps_of_adam_are_torchs(emulate):
+    """Sizes that fill no thread, some and the last one only in part; a step that is skipped; a rate that changes."""
+    emulate("shuffled")
+    assert_adam_is_torchs("cpu")
+
+
+def test_a_pixel_ends_at_the_same_primitive_however_its_list_is_shared(emulate, monkeypatch):
+    """Five hundred veils, of which a pixel sees half: it ends within a warp's eighth, and at its borders."""
+    count, camera = 500, plain_camera(20, 18)
+    means = torch.stack([torch.zeros(count), torch.zeros(count), 2 + 0.01 * torch.arange(count)], 1)
+    surfels = dressed(facing_surfels(means, scale=3.0, opacity=0.06))
+    backend, drawn = emulate("shuffled"), []
+    for few_tiles in (0, 1000):
+        monkeypatch.setattr(raster_pass, "FEW_TILES", few_tiles)
+        leaves = surfels.map(lambda x: x.clone().requires_grad_())
+        rendering = backend.rasterize(leaves, backend.take(camera))
+        rendering.color.square().sum().backward()
+        drawn.append((rendering, leaves.means.grad))
+    (walked, g_walked), (shared, g_shared) = drawn
+    assert 100 < int(walked.hits.min()) < int(walked.hits.max()) < count
+    assert (walked.hits - shared.hits).abs().max() <= 1  # by rounding of the transmittance at which a pixel ends
+    assert (walked.hits == shared.hits).double().mean() > 0.9
+    assert relative_error(shared.color, walked.color) < 1e-4
+    assert relative_error(shared.statistics.weights, walked.statistics.weights) < 1e-3
+    assert relative_error(g_shared, g_walked) < 1e-3

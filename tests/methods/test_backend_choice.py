@@ -15,7 +15,11 @@ from envgs_bench.testing import tiny_scene
 
 STEPS = 12
 WITH_MAP = ["envmap", "3dgs_dr", "ref_gaussian", "gaussian_shader"]
-SMALL = {**{kind: {"envmap_size": 8} for kind in WITH_MAP}, "envgs": {"env_grid": 2, "env_per_cell": 2}}
+SMALL = {
+    **{kind: {"envmap_size": 8} for kind in WITH_MAP},
+    "envgs": {"env_grid": 2, "env_per_cell": 2},
+    "3igs": {"field_size": 4},
+}
 CALLS = [
     importlib.import_module(f"envgs_bench.core.{name}") for name in ["rasterize", "trace", "reflect", "normals", "ssim"]
 ]
@@ -48,7 +52,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
     return names
 
 
-@pytest.mark.parametrize("kind", ["2dgs", "3dgs", "envgs", "envgs_single_set", *WITH_MAP])
+@pytest.mark.parametrize("kind", ["2dgs", "3dgs", "3igs", "envgs", "envgs_single_set", *WITH_MAP])
 def test_the_torch_backend_trains_and_draws_without_native_code(kind: str, asked: dict[str, set[str]]) -> None:
     method = create_method(kind, {"backend": "torch", **SMALL.get(kind, {})})
     scene = tiny_scene()
@@ -59,9 +63,9 @@ def test_the_torch_backend_trains_and_draws_without_native_code(kind: str, asked
     method.prepare()
     assert method.render(scene.test[0].camera).color.dtype == torch.float32
     expected = {"rasterize", "ssim"}
-    if kind not in ("3dgs", "3dgs_dr"):  # no loss on normals
+    if kind not in ("3dgs", "3igs", "3dgs_dr"):  # no loss on normals
         expected.add("normals")
-    if kind not in ("2dgs", "3dgs", "gaussian_shader"):
+    if kind not in ("2dgs", "3dgs", "3igs", "gaussian_shader"):
         expected.add("reflect")
     if kind in ("envgs", "envgs_single_set", "ref_gaussian"):
         expected.add("trace")

@@ -33,6 +33,7 @@ METHODS: dict[str, dict[str, Any]] = {
     },
     "envgs_single_set": REFLECTS,
     "ref_gaussian": {**GROWS, "densify_until": 30_000, "envmap_size": 16},
+    "3igs": {**GROWS, "densify_until": 30_000, "field_size": 4},
 }
 STEPS = 125  # reflections from step 2 on; sets grow every 30 steps, the environment from 120 on
 
@@ -70,6 +71,7 @@ class Largest:
         pytest.param("envgs", Budget(primitives=140), marks=pytest.mark.slow),
         pytest.param("envgs", Budget(primitives=450), marks=pytest.mark.slow),
         pytest.param("ref_gaussian", Budget(mb=0.15), marks=pytest.mark.slow),
+        pytest.param("3igs", Budget(mb=0.3), marks=pytest.mark.slow),
         pytest.param("envgs_single_set", Budget(primitives=300), marks=pytest.mark.slow),
     ],
 )
@@ -94,6 +96,12 @@ def test_no_moment_of_a_training_is_above_the_budget(
     assert largest.bytes <= most_bytes
     used = max(largest.primitives / most, largest.bytes / most_bytes)
     assert used > 0.9  # the budget is what holds them, not a lack of growth
+
+
+def test_what_grows_after_a_pruning_is_within_the_budget_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    pruned = {"prune_error": 0.05, "prune_from": 3_000, "densify_until": 30_000}  # after steps 30 and 60, as it grows
+    monkeypatch.setitem(METHODS, "2dgs", GROWS | pruned)
+    test_no_moment_of_a_training_is_above_the_budget("2dgs", Budget(primitives=270, mb=1.0), monkeypatch)
 
 
 @settings(deadline=None)

@@ -2,7 +2,7 @@
 
 As a script it prints the table, one row a training, as each ends:
 
-    PYTHONPATH=tests/support python tests/methods/test_gsplat_parity.py --scene chair --method 2dgs
+    python tests/methods/test_gsplat_parity.py --scene chair --method 2dgs
     … --scene fox --method 3dgs --ours-only --steps 7000
     … --scene chair --save-scene chair.pt                 # the scene as plain tensors, for a machine without the data
     … --scene chair.pt --method 2dgs --set normal_weight=0 --set opacity_reset_every=0
@@ -13,17 +13,15 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import time
-from collections.abc import Iterator
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from gsplat_recipe import GsplatModel, Render, mean_psnr, official_resets
 
+from envgs_bench.bench.course import MethodTraining, Trainee, course, mean_psnr
+from envgs_bench.bench.gsplat_training import GsplatTraining, official_resets
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.methods.registry import create_method
 
@@ -112,48 +110,24 @@ def _scene_of(stored: dict[str, Any]) -> Scene:
 def train_ours(
     method: str, scene: Scene, steps: int, seed: int, settings: dict[str, Any], device: str = "cuda"
 ) -> dict[str, Any]:
-    """A row of the table: PSNR of test and training views in dB, primitives, seconds with the scoring."""
+    """A row of the table: PSNR of test and training views in dB, primitives, seconds of training."""
     model = create_method(method, settings, device=device, seed=seed)
-    model.initialize(scene, steps)
-    started = time.perf_counter()
-    for step, view in zip(range(1, steps + 1), _shuffled(scene.train, seed), strict=False):
-        model.training_step(view, step)
-    shown = _scores(lambda camera: model.render(camera).color, scene, device)
-    seconds = time.perf_counter() - started
-    return {"by": "ours", "method": method, **shown, "primitives": model.primitives()["base"], "seconds": seconds}
+    row = _trained(MethodTraining(model), scene, steps, seed, device)
+    return {"by": "ours", "method": method, **row, "primitives": model.primitives()["base"]}
 
 
 def train_gsplat(
     method: str, scene: Scene, steps: int, seed: int, resets: list[int], prune_opacity: float | None = None
 ) -> dict[str, Any]:
     """A row of the table; `prune_opacity` is the original program's where None."""
-    torch.manual_seed(seed)
-    threshold = {"3dgs": 0.005, "2dgs": 0.05}[method] if prune_opacity is None else prune_opacity
-    model = GsplatModel(method, scene, steps, resets, threshold)
-    started = time.perf_counter()
-    views = [replace(view, camera=view.camera.to("cuda"), image=view.image.cuda()) for view in scene.train]
-    model.train(_shuffled(views, seed))
-    shown = _scores(model.render, scene, "cuda")
-    seconds = time.perf_counter() - started
-    return {
-        "by": "gsplat",
-        "method": method,
-        **shown,
-        "primitives": len(model),
-        "seconds": seconds,
-    }
+    row = _trained(GsplatTraining(method, resets, prune_opacity), scene, steps, seed, "cuda")
+    return {"by": "gsplat", "method": method, **row}
 
 
-def _scores(render: Render, scene: Scene, device: str) -> dict[str, float]:
-    return {"psnr": mean_psnr(render, scene.test, device), "train_psnr": mean_psnr(render, scene.train, device)}
-
-
-def _shuffled(views: list[View], seed: int) -> Iterator[View]:
-    """Each view once in a random order, then again in another."""
-    generator = torch.Generator().manual_seed(seed)
-    while True:
-        for index in torch.randperm(len(views), generator=generator).tolist():
-            yield views[index]
+def _trained(trainee: Trainee, scene: Scene, steps: int, seed: int, device: str) -> dict[str, Any]:
+    _, seconds = list(course(trainee, scene, steps, seed, device))[-1]
+    psnr, train_psnr = (mean_psnr(trainee.picture, views, device) for views in (scene.test, scene.train))
+    return {"psnr": psnr, "train_psnr": train_psnr, "primitives": len(trainee), "seconds": seconds}
 
 
 def _setting(text: str) -> tuple[str, Any]:

@@ -4,22 +4,13 @@ import dataclasses
 
 import pytest
 import torch
+from small_methods import SMALL
 
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method, method_names
 
-KINDS = ("2dgs", "3dgs", "envmap", "envgs", "envgs_single_set", "3dgs_dr", "ref_gaussian", "gaussian_shader")
-SMALL = {
-    "2dgs": {},
-    "3dgs": {},
-    "envmap": {"envmap_size": 8},
-    "envgs": {"env_grid": 3, "env_per_cell": 2},
-    "envgs_single_set": {},
-    "3dgs_dr": {"envmap_size": 8},
-    "ref_gaussian": {"envmap_size": 8, "shade_until": 9_000, "indirect_from": 15_000},
-    "gaussian_shader": {"envmap_size": 8},
-}
+KINDS = ("2dgs", "3dgs", "envmap", "envgs", "envgs_single_set", "3dgs_dr", "ref_gaussian", "gaussian_shader", "3igs")
 STEPS = 60
 
 
@@ -88,8 +79,8 @@ def test_a_render_is_an_image_with_its_layers(trained, scene, kind):
     assert rendering.color.shape == (camera.height, camera.width, 3)
     assert not rendering.color.requires_grad
     assert torch.isfinite(rendering.color).all()
-    expected = set() if kind in ("2dgs", "3dgs") else {"base", "reflection", "beta"}
-    assert set(rendering.layers) == expected
+    fewer: dict[str, set[str]] = {"2dgs": set(), "3dgs": set(), "3igs": {"base", "reflection"}}
+    assert set(rendering.layers) == fewer.get(kind, {"base", "reflection", "beta"})
     assert all(layer.shape[:2] == rendering.color.shape[:2] for layer in rendering.layers.values())
 
 
@@ -114,11 +105,13 @@ def test_counts_and_bytes(trained, kind):
     published = {"2dgs": 58, "3dgs": 59, "3dgs_dr": 60}  # of them 48 spherical harmonics, and a third scale
     published["ref_gaussian"] = 59 + 1 + 3 + 48  # roughness, albedo, and spherical harmonics of the indirect light
     published["gaussian_shader"] = 59 + 3 + 1 + 3 + 3  # tint, roughness, normals' residuals
+    published["3igs"] = 14 + 48 + 1  # features and roughness; of its color, the constant alone
     floats = published.get(kind, 38)  # of them 27 spherical harmonics, and β
     assert set(primitives) == set(size) == {"base", "env"}
     assert size["base"] == 4 * floats * primitives["base"]
     expected = dict.fromkeys(("envmap", "3dgs_dr", "ref_gaussian", "gaussian_shader"), 4 * 6 * 8 * 8 * 3)
     expected["envgs"] = 4 * 37 * primitives["env"]
+    expected["3igs"] = method.other_bytes()
     assert size["env"] == expected.get(kind, 0)
 
 
@@ -127,7 +120,11 @@ def test_a_seed_determines_a_run(scene, kind):
     first, second, other = make_method(kind, seed=1), make_method(kind, seed=1), make_method(kind, seed=2)
     losses = [[row["loss"] for row in train(method, scene, 20)] for method in (first, second, other)]
     assert losses[0] == losses[1]
-    if kind in ("envgs", "ref_gaussian"):  # environment, materials start at random; others draw no number so early
+    if kind in (
+        "envgs",
+        "ref_gaussian",
+        "3igs",
+    ):  # environment, materials, network start at random; others draw no number so early
         assert losses[0] != losses[2]
     camera = scene.test[0].camera
     assert torch.equal(first.render(camera).color, second.render(camera).color)
@@ -241,7 +238,8 @@ def test_cameras_at_one_place_still_have_a_scale(scene):
 @pytest.mark.parametrize(("pixels", "most", "expected"), [(4.0, 1000, 540), (4.0, 300, 300), (10.0, 1000, 250)])
 def test_the_base_set_has_a_primitive_for_so_many_training_pixels(scene, pixels, most, expected):
     """Five training views of 24×18 pixels; never fewer than the 250 points that it starts from."""
-    method = make_method("envmap", pixels_per_primitive=pixels, max_primitives=most, min_coverage=0.0, min_views=0.0)
+    growth = {"pixels_per_primitive": pixels, "max_primitives": most, "min_coverage": 0.0, "min_views": 0.0}
+    method = make_method("envmap", mends_input=False, **growth)
     method.initialize(scene, STEPS)
     counts = []
     for step in range(1, STEPS + 1):

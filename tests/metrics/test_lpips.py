@@ -5,6 +5,7 @@ import hashlib
 import pytest
 import torch
 from kornia.feature.dedode.vgg import cfgs, make_layers
+from recordable import WaitsForTheDevice
 from torch.nn import functional
 from torchmetrics.functional.image import lpips as reference
 
@@ -133,11 +134,20 @@ def test_lpips_as_a_loss_is_torchmetrics_with_its_gradient(kornias_layers, monke
 
 def test_lpips_as_a_loss_passes_no_gradient_where_all_features_are_zero(random_weights, monkeypatch):
     monkeypatch.setattr(vgg16.Vgg16, "forward", lambda self, image: [torch.relu(image - 1e6)] * 5)
-    monkeypatch.setattr(lpips_module, "load_heads", lambda: [torch.ones(3)] * 5)
+    monkeypatch.setattr(lpips_module, "_heads_on", lambda device: [torch.ones(3)] * 5)
     image, target = images()
     make_perceptual_loss("lpips")(image.requires_grad_(), target).backward()
     assert image.grad is not None
     assert not image.grad.any()
+
+
+@pytest.mark.parametrize("name", ["features", "lpips"])
+def test_a_perceptual_loss_waits_for_no_device(name, random_weights):
+    loss, (image, target) = make_perceptual_loss(name), images()
+    loss(image, target)  # what is copied to a device once
+    with WaitsForTheDevice() as waits:
+        loss(image.requires_grad_(), target).backward()
+    assert waits.found == []
 
 
 def test_an_unknown_perceptual_loss_is_refused():

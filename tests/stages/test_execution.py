@@ -11,6 +11,8 @@ import torch
 from fakes.methods import MeanColor, Settings
 
 from envgs_bench.core import Scene
+from envgs_bench.methods import gaussian_method
+from envgs_bench.methods.mending import Mended
 from envgs_bench.methods.registry import create_method
 from envgs_bench.metrics import WeightsUnavailable
 from envgs_bench.settings import parse_settings
@@ -30,7 +32,7 @@ def test_methods_that_want_it_are_given_the_perceptual_loss(monkeypatch: pytest.
     wants, does_not = create_method("envgs", WITH_PERCEPTUAL), MeanColor(Settings())
     without = create_method("envgs", {"perceptual_weight": 0.0})
     for method in (wants, does_not, without):
-        execution._offer_perceptual_loss(method)
+        execution.offer_perceptual_loss(method)
     assert wants.perceptual is loss
     assert does_not.perceptual is None
     assert without.perceptual is None
@@ -40,7 +42,7 @@ def test_methods_are_given_the_perceptual_loss_that_they_name(monkeypatch: pytes
     named: list[str] = []
     monkeypatch.setattr(execution, "make_perceptual_loss", lambda name, device: named.append(name))
     for settings in ({}, {"perceptual_loss": "lpips"}):
-        execution._offer_perceptual_loss(create_method("envgs", WITH_PERCEPTUAL | settings))
+        execution.offer_perceptual_loss(create_method("envgs", WITH_PERCEPTUAL | settings))
     assert named == ["features", "lpips"]
 
 
@@ -52,12 +54,12 @@ def test_without_weights_methods_train_without_it(
 
     monkeypatch.setattr(execution, "make_perceptual_loss", unavailable)
     method = create_method("envgs", WITH_PERCEPTUAL)
-    execution._offer_perceptual_loss(method)
+    execution.offer_perceptual_loss(method)
     assert method.perceptual is None
     assert "training without the perceptual loss: no weights here" in capsys.readouterr().err
     assert method.dropped_losses == {"perceptual": "no weights here"}
     plain = create_method("2dgs")  # its weight is 0: nothing is missing
-    execution._offer_perceptual_loss(plain)
+    execution.offer_perceptual_loss(plain)
     assert capsys.readouterr().err == ""
     assert plain.dropped_losses == {}
 
@@ -105,6 +107,17 @@ def test_a_run_that_a_method_ends_sooner_has_the_steps_that_it_trained(
     assert (tmp_path / "curve.csv").read_text().splitlines()[-1].startswith("2,")
 
 
+def test_what_is_wrong_with_a_scene_and_what_was_mended_are_results(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    scene, note = tiny_scene(), "starts from other points"
+    at_a_camera = replace(scene, points=scene.train[0].camera.center + 0.01 * scene.points)
+    monkeypatch.setattr(gaussian_method, "mended", lambda given, *_: Mended(given, notes=[note]))
+    results = execute("2dgs", {"mends_input": True}, 1, monkeypatch, tmp_path, at_a_camera)
+    assert [(warning.kind, warning.step) for warning in results.warnings] == [("points_unsupported", 0)]
+    assert results.notes[-1] == note
+
+
 def test_test_views_without_exact_normals_are_said_to_be(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     scene = replace(tiny_scene(), test=[replace(view, normal=None) for view in tiny_scene().test])
     metrics = execute("2dgs", {}, 1, monkeypatch, tmp_path, scene).metrics
@@ -145,4 +158,4 @@ def scene_without_normals(bare: int) -> Scene:
 def test_a_scene_without_views_is_refused(kind: str) -> None:
     scene = replace(tiny_scene(), **{kind: []})
     with pytest.raises(ValueError, match=r"data set tiny has no (training|test) views: it needs at least two images"):
-        execution._check_scene(scene)
+        execution.check_scene(scene)

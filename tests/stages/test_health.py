@@ -92,6 +92,12 @@ def test_an_environment_may_lose_most_of_its_random_start_and_not_all_of_it(tmp_
     assert (warning.kind, warning.part) == ("set_shrinks", "env")
 
 
+def test_what_a_method_prunes_on_purpose_is_no_news(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Scripted, "prunes", lambda self, step: step == 7)
+    (warning,) = scripted(lambda step: {"base": 1000 if step < 7 else 400 if step < 9 else 150}, tmp_path, 20)
+    assert (warning.kind, warning.step, warning.times) == ("set_shrinks", 9, 1)
+
+
 def test_growth_as_densification_allows_it_and_small_sets_are_no_news(tmp_path: Path) -> None:
     assert scripted(lambda step: {"base": int(1000 * 1.1**step), "env": 10 + 40 * (step % 2)}, tmp_path, 30) == []
 

@@ -99,6 +99,20 @@ def test_an_interrupted_training_ends_bitwise_where_it_would_have(kind: str, tmp
     assert len(whole.sets["base"].parameters) != len(tiny_scene().points)  # it was densified
 
 
+@pytest.mark.parametrize("kind", ["2dgs", pytest.param("envgs", marks=pytest.mark.slow)])
+def test_prunings_after_an_interruption_are_those_that_would_have_been(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Prunings after steps 30, 60 and 90: one before and two after the interruption."""
+    monkeypatch.setitem(SETTINGS, kind, SETTINGS[kind] | {"prune_error": 0.05, "prune_from": 3_000})
+    whole, undisturbed = train(kind, tmp_path / "whole", ())
+    parts, resumed = train(kind, tmp_path / "parts", INTERRUPTED_AFTER[:1])
+    assert [step for step in range(1, STEPS + 1) if whole.prunes(step)] == [30, 60, 90]
+    assert resumed.went_on_from == list(INTERRUPTED_AFTER[:1])
+    assert_equal(parts.training_state(), whole.training_state())
+    assert resumed.health.warnings == undisturbed.health.warnings == []
+
+
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 @pytest.mark.parametrize("kind", list(SETTINGS))
 def test_an_interrupted_training_goes_on_on_its_gpu_cuda(kind: str, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from envgs_bench.core.torch.gaussians_3d import RasterizedGaussians3D
 from envgs_bench.core.torch.intersections import MAX_ALPHA, Intersector, alphas
 from envgs_bench.core.torch.search import all_blended_hits
 from envgs_bench.core.torch.surfels import RasterizedSurfels, TracedSurfels
+from envgs_bench.methods.adam import KernelAdam
 
 FIELDS = ("color", "alpha", "depth", "normal", "extras")
 C0 = 0.28209479177387814
@@ -284,3 +285,31 @@ def assert_similar_as_by_formula(kernel: Callable, device: str) -> None:
             toward = torch.rand(expected.shape, generator=torch.Generator().manual_seed(1)).to(values)
             ((values * toward).sum() + values.mean()).backward()
         assert relative_error(image.grad, exact.grad) < 1e-4
+
+
+def assert_adam_is_torchs(device: str) -> None:
+    """KernelAdam's steps against torch's own on the CPU: a skipped step, a rate that changes, a late gradient."""
+    generator = torch.Generator().manual_seed(4)
+    start = [torch.randn(shape, generator=generator) for shape in ((3,), (5, 3), (257, 9))]
+    ours = [values.to(device, copy=True).requires_grad_() for values in start]
+    theirs = [values.clone().requires_grad_() for values in start]
+    rates = [torch.full((), 0.1, device=device) for _ in start]
+    groups = [{"params": [values], "lr": rate} for values, rate in zip(ours, rates, strict=True)]
+    one = KernelAdam(groups, eps=1e-15, capturable=True)
+    other = torch.optim.Adam([{"params": [values], "lr": 0.1} for values in theirs], eps=1e-15)
+    for step in range(6):
+        for k, (mine, expected) in enumerate(zip(ours, theirs, strict=True)):
+            if k == 1 and step < 2:
+                continue  # a tensor that nothing was learned of has taken no step
+            expected.grad = torch.randn(expected.shape, generator=generator) * 10.0 ** (-3 * k)
+            mine.grad = expected.grad.to(device)
+        if step == 4:
+            rates[0].fill_(0.01)
+            other.param_groups[0]["lr"] = 0.01
+        skips = step == 3
+        one.found_inf = torch.tensor(float(skips), device=device)
+        one.step()
+        if not skips:
+            other.step()
+    for mine, expected in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(mine.detach().cpu(), expected.detach(), rtol=2e-6, atol=2e-6)

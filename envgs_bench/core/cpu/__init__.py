@@ -33,7 +33,7 @@ def why_unavailable() -> str | None:
 
 
 def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> Rendering:
-    flat = draw(_RasterPass(gaussians, camera, options), gaussians)
+    flat = draw(RasterPass(gaussians, camera, options), gaussians)
     return flat.map(lambda plane: plane.unflatten(0, (camera.height, camera.width)))
 
 
@@ -51,7 +51,7 @@ def _zero_gradients(tensors: SetTensors) -> tuple[SetTensors, Tensor]:
     return SetTensors(*(torch.zeros_like(tensor) for tensor in tensors)), torch.zeros_like(tensors.means)
 
 
-class _RasterPass:
+class RasterPass:
     def __init__(self, gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> None:
         self.tensors = SetTensors.of(gaussians)
         self.pixels = camera.width * camera.height
@@ -81,6 +81,10 @@ class _RasterPass:
         result, position_gradients = _zero_gradients(self.tensors)
         self.native.backward(tuple(planes), gradients, (*result, position_gradients))
         return Gradients(result, position_gradients)
+
+    def list_lengths(self) -> Tensor:
+        """[tiles] int32, primitives in the list of each tile of 16×16 pixels, row by row, as `forward` drew them."""
+        return torch.tensor(self.native.list_lengths(), dtype=torch.int32)
 
 
 class _TracePass:

@@ -19,6 +19,7 @@ class RasterPass:
         gradients: tuple[Tensor | None, ...],  # dL/d(planes), None for zero
         result: tuple[Tensor, ...],  # zeros, filled: dL/d(each field of the set), position gradients [N, 3]
     ) -> None: ...
+    def list_lengths(self) -> list[int]: ...  # [tiles] primitives in each tile's list, as forward() drew them
 
 def raster_pass(
     gaussians: tuple[Tensor, ...],  # the fields of SetTensors

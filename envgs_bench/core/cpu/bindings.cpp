@@ -5,6 +5,7 @@
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/unique_ptr.h>
+#include <nanobind/stl/vector.h>
 
 #include <optional>
 #include <tuple>
@@ -91,7 +92,8 @@ NB_MODULE(NATIVE_MODULE, m) {
             nb::gil_scoped_release unlocked;
             Planes<const float> drawn = planes_of(out);
             self.backward(drawn, planes_of(gradient, drawn.pixels), gradients_of(result));
-        });
+        })
+        .def("list_lengths", &RasterPass::list_lengths);
     m.def("raster_pass", [](const InSet& set,         // surfels or 3D Gaussians, by the columns of scales
                             In world_to_camera,       // [4, 4] rigid
                             In intrinsics,            // [3, 3] pixels

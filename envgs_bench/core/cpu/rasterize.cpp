@@ -111,6 +111,7 @@ public:
 
     void forward(Planes<float> out, int* hits, float* weights) override;
     void backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result) override;
+    std::vector<int> list_lengths() const override;
 
 private:
     struct alignas(64) TileBuffers {
@@ -214,6 +215,14 @@ void TileRasterizer<Kind>::fill_tiles() {
     std::vector<long> next(tile_begin_.begin(), tile_begin_.end() - 1);
     for (int i = 0; i < int(visible_.size()); ++i)
         for_each_tile(visible_[i], [&](int tile) { tile_items_[next[tile]++] = i; });
+}
+
+template <class Kind>
+std::vector<int> TileRasterizer<Kind>::list_lengths() const {
+    std::vector<int> lengths;
+    for (size_t tile = 0; tile + 1 < tile_begin_.size(); ++tile)
+        lengths.push_back(int(tile_begin_[tile + 1] - tile_begin_[tile]));
+    return lengths;
 }
 
 template <class Kind>

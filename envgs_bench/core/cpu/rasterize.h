@@ -1,6 +1,7 @@
 // Tile rasterizer for surfels and 3D Gaussians.
 #pragma once
 #include <memory>
+#include <vector>
 
 #include "gaussians.h"
 
@@ -20,6 +21,8 @@ public:
         Planes<const float> gradient,  // dL/d(out)
         GaussianGradients result       // filled
     ) = 0;
+    // Primitives in the list of each tile, row by row of tiles, as forward() drew them.
+    virtual std::vector<int> list_lengths() const = 0;
 };
 
 std::unique_ptr<RasterPass> make_raster_pass(

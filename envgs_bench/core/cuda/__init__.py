@@ -11,6 +11,7 @@ from ..differentiable import SetTensors, draw
 from ..gaussians import GaussianSet
 from ..rendering import Rendering
 from ..trace import Bvh
+from .adam import adam_step
 from .bvh import SurfelBvh
 from .compiler import why_unavailable
 from .normals import depth_normals
@@ -19,7 +20,7 @@ from .reflect import reflect
 from .ssim import ssim_map
 from .trace_pass import TracePass
 
-__all__ = ["build_bvh", "depth_normals", "rasterize", "reflect", "ssim_map", "trace", "why_unavailable"]
+__all__ = ["adam_step", "build_bvh", "depth_normals", "rasterize", "reflect", "ssim_map", "trace", "why_unavailable"]
 
 
 def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> Rendering:

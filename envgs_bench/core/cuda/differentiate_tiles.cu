@@ -26,32 +26,52 @@ extern "C" __global__ void __launch_bounds__(256) differentiate_tiles(
     float* sums  // [visible, kSumsStride] PrimitiveSums by slot, zeroed before
 ) {
     const PinholeCamera& camera = *camera_at;
-    Pixel pixel = own_pixel(camera, blockIdx.x, tiles_x);
+    Place place = Place::own();
+    Pixel pixel = own_pixel(camera, place, tiles_x);
     long pixels = long(camera.width) * camera.height;
     Planes<const float> out = {color, alpha, depth, normal, extras, pixels};
     Planes<const float> gradient = {g_color, g_alpha, g_depth, g_normal, g_extras, pixels};
     UpstreamGradient g(out, gradient, pixel.inside ? pixel.at : 0, load3(background));
     float x = pixel.x + 0.5f, y = pixel.y + 0.5f, near = camera.near;
     bool live = pixel.inside;
-    for_each_primitive(ranges[blockIdx.x], instance_slots, primitives, outlines, blockIdx.x % tiles_x * kTile,
-              blockIdx.x / tiles_x * kTile, live, [&](const VisiblePrimitive& p, u32 slot) {
-                  auto at = evaluate(p.splat, x, y, near);
-                  bool hit = live && at.rho <= p.splat.support;
-                  if (!__any_sync(kFullWarp, hit)) return;
-                  PrimitiveSums sum = {};
-                  if (hit) {
-                      float a = response_alpha(p.splat.opacity, at.rho);
-                      auto [weight, g_a] = g.hit(a, p.color, at.t, at.side, p.normal, p.extras);
-                      AlphaGradient<float> own = alpha_backward(p.splat.opacity, a, g_a);
-                      sum.opacity = own.opacity;
-                      sum.color = weight * g.sum.color;
-                      sum.normal = (weight * at.side) * g.sum.normal;
+    TileList list(ranges, instance_slots, primitives, outlines, place.tile, tiles_x);
+    auto visit = [&](const VisiblePrimitive& p, u32 slot) {
+        auto at = evaluate(p.splat, x, y, near);
+        bool hit = live && at.rho <= p.splat.support;
+        if (!__any_sync(kFullWarp, hit)) return;
+        PrimitiveSums sum = {};
+        if (hit) {
+            float a = response_alpha(p.splat.opacity, at.rho);
+            auto [weight, g_a] = g.hit(a, p.color, at.t, at.side, p.normal, p.extras);
+            AlphaGradient<float> own = alpha_backward(p.splat.opacity, a, g_a);
+            sum.opacity = own.opacity;
+            sum.color = weight * g.sum.color;
+            sum.normal = (weight * at.side) * g.sum.normal;
 #pragma unroll
-                      for (int k = 0; k < kExtras; ++k) sum.extras[k] = weight * g.extras[k];
-                      add_pixel(sum.geometry, at, true, own.rho, weight * g.sum.depth);
-                      live = g.transmittance >= transmittance_min;
-                  }
-                  float total = TransposedSum<kSums>::of(reinterpret_cast<float*>(&sum));
-                  if (lane_id() < kSums) atomicAdd(sums + long(kSumsStride) * slot + lane_id(), total);
-              });
+            for (int k = 0; k < kExtras; ++k) sum.extras[k] = weight * g.extras[k];
+            add_pixel(sum.geometry, at, true, own.rho, weight * g.sum.depth);
+            live = g.transmittance >= transmittance_min;
+        }
+        float total = TransposedSum<kSums>::of(reinterpret_cast<float*>(&sum));
+        if (lane_id() < kSums) atomicAdd(sums + long(kSumsStride) * slot + lane_id(), total);
+    };
+    if constexpr (kSharedArea) {
+        Progress progress = {pixel.inside ? 1.0f : 0.0f, g.remaining};
+        list.share(
+            place.area, transmittance_min, progress,
+            [&](const VisiblePrimitive& p, Progress& own) {
+                auto at = evaluate(p.splat, x, y, near);
+                if (at.rho > p.splat.support) return;
+                float a = response_alpha(p.splat.opacity, at.rho);
+                own.remaining += own.transmittance * a * g.value(p.color, at.t, at.side, p.normal, p.extras);
+                own.transmittance *= 1.0f - a;
+            },
+            [&](Progress before) {
+                g.transmittance = before.transmittance, g.remaining = before.remaining;
+                live = before.transmittance >= transmittance_min;
+            },
+            live, visit, [](bool) {});
+    } else {
+        list.walk(live, visit);
+    }
 }

@@ -43,6 +43,15 @@ struct BlendedPixel {
         for (int k = 0; k < kExtras; ++k) extras[k] += weight * e[k];
         ++hits;
     }
+    // Adds what the same pixel blended elsewhere; the transmittance stays.
+    ENVGS_FN void join(const BlendedPixel& other) {
+        sums.color = sums.color + other.sums.color;
+        sums.normal = sums.normal + other.sums.normal;
+        sums.depth += other.sums.depth;
+#pragma unroll
+        for (int k = 0; k < kExtras; ++k) extras[k] += other.extras[k];
+        hits += other.hits;
+    }
     ENVGS_FN void store(const Planes<float>& out, int* hit_counts, long at, Vec3<float> background) const {
         write_blended(out, at, sums, transmittance, background);
 #pragma unroll
@@ -68,12 +77,15 @@ struct UpstreamGradient {
             remaining += extras[k] * out.extras[k * out.pixels + at];
         }
     }
-    ENVGS_FN HitGradient<float> hit(float alpha, Vec3<float> color, float t, float side, Vec3<float> normal,
-                                    const float* e) {
+    ENVGS_FN float value(Vec3<float> color, float t, float side, Vec3<float> normal, const float* e) const {
         float value = hit_value(sum, color, t, side, normal);
 #pragma unroll
         for (int k = 0; k < kExtras; ++k) value += extras[k] * e[k];
-        return blend_backward(alpha, value, transmittance, remaining);
+        return value;
+    }
+    ENVGS_FN HitGradient<float> hit(float alpha, Vec3<float> color, float t, float side, Vec3<float> normal,
+                                    const float* e) {
+        return blend_backward(alpha, value(color, t, side, normal, e), transmittance, remaining);
     }
 };
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 CONSTANTS = {
     # rasterizer
     "TILE": 16,  # pixels, both ways
+    "TILE_AREAS": 8,  # of 8×4 pixels
     "CAMERA_FLOATS": 37,
     "OUTLINE_FLOATS": 12,
     "PRIMITIVE_SUM_FLOATS": 32,  # a primitive's row of sums in the backward pass

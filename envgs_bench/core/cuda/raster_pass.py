@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import torch
 from torch import Tensor
 
@@ -14,6 +16,8 @@ from .layout import CONSTANTS, visible_floats
 from .sorting import radix_sort
 
 TILE = CONSTANTS["TILE"]
+AREAS = CONSTANTS["TILE_AREAS"]
+FEW_TILES = 5  # for each multiprocessor: an image of fewer shares each of a tile's areas between a block's warps
 MIN_CAPACITY = 1 << 20
 BYTES_PER_INSTANCE = 24  # keys and slots, before and after a sorting pass
 
@@ -31,12 +35,14 @@ class RasterPass:
         self.device = gaussians.device
         self.visible_floats = visible_floats(tensors.scales.shape[1], tensors.extras.shape[1])
         self.tiles_x, self.tiles_y = blocks_for(camera.width, TILE), blocks_for(camera.height, TILE)
+        few = self.tiles_x * self.tiles_y < FEW_TILES * _multiprocessors(self.device)
+        self.tile_blocks = AREAS if few else 1
 
     def _kernels(self, *sources: str) -> Kernels:
         kind = "SurfelKind" if self.tensors.scales.shape[1] == 2 else "Gaussian3dKind"
         sh, extras = self.tensors.sh.shape[1], self.tensors.extras.shape[1]
         return kernels(sources, self.device, KIND=kind, SH_COEFFICIENTS=sh, EXTRAS=extras,
-                       VISIBLE_FLOATS=self.visible_floats)  # fmt: skip
+                       VISIBLE_FLOATS=self.visible_floats, TILE_BLOCKS=self.tile_blocks)  # fmt: skip
 
     def forward(self, keep: bool) -> PassOutput:
         camera, count = self.camera, len(self.tensors.means)
@@ -46,9 +52,9 @@ class RasterPass:
         launch = self._kernels("camera.cu", "primitives.cu", "tile_instances.cu", "draw_tiles.cu")
         self._prepare(launch, weights)
         order = radix_sort(self.depth_keys, None, self.counters[:1], 32)[1] if count else self.depth_keys
-        wanted = torch.empty(CONSTANTS["COUNTER_INTS"], dtype=torch.int32, pin_memory=True)
         capturing = torch.cuda.is_current_stream_capturing()
         if not capturing:
+            wanted = torch.empty(CONSTANTS["COUNTER_INTS"], dtype=torch.int32, pin_memory=True)
             wanted.copy_(self.counters, non_blocking=True)
             counted = torch.cuda.current_stream().record_event()
         capacity = max(_latest_instances.get(self.device, 4 * count) * 3 // 2, MIN_CAPACITY)
@@ -88,7 +94,8 @@ class RasterPass:
                self.tiles_x, keys, slots, state, ticket)  # fmt: skip
         keys, self.instance_slots = radix_sort(keys, slots, self.counters[1:2], max((tiles - 1).bit_length(), 1))
         launch("find_tile_ranges", blocks_for(capacity, 256), 256, keys, self.counters, self.ranges)
-        launch("draw_tiles", tiles, 256, self.ranges, self.instance_slots, self.visible, self.outlines,
+        blocks = self.tile_blocks * tiles
+        launch("draw_tiles", blocks, 256, self.ranges, self.instance_slots, self.visible, self.outlines,
                self.device_camera, self.tiles_x, float(self.options.transmittance_min), self.background, self.counters,
                *planes, hits, self.indices, weights)  # fmt: skip
 
@@ -96,13 +103,19 @@ class RasterPass:
         tensors, count = self.tensors, len(self.tensors.means)
         launch = self._kernels("primitives.cu", "differentiate_tiles.cu")
         sums = tensors.means.new_zeros(count, CONSTANTS["PRIMITIVE_SUM_FLOATS"])
-        launch("differentiate_tiles", self.tiles_x * self.tiles_y, 256, self.ranges, self.instance_slots, self.visible,
-               self.outlines, self.device_camera, self.tiles_x, float(self.options.transmittance_min), self.background,
+        blocks = self.tile_blocks * self.tiles_x * self.tiles_y
+        launch("differentiate_tiles", blocks, 256, self.ranges, self.instance_slots, self.visible, self.outlines,
+               self.device_camera, self.tiles_x, float(self.options.transmittance_min), self.background,
                *planes, *gradients, sums)  # fmt: skip
         result, position = SetTensors(*map(torch.empty_like, tensors)), torch.empty_like(tensors.means)
         launch("finish_primitives", blocks_for(count, 128), 128, *tensors, count, self.device_camera, self.visible,
                self.slots, sums, *result, position)  # fmt: skip
         return Gradients(result, position)
+
+
+@cache
+def _multiprocessors(device: torch.device) -> int:
+    return torch.cuda.get_device_properties(device).multi_processor_count
 
 
 def make_camera(launch: Kernels, camera: Camera, near: float, low_pass: bool) -> Tensor:

@@ -1,0 +1,61 @@
+"""A chart of PSNR against seconds of training."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from envgs_bench.reports.charts.chart_font import chart_fonts
+from envgs_bench.reports.charts.drawn import write_figure
+from envgs_bench.reports.charts.palette import Style, styles
+from envgs_bench.reports.charts.pareto_chart import RC
+from envgs_bench.reports.charts.pareto_panel import GRID, INK, SOFT
+
+from .train import OURS, label_of
+
+Row = dict[str, Any]
+
+SIZE = (6.8, 4.2)  # inches
+
+
+def draw_training(rows: Sequence[Row], stem: Path) -> list[Path]:
+    """Write <stem>.png and .pdf: a line a training, ours whole and others' dashed; each has its method's color."""
+    lines: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        lines.setdefault((row["by"], row["method"]), []).append(row)
+    style = styles(list(dict.fromkeys(method.removesuffix("_mcmc") for _, method in lines)))
+    first = rows[0]
+    with mpl.rc_context(RC | {"font.family": chart_fonts()}):
+        figure = Figure(figsize=SIZE, layout="constrained")
+        figure.suptitle(f"{first['dataset']}, {first['device']}", x=0.01, ha="left", fontsize=11, color=INK)
+        axis = figure.subplots()
+        for (by, method), own in lines.items():
+            axis.plot(
+                [row["seconds"] for row in own],
+                [row["psnr"] for row in own],
+                label=label_of(by, method),
+                **_look(by, method, style[method.removesuffix("_mcmc")]),
+            )
+        axis.set_xscale("log")
+        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
+        axis.set_xlabel("training, seconds (log)   ← less is better")
+        axis.set_ylabel(f"PSNR of {first['views']} {first['scored_on']} views, dB   higher is better →")
+        axis.grid(color=GRID, linewidth=0.8)
+        axis.set_axisbelow(True)
+        axis.tick_params(which="both", length=0)
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.legend(frameon=False, fontsize=8, labelcolor=SOFT)
+        return write_figure(figure, stem)
+
+
+def _look(by: str, method: str, style: Style) -> dict[str, Any]:
+    line = "-" if by == OURS else ":" if method.endswith("_mcmc") else "--"
+    edge = {"markeredgecolor": SOFT, "markeredgewidth": 0.6}
+    return {"color": style.color, "marker": style.marker, "markersize": 5, "linewidth": 1.5, "linestyle": line, **edge}

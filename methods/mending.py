@@ -1,0 +1,107 @@
+"""Points and normals that a method would not survive as they are given, judged by the photographs alone, and mended.
+
+Where structure from motion failed (points that the pictures do not support, none where the pictures show something, at
+the cameras' centers), a plane sweep finds others. A scene in order is left as it is, to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from envgs_bench.core import Scene, View
+
+from .evidence import CELLS, Evidence, empty_cells
+from .plane_sweep import swept_points
+
+UNSUPPORTED = 0.04  # `Evidence.support` below which points are where chance put them
+MISSING = 0.7  # share of a view's cells with a point below which pictures show much that no point starts
+PER_CELL = 3  # pixels of each empty cell of a view that are swept
+TRIED = 4  # × as many are drawn, and those with the strongest gradients are taken
+NEAREST, FARTHEST = 0.1, 20.0  # depths that are swept, × the scene radius
+MIN_POINTS = 8  # that a set can start from
+
+
+@dataclass(frozen=True)
+class Mended:
+    """What a method starts from.
+
+    Attributes:
+        scene: the scene itself where its points are in order, else one with others.
+        mirrored: names of the training views whose normals are to be mirrored from left to right.
+        notes: what is not as it was given, a sentence each.
+    """
+
+    scene: Scene
+    mirrored: frozenset[str] = frozenset()
+    notes: Sequence[str] = ()
+
+
+def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator, device: torch.device) -> Mended:
+    """What to start from, the scene itself where it is in order.
+
+    Args:
+        near: nearest depth that is drawn, world units: a point that is nearer to a camera is not where it should be.
+        normals: whether the views' own normals are learned from.
+    """
+    start, mirrored, notes = mended_points(scene, near, generator, device), frozenset[str](), []
+    if start is not scene:
+        notes.append(
+            f"starts from {len(start.points):,} points in place of {len(scene.points):,}: "
+            "those that the training views support, and others found by a plane sweep over them"
+        )
+    if normals:
+        mirrored = frozenset(Evidence.of(start, near).mirrored_views())
+    if mirrored:
+        notes.append(f"mirrors the normals of {len(mirrored)} of {len(scene.train)} training views back")
+    return Mended(start, mirrored, notes)
+
+
+@torch.no_grad()
+def mended_points(scene: Scene, near: float, generator: torch.Generator, device: torch.device) -> Scene:
+    """The scene with other points where those it has cannot be trained on, else the scene itself."""
+    sound = without_points_at_cameras(scene, near)
+    if len(sound.points) and Evidence.of(sound, near).support() < UNSUPPORTED:
+        sound = _with(sound, torch.zeros(0, dtype=torch.long))
+    empty, covered = empty_cells(sound, near)
+    if covered >= MISSING:
+        return scene
+    wanted = [_strongest(view, where, generator) for view, where in zip(scene.train, empty, strict=True)]
+    scale = scene.radius or 1.0
+    points, colors = swept_points(scene.train, wanted, max(near, NEAREST * scale), FARTHEST * scale, device)
+    points, colors = torch.cat([sound.points.float(), points]), torch.cat([sound.point_colors.float(), colors])
+    if len(points) < MIN_POINTS:
+        return scene
+    return replace(scene, points=points, point_colors=colors)
+
+
+def without_points_at_cameras(scene: Scene, near: float) -> Scene:
+    """The scene without points that lie nearer than `near` to any training camera's center."""
+    points = scene.points.detach().cpu().float()
+    nearest = torch.full((len(points),), torch.inf)
+    for view in scene.train:
+        nearest = torch.minimum(nearest, (points - view.camera.center.float()).norm(dim=1))
+    return _with(scene, torch.nonzero(nearest >= near)[:, 0])
+
+
+def _with(scene: Scene, rows: Tensor) -> Scene:
+    if len(rows) == len(scene.points):
+        return scene
+    return replace(scene, points=scene.points[rows], point_colors=scene.point_colors[rows])
+
+
+def _strongest(view: View, empty: Tensor, generator: torch.Generator) -> Tensor:
+    """Pixel positions [K, 2] in the empty cells [CELLS, CELLS], where the picture changes most: PER_CELL a cell."""
+    where = torch.nonzero(empty)  # [C, 2], rows and columns
+    size = torch.tensor([view.camera.height, view.camera.width])
+    drawn = torch.rand(len(where), PER_CELL * TRIED, 2, generator=generator)
+    pixels = ((where[:, None] + drawn) / CELLS * size).long().minimum(size - 1)
+    gray = view.rgb().mean(dim=-1)
+    gradient = torch.stack(torch.gradient(gray)).square().sum(dim=0) if min(gray.shape) > 1 else gray
+    rows, columns = pixels.unbind(dim=-1)
+    best = gradient[rows, columns].topk(PER_CELL, dim=1).indices
+    chosen = pixels.gather(1, best[..., None].expand(-1, -1, 2)).reshape(-1, 2).unique(dim=0)
+    return chosen.flip(-1).float() + 0.5

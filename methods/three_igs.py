@@ -1,0 +1,202 @@
+"""3iGS: 3D Gaussians with features of their BRDF, in an illumination field over the scene (Factorised Tensorial
+Illumination for 3D Gaussian Splatting).
+
+A Gaussian's color is c_d + F(ρ, L, ω): c_d its diffuse color, ρ its features, L the field at its center, and F a small
+network that sees the viewing direction ω blurred by the Gaussian's roughness. There are no normals.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics
+from envgs_bench.core.vectors import unit
+from envgs_bench.parts import BASE, ENV, REFLECTION
+
+from . import directional_encoding
+from .adam import adam, optimizer_state, restore_optimizer
+from .directional_encoding import encoded
+from .initialization import quantile_box
+from .parameters import SH_DC, LearningRates
+from .shading import colored
+from .tensor_field import field_components
+from .three_d_gs import ThreeDGS, ThreeDGSSettings
+
+COMPONENTS = 48  # of each mode of the field
+FEATURES = 48  # of the field at a place, and of a Gaussian's BRDF: as many as 3DGS has spherical harmonics
+WIDTH = 128  # of the network's two hidden layers
+SEEN = 2 * FEATURES + 3 + directional_encoding.SIZE  # numbers that the network sees
+INITIAL_COMPONENT = 0.01  # standard deviation of the planes and lines
+BOX_QUANTILE = 0.96  # of the points that the field's box holds along each axis, around the middle
+ADAM = {"betas": (0.9, 0.99), "eps": 1e-8}  # of the field and the network
+MATERIALS = {"brdf_logits": FEATURES, "roughness": 1}  # fields, columns; logits, as tanh x is 2·sigmoid(2x) − 1
+GRIDS = ("planes", "lines")
+
+
+@dataclass(frozen=True)
+class ThreeIGSSettings(ThreeDGSSettings):
+    sh_degree: int = 0
+    sh_every: int = 0
+
+    diffuse_until: int = 3_000  # step up to which there is diffuse color alone
+    brdf_lr: float = 2.5e-3  # learning rate of the Gaussians' features and roughnesses
+    field_size: int = 150  # samples of the illumination field along each axis
+    field_lr: float = 2e-2  # learning rate of the field's planes and lines
+    network_lr: float = 1e-3  # learning rate of what mixes the field's components, and of the network
+
+
+class ThreeIGS(ThreeDGS):
+    """3iGS (Tang and Cham, ECCV 2024): 3D Gaussians with features of their BRDF, in a factorized illumination field.
+
+    Attributes:
+        shines: whether there is specular color, which follows the training of the diffuse color.
+        weights: the field and the network, by name; see `weight_shapes`.
+    """
+
+    Settings: ClassVar[type] = ThreeIGSSettings
+    settings: ThreeIGSSettings
+    captured: ClassVar[bool] = False  # whether a graph can hold the lookup's gradient was not tried
+
+    def __init__(self, settings: ThreeIGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
+        super().__init__(settings, device, seed)
+        if settings.field_size < 2:
+            raise ValueError(f"field_size is {settings.field_size}, expected at least 2")
+        self.shines = False
+        self._box = (-torch.ones(3), torch.ones(3))
+        self._set_weights({name: torch.zeros(shape) for name, shape in weight_shapes(settings.field_size).items()})
+
+    def initialize(self, scene: Scene, steps: int) -> None:
+        super().initialize(scene, steps)
+        self.shines = False
+        low, high = quantile_box(scene.points.float(), BOX_QUANTILE)
+        self._box = (low.to(self.device), high.to(self.device))
+        self._set_weights(initial_weights(self.settings.field_size, self.generator))
+        parameters = self.sets[BASE].parameters  # features begin as the color and nothing else
+        features = torch.zeros_like(parameters.tensors["brdf_logits"].detach())
+        features[:, :3] = parameters.tensors["sh_dc"].detach()[:, 0]
+        parameters.replace("brdf_logits", features)
+
+    def before_step(self, step: int) -> None:
+        super().before_step(step)
+        self.shines = step > self.schedule.at(self.settings.diffuse_until)
+
+    def base_seen_from(self, camera: Camera, step: int | None) -> GaussianSet:
+        """The shaded Gaussians; those of an image have what their color is more than diffuse as extras, [N, 3]."""
+        gaussians = self.gaussians(BASE, step)
+        if not self.shines:
+            return gaussians
+        diffuse = 0.5 + SH_DC * gaussians.sh[:, 0]
+        directions = unit(gaussians.means - camera.center)
+        colors = (diffuse + self._specular(gaussians.means.detach(), directions)).clamp(0, 1)
+        extras = colors - diffuse.clamp(0, 1) if step is None else None
+        return replace(colored(gaussians, colors), extras=extras)
+
+    def _specular(self, means: Tensor, directions: Tensor) -> Tensor:
+        """The network's colors [N, 3] in [−1, 1] of Gaussians at `means` [N, 3], seen along `directions` [N, 3]."""
+        tensors, w = self.sets[BASE].parameters.tensors, self.weights
+        low, high = self._box
+        places = (means - low) / (high - low) * 2 - 1
+        light = functional.linear(field_components(w["planes"], w["lines"], places), w["light_weight"], w["light_bias"])
+        direction = encoded(directions, functional.softplus(tensors["roughness"] - 1))
+        seen = torch.cat([tensors["brdf_logits"].tanh(), light.tanh(), directions, direction], dim=1)
+        for layer in ("first", "second"):
+            seen = functional.linear(seen, w[f"{layer}_weight"], w[f"{layer}_bias"]).relu()
+        return functional.linear(seen, w["color_weight"]).tanh()
+
+    def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
+        base = self.rasterize_base(camera, step)
+        if step is None and self.shines:
+            base = replace(base, layers={BASE: base.color - base.extras, REFLECTION: base.extras})
+        return base, {BASE: base.statistics}
+
+    def optimizers(self) -> list[torch.optim.Optimizer]:
+        return [*super().optimizers(), self._weight_optimizer]
+
+    def initial_materials(self, name: str, count: int) -> dict[str, Tensor]:
+        roughness = torch.rand(count, 1, generator=self.generator)
+        return {"brdf_logits": torch.zeros(count, FEATURES, device=self.device), "roughness": roughness.to(self.device)}
+
+    def initial_learning_rates(self) -> LearningRates:
+        rate = self.settings.brdf_lr * self.schedule.rate_scale
+        return replace(super().initial_learning_rates(), materials=dict.fromkeys(MATERIALS, rate))
+
+    def primitive_bytes(self) -> dict[str, int]:
+        return {name: size + 4 * sum(MATERIALS.values()) for name, size in super().primitive_bytes().items()}
+
+    def other_bytes(self) -> int:
+        return 4 * sum(map(math.prod, weight_shapes(self.settings.field_size).values()))
+
+    def model_bytes(self) -> dict[str, int]:
+        return super().model_bytes() | {ENV: self.other_bytes()}
+
+    def training_state(self) -> dict[str, Any]:
+        weights = {name: weight.detach() for name, weight in self.weights.items()}
+        moments = optimizer_state(self._weight_optimizer, self.weights)
+        return super().training_state() | {"weights": weights, "weight_moments": moments, "shines": self.shines}
+
+    def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
+        super().resume(scene, steps, state)
+        self._set_weights(state["weights"])
+        restore_optimizer(self._weight_optimizer, self.weights, state["weight_moments"])
+        self.shines = state["shines"]
+
+    def state(self) -> dict:
+        low, high = self._box
+        weights = {name: weight.detach() for name, weight in self.weights.items()}
+        return super().state() | weights | {"shines": self.shines, "field_box": {"low": low, "high": high}}
+
+    def restore(self, state: dict) -> None:
+        super().restore(state)
+        size = state["lines"].shape[1]
+        if size != self.settings.field_size:
+            raise ValueError(
+                f"the checkpoint's field has {size} samples along an axis, field_size is {self.settings.field_size}"
+            )
+        self._set_weights({name: state[name] for name in weight_shapes(size)})
+        self.shines = state["shines"]
+        self._box = (state["field_box"]["low"], state["field_box"]["high"])
+
+    def _set_weights(self, weights: dict[str, Tensor]) -> None:
+        s = self.settings
+        self.weights = {name: values.detach().to(self.device).requires_grad_() for name, values in weights.items()}
+        self._weight_optimizer = adam(
+            [
+                {"params": [weight], "name": name, "lr": s.field_lr if name in GRIDS else s.network_lr, **ADAM}
+                for name, weight in self.weights.items()
+            ]
+        )
+
+
+def weight_shapes(field_size: int) -> dict[str, tuple[int, ...]]:
+    """The shapes of the field's planes and lines, of what makes light of their components, and of the network."""
+    return {
+        "planes": (3, field_size, field_size, COMPONENTS),
+        "lines": (3, field_size, COMPONENTS),
+        "light_weight": (FEATURES, 3 * COMPONENTS),
+        "light_bias": (FEATURES,),
+        "first_weight": (WIDTH, SEEN),
+        "first_bias": (WIDTH,),
+        "second_weight": (WIDTH, WIDTH),
+        "second_bias": (WIDTH,),
+        "color_weight": (3, WIDTH),
+    }
+
+
+def initial_weights(field_size: int, generator: torch.Generator) -> dict[str, Tensor]:
+    """Small normal planes and lines; layers uniform within ± 1/√inputs, as PyTorch's, biases like their weights."""
+    weights: dict[str, Tensor] = {}
+    bound = 0.0
+    for name, shape in weight_shapes(field_size).items():
+        if name in GRIDS:
+            weights[name] = INITIAL_COMPONENT * torch.randn(shape, generator=generator)
+            continue
+        if len(shape) == 2:
+            bound = shape[1] ** -0.5
+        weights[name] = bound * (2 * torch.rand(shape, generator=generator) - 1)
+    return weights

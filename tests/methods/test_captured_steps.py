@@ -1,0 +1,283 @@
+"""Steps replayed from a graph: when one is recorded, and what happens to those that it had too little room for."""
+
+import dataclasses
+import math
+
+import pytest
+import torch
+from recordable import WaitsForTheDevice
+from small_methods import SMALL
+
+from envgs_bench.core import Camera, Scene, View
+from envgs_bench.methods import captured_steps
+from envgs_bench.methods.budget import Budget
+from envgs_bench.methods.captured_steps import CapturedSteps, StepNumbers
+from envgs_bench.methods.gaussian_method import GaussianMethod
+from envgs_bench.methods.registry import create_method, method_names
+
+needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+CAPTURED = {kind: SMALL[kind] for kind in ("2dgs", "3dgs", "envmap", "envgs", "envgs_single_set", "3dgs_dr")}
+STEPS = 80
+
+
+class PlainGraph(captured_steps._Graph):
+    """Does what it recorded one kernel after the other, and has too little room as often as `spoils` says."""
+
+    recorded = 0
+    spoils = 0
+
+    def __init__(self, kind, holds, learn, view, step):
+        self._kind, self._holds, self.learn, self.step = kind, holds, learn, step
+        PlainGraph.recorded += 1
+
+    def replay(self, view):
+        if PlainGraph.spoils:
+            PlainGraph.spoils -= 1
+            return StepNumbers(("loss",), (), torch.tensor([math.nan]), {})
+        return self.learn(view, self.step)
+
+
+class Arrived:
+    def __init__(self, values):
+        self.values = values
+
+    def is_finite(self):
+        return bool(self.values.isfinite().all())
+
+
+@pytest.fixture
+def plain_graphs(monkeypatch):
+    monkeypatch.setattr(captured_steps, "_Graph", PlainGraph)
+    monkeypatch.setattr(captured_steps, "_Copy", Arrived)
+    PlainGraph.recorded = PlainGraph.spoils = 0
+    return PlainGraph
+
+
+class Learner:
+    """Tells which steps it took, and how: the loss of a step is its number, unless it is one of `bad`."""
+
+    def __init__(self, bad=()):
+        self.bad, self.calls = bad, []
+        self.steps = CapturedSteps(self.learn, self.learn_again)
+
+    def learn(self, view, step):
+        self.calls.append((view.name, step))
+        return StepNumbers(("loss",), (), torch.tensor([math.nan if view.name in self.bad else float(step)]), {})
+
+    def learn_again(self, view, step):
+        self.calls.append("again")
+        return self.learn(view, step)
+
+    def take(self, step, name="view", phase=0, holds=()):
+        view = View(name, pinhole(), torch.zeros(4, 4, 3, dtype=torch.uint8))
+        return self.steps.take(view, step, phase, holds)
+
+
+def pinhole(width=4, height=4):
+    return Camera(torch.eye(4), torch.tensor([[4.0, 0, 2], [0, 4, 2], [0, 0, 1]]), width, height)
+
+
+def test_the_first_step_of_a_phase_is_taken_without_a_graph_and_others_share_one(plain_graphs):
+    learner = Learner()
+    for step in range(1, 5):
+        learner.take(step)
+    assert plain_graphs.recorded == 1
+    learner.take(5, phase=1)
+    assert plain_graphs.recorded == 1
+    learner.take(6, phase=1)
+    assert plain_graphs.recorded == 2
+
+
+def test_another_graph_is_recorded_for_other_tensors_and_after_a_release(plain_graphs):
+    learner, one = Learner(), torch.zeros(3)
+    other = torch.zeros(3)  # equal, and yet another
+    for step, holds in enumerate([(one,), (one,), (one,), (other,), (other,), (other, one)], 1):
+        learner.take(step, holds=holds)
+    assert plain_graphs.recorded == 3
+    learner.take(7, holds=(other, one))
+    assert plain_graphs.recorded == 3
+    learner.steps.release()
+    learner.take(8, holds=(other, one))
+    assert plain_graphs.recorded == 4
+
+
+def test_a_step_that_lacked_room_is_taken_again_after_the_next_one(plain_graphs):
+    learner = Learner()
+    learner.take(1)
+    plain_graphs.spoils = 1
+    lacked = learner.take(2, name="lacked")
+    assert lacked.losses()["loss"].isnan()
+    learner.take(3)
+    learner.steps.settle()
+    assert float(lacked.losses()["loss"]) == 2.0
+    assert learner.calls == [("view", 1), ("view", 2), "again", ("lacked", 2)]  # the graph's step is that of its record
+    learner.take(4)
+    assert plain_graphs.recorded == 2
+
+
+def test_a_step_that_is_not_finite_without_a_graph_either_stays_so(plain_graphs):
+    learner = Learner(bad=("black",))
+    for step in (1, 2):
+        learner.take(step)
+    bad = learner.take(3, name="black")
+    learner.steps.settle()
+    assert bad.losses()["loss"].isnan()
+    assert learner.calls.count("again") == 1
+    learner.take(4)
+    assert plain_graphs.recorded == 1
+
+
+class CrampedGraph(PlainGraph):
+    """The fourth of all replays ends with a gradient of NaN, which the optimizers skip and count."""
+
+    replays = 0
+
+    def replay(self, view):
+        CrampedGraph.replays += 1
+        if CrampedGraph.replays != 4:
+            return self.learn(view, self.step)
+        spoiled = self._holds[0].register_hook(lambda gradient: gradient * math.nan)
+        numbers = self.learn(view, self.step)
+        spoiled.remove()
+        return numbers
+
+
+@pytest.mark.parametrize("kind", CAPTURED)
+def test_steps_from_graphs_are_those_without(kind, plain_graphs, monkeypatch):
+    """On the CPU, where both are the same to the last bit: events, rates and phases come at the same steps."""
+    scene, trained = picture(), {}
+    for captures in (False, True):
+        method = create_method(kind, {"backend": "cpu", **CAPTURED[kind]})
+        monkeypatch.setattr(method, "_captures", lambda captures=captures: captures)
+        trained[captures] = method, train(method, scene)
+    (plain, expected), (method, losses) = trained[False], trained[True]
+    assert plain_graphs.recorded > 1
+    assert losses == expected
+    for name, values in plain.sets["base"].parameters.tensors.items():
+        assert torch.equal(method.sets["base"].parameters.tensors[name], values), name
+
+
+def test_a_picture_that_lacked_room_is_no_skipped_step(plain_graphs, monkeypatch):
+    monkeypatch.setattr(captured_steps, "_Graph", CrampedGraph)
+    method, scene = create_method("2dgs", {"backend": "cpu"}), picture()
+    monkeypatch.setattr(method, "_captures", lambda: True)
+    losses = train(method, scene, steps=12, of=1000)
+    assert CrampedGraph.recorded == 2
+    assert int(method.skipped_steps) == 0
+    assert method.non_finite_gradients() == []
+    assert all(math.isfinite(row["loss"]) for row in losses)
+
+
+@needs_cuda
+@pytest.mark.parametrize("kind", CAPTURED)
+def test_a_recorded_step_learns_what_the_step_without_a_graph_does_cuda(kind, monkeypatch):
+    """Sums of gradients come in any order on a GPU, so runs part: slowly, and around the same losses."""
+    scene, curves = picture(width=96, height=72), {}
+    for captures in (False, True):
+        method = create_method(kind, CAPTURED[kind], device="cuda")
+        monkeypatch.setattr(method, "_captures", lambda captures=captures: captures)
+        curves[captures] = torch.tensor([row["loss"] for row in train(method, scene)])
+        if captures:
+            assert method._steps._graph is not None
+            assert int(method.skipped_steps) == 0
+    torch.testing.assert_close(curves[True][:5], curves[False][:5], rtol=1e-3, atol=0)
+    assert abs(float(curves[True][-20:].mean() / curves[False][-20:].mean()) - 1) < 0.05
+
+
+@needs_cuda
+def test_memory_of_earlier_recordings_is_given_back_cuda(monkeypatch):
+    monkeypatch.setattr(captured_steps, "SPARE_BYTES", 0)
+    method, scene = create_method("2dgs", {}, device="cuda"), picture(width=96, height=72)
+    method.initialize(scene, 1000)
+    reserved = []
+    for step in range(1, 13):
+        method.training_step(scene.train[0], step)
+        if step % 3 == 0:
+            reserved.append(torch.cuda.memory_reserved())
+            method._steps.release()
+    assert max(reserved) <= 2 * reserved[0]
+
+
+@needs_cuda
+def test_an_image_that_outgrows_its_graph_is_learned_all_the_same_cuda(monkeypatch):
+    from envgs_bench.core.cuda import raster_pass
+
+    monkeypatch.setattr(raster_pass, "MIN_CAPACITY", 1)
+    method, scene = create_method("2dgs", {}, device="cuda"), picture(width=96, height=72)
+    method.initialize(scene, 1000)
+    for step in range(1, 4):
+        method.training_step(scene.train[0], step)
+    with torch.no_grad():  # every primitive now covers many more tiles than the graph has room for
+        method.sets["base"].parameters.tensors["log_scales"] += 2
+    losses = [method.training_step(scene.train[0], step) for step in range(4, 10)]
+    method.settle()
+    assert int(method.skipped_steps) == 0
+    assert all(bool(row["loss"].isfinite()) for row in losses)
+    raster_pass._latest_instances.clear()
+
+
+@needs_cuda
+def test_a_step_that_is_not_finite_is_skipped_from_a_graph_too_cuda():
+    method, scene = create_method("2dgs", {"mono_weight": 0.1}, device="cuda"), picture(width=96, height=72)
+    method.initialize(scene, 1000)
+    for step in range(1, 5):
+        method.training_step(scene.train[0], step)
+    method.settle()
+    before = {name: values.detach().clone() for name, values in method.sets["base"].parameters.tensors.items()}
+    normal = scene.train[1].normal
+    method.training_step(dataclasses.replace(scene.train[1], normal=torch.full_like(normal, math.nan)), 5)
+    method.settle()
+    assert int(method.skipped_steps) == 1
+    assert method.non_finite_gradients()
+    for name, values in method.sets["base"].parameters.tensors.items():
+        assert torch.equal(values, before[name]), name
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings"),
+    [
+        *((kind, {}) for kind in CAPTURED),
+        ("envgs", {"normal_weighting": "depth", "mono_weight": 0.1, "reflect_alpha": 0.5, "normal_reference": "alpha"}),
+        ("3dgs_dr", {"scope_radius": 1.5}),
+        ("2dgs", {"mean_gradient_over": "in_view"}),
+    ],
+)
+def test_no_step_waits_for_the_device(kind, settings):
+    """In the last steps of a run, when all losses count and reflections are there; a graph could hold nothing else."""
+    method, scene = create_method(kind, {"backend": "cpu", **CAPTURED[kind], **settings}), picture()
+    method.limit(Budget(primitives=5_000))
+    train(method, scene, steps=STEPS - 2)
+    for step in (STEPS - 1, STEPS):
+        method.before_step(step)
+        with WaitsForTheDevice() as waits:
+            method._learn(scene.train[0], step)
+        assert waits.found == []
+
+
+def test_only_methods_whose_steps_are_tested_here_are_recorded():
+    """A subclass that decides more on the host than its parent's `phase` tells has to say that it is not."""
+    classes = {kind: create_method(kind, {}) for kind in method_names()}
+    assert {kind for kind, method in classes.items() if getattr(method, "captured", False)} == set(CAPTURED)
+
+
+def train(method: GaussianMethod, scene: Scene, steps: int = STEPS, of: int = STEPS) -> list[dict[str, float]]:
+    """The losses of the first steps of a run that is `of` steps long."""
+    method.initialize(scene, of)
+    rows = [method.training_step(scene.train[step % len(scene.train)], step) for step in range(1, steps + 1)]
+    method.settle()
+    return [{name: float(value) for name, value in row.items()} for row in rows]
+
+
+def picture(width: int = 16, height: int = 12) -> Scene:
+    """Four views of points before a camera that moves to the side."""
+    generator = torch.Generator().manual_seed(5)
+    views = []
+    for k in range(4):
+        pose = torch.eye(4)
+        pose[0, 3] = 0.2 * k
+        intrinsics = torch.tensor([[float(width), 0, width / 2], [0, width, height / 2], [0, 0, 1]])
+        image = torch.randint(0, 256, (height, width, 3), generator=generator, dtype=torch.uint8)
+        normal = torch.tensor([0.0, 0, -1]).expand(height, width, 3).clone()
+        views.append(View(f"view{k}", Camera(pose, intrinsics, width, height), image, normal=normal))
+    points = torch.rand(200, 3, generator=generator) * torch.tensor([3.0, 2.0, 0.5]) + torch.tensor([-1.5, -1, 2.5])
+    return Scene("points", views, views[:1], points, torch.rand(200, 3, generator=generator))

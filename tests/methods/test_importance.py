@@ -1,0 +1,102 @@
+"""What a primitive is worth to the pictures, against pictures drawn without it; and which ones go for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pytest
+import torch
+from core_scenes import plain_camera, random_rays, random_set
+from torch import Tensor
+
+from envgs_bench.core import Camera, GaussianSet, Rendering, View, rasterize, trace
+from envgs_bench.methods import importance
+from envgs_bench.methods.gaussian_method import GaussianMethod
+from envgs_bench.methods.importance import removal_errors, without_least
+from envgs_bench.methods.registry import create_method
+from envgs_bench.testing import tiny_scene
+
+RAYS = random_rays(33 * 33)
+
+
+def draw(sets: Mapping[str, GaussianSet], camera: Camera) -> Rendering:
+    """The base over gray, and half of what random rays see of the environment."""
+    base = rasterize(sets["base"], camera, background=torch.full((3,), 0.5), backend="cpu")
+    seen = trace(sets["env"], *RAYS, backend="cpu").color.reshape(base.color.shape)
+    base.color = base.color + 0.5 * seen
+    return base
+
+
+def without(gaussians: GaussianSet, row: int) -> GaussianSet:
+    others = torch.arange(len(gaussians)) != row
+    return gaussians.map(lambda values: values[others])
+
+
+def test_the_estimate_is_the_change_of_pictures_without_the_primitive(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importance, "PROBES", 400)  # relative standard deviation √(2 / 400) = 0.07
+    camera = plain_camera()
+    sets = {"base": random_set(9), "env": random_set(7, extras=0, seed=1)}
+    whole = draw(sets, camera).color
+    view = View("view", camera, torch.zeros(whole.shape, dtype=torch.uint8))
+    errors = removal_errors(sets, draw, [view], torch.Generator().manual_seed(1))
+    for name, gaussians in sets.items():
+        expected = torch.stack(
+            [
+                (draw(sets | {name: without(gaussians, row)}, camera).color - whole).square().sum()
+                for row in range(len(gaussians))
+            ]
+        )
+        assert (expected > 0.01).sum() >= 5
+        torch.testing.assert_close(errors[name], expected, rtol=0.25, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("most", "base", "env"),
+    [
+        (0.0, [True, False, True], [True, True]),  # what no view shows goes for nothing
+        (3.9, [False, False, True], [True, True]),
+        (4.0, [False, False, True], [False, True]),
+        (1e9, [False, False, True], [False, True]),  # the last of a set stays
+    ],
+)
+def test_the_least_go_first_whichever_set_they_are_of(most: float, base: list[bool], env: list[bool]) -> None:
+    errors: dict[str, Tensor] = {"base": torch.tensor([1.0, 0.0, 9.0]), "env": torch.tensor([3.0, 5.0])}
+
+    def lacking(kept: Mapping[str, Tensor]) -> float:
+        return sum(float(errors[name][~rows].sum()) for name, rows in kept.items())
+
+    kept = without_least(errors, most, lacking)
+    assert kept["base"].tolist() == base
+    assert kept["env"].tolist() == env
+
+
+REFLECTS = {"bootstrap": 9_000, "env_grid": 3, "env_far_count": 50}
+
+
+def trained(kind: str, steps: int, **settings: float) -> GaussianMethod:
+    """In a run of 60 steps."""
+    method = create_method(kind, settings | (REFLECTS if kind == "envgs" else {}), seed=1)
+    assert isinstance(method, GaussianMethod)
+    scene = tiny_scene()
+    method.initialize(scene, 60)
+    for step in range(1, steps + 1):
+        method.training_step(scene.train[step % len(scene.train)], step)
+    return method
+
+
+def squared_error(method: GaussianMethod) -> float:
+    method.prepared.clear()
+    return sum(float((method.render(v.camera).color - v.rgb("cpu")).square().sum()) for v in tiny_scene().train)
+
+
+@pytest.mark.parametrize("kind", ["2dgs", "3dgs", "envgs"])
+def test_a_pruning_leaves_what_the_pictures_need(kind: str) -> None:
+    method = trained(kind, 29, prune_error=0.02, prune_from=10_000, densify_until=0)
+    assert [step for step in range(1, 61) if "prune" in method.events(step)] == [30]
+    before, count = squared_error(method), sum(method.primitives().values())
+    with torch.no_grad():
+        method.after_step(30, {"prune"})
+    assert sum(method.primitives().values()) < count
+    assert squared_error(method) <= 1.02 * before * (1 + 1e-3)
+    assert all(len(s.record.weights) == len(s.parameters) for s in method.sets.values())
+    method.training_step(tiny_scene().train[0], 30)

@@ -1,0 +1,91 @@
+"""Points and normals that the photographs contradict are found and mended; what is in order stays as it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial import cKDTree
+from toy_scenes import coarse_toys
+
+from envgs_bench.core import Scene
+from envgs_bench.datasets import load_scene
+from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
+from envgs_bench.methods.evidence import Evidence
+from envgs_bench.methods.mending import mended_points
+from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.resident_views import ResidentViews
+
+NEAR = 0.2
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    toy = {"kind": "toy", "scene": "chrome_room", "width": 40, "height": 30, "views": 33, "supersampling": 1}
+    with coarse_toys():
+        return load_scene(toy | {"normal_noise": 5.0}, tmp_path_factory.mktemp("cache"))
+
+
+def worst(scene: Scene, kind: str) -> Scene:
+    return PERTURBATIONS[kind].applied(scene, len(PERTURBATIONS[kind].levels), kind, seed=0)
+
+
+def mended(scene: Scene) -> Scene:
+    return mended_points(scene, NEAR, torch.Generator().manual_seed(0), CPU)
+
+
+def off_surfaces(points: torch.Tensor, scene: Scene) -> np.ndarray:
+    """How far the points [P, 3] are from the surfaces that the training views see, × the scene radius."""
+    surfaces = []
+    for view in scene.train:
+        assert view.depth is not None
+        origins, directions = view.camera.rays()
+        surfaces.append((origins + view.depth[..., None] * directions)[view.depth > 0])
+    return np.asarray(cKDTree(torch.cat(surfaces).numpy()).query(points.numpy())[0]) / scene.radius
+
+
+def test_what_is_in_order_stays_as_it_is(room: Scene) -> None:
+    assert mended(room) is room
+    assert Evidence.of(room, NEAR).mirrored_views() == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["points_random", "points_at_cameras", "points_near_cameras"])
+def test_points_that_are_wrong_or_missing_are_found_on_the_surfaces(room: Scene, kind: str) -> None:
+    broken = worst(room, kind)
+    found = mended(broken)
+    assert len(found.points) > 300
+    assert np.median(off_surfaces(found.points, room)) < 0.1
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 1.0])
+def test_views_with_mirrored_normals_are_found_and_mirrored_back(room: Scene, share: float) -> None:
+    level = [0.25, 0.5, 1.0].index(share) + 1
+    broken = PERTURBATIONS["normals_mirrored"].applied(room, level, "normals_mirrored", seed=0)
+    changed = [b.name for a, b in zip(room.train, broken.train, strict=True) if a is not b]
+    assert len(changed) == round(share * len(room.train))
+    assert Evidence.of(broken, NEAR).mirrored_views() == changed
+    views = ResidentViews(CPU, room=0, mirrored=changed)
+    for exact, view in zip(room.train, broken.train, strict=True):
+        torch.testing.assert_close(views.on_device(view).normal, exact.normal, atol=1e-5, rtol=0)
+
+
+def test_published_recipes_take_points_and_normals_as_they_are_given() -> None:
+    assert not any(create_method(kind).settings.mends_input for kind in ("2dgs", "3dgs", "3dgs_dr", "ref_gaussian"))
+    assert all(create_method(kind).settings.mends_input for kind in ("envgs", "envmap"))
+
+
+def test_a_method_says_what_it_mended_and_starts_from_it(room: Scene) -> None:
+    few = replace(room, points=room.points[::12], point_colors=room.point_colors[::12])
+    mirrored = PERTURBATIONS["normals_mirrored"].applied(few, 1, "normals_mirrored", seed=0)
+    method = create_method("envgs", {"env_grid": 2, "env_far_count": 10})
+    method.initialize(mirrored, steps=10)
+    points, normals = method.mended
+    assert f"{method.primitives()['base']:,} points in place of {len(few.points):,}" in points
+    assert normals == f"mirrors the normals of 7 of {len(room.train)} training views back"
+    as_given = create_method("envgs", {"env_grid": 2, "env_far_count": 10, "mends_input": False})
+    as_given.initialize(mirrored, steps=10)
+    assert (as_given.mended, as_given.primitives()["base"]) == ([], len(few.points))

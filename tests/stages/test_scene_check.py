@@ -1,0 +1,73 @@
+"""What is wrong with a scene is said before anything is trained on it, and nothing of a scene in order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from toy_scenes import coarse_toys
+
+from envgs_bench.core import Scene
+from envgs_bench.datasets import load_scene
+from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
+from envgs_bench.stages.scene_check import scene_warnings
+
+SAYS = {  # kind of data -> what is said from which severity on
+    "views": (2, ["views_sparse"]),
+    "points_fewer": (2, ["points_missing"]),
+    "points_at_cameras": (3, ["points_missing", "points_unsupported"]),
+    "points_near_cameras": (1, ["points_missing"]),
+    "points_random": (1, ["points_unsupported"]),
+    "normals_mirrored": (1, ["normals_mirrored"]),
+}
+SAYS_NOTHING = [kind for kind in PERTURBATIONS if kind not in SAYS and not kind.startswith(("masks", "background"))]
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    toy = {"kind": "toy", "scene": "chrome_room", "width": 40, "height": 30, "views": 48, "supersampling": 1}
+    with coarse_toys():
+        return load_scene(toy | {"normal_noise": 5.0}, tmp_path_factory.mktemp("cache"))
+
+
+def said(scene: Scene) -> list[str]:
+    warnings = scene_warnings(scene)
+    assert all(warning.step == 0 for warning in warnings)
+    return [warning.kind for warning in warnings]
+
+
+def perturbed(scene: Scene, kind: str, severity: int) -> Scene:
+    return PERTURBATIONS[kind].applied(scene, severity, kind, seed=0)
+
+
+@pytest.mark.parametrize("kind", SAYS)
+def test_what_breaks_a_training_without_a_word_is_said_at_its_start(room: Scene, kind: str) -> None:
+    first, kinds = SAYS[kind]
+    worst = len(PERTURBATIONS[kind].levels)
+    assert said(perturbed(room, kind, first)) == kinds
+    assert said(perturbed(room, kind, worst)) == kinds
+    if first > 1:
+        assert len(said(perturbed(room, kind, first - 1))) < len(kinds)
+
+
+@pytest.mark.parametrize("kind", SAYS_NOTHING)
+def test_nothing_is_said_of_the_worst_of_what_a_training_survives(room: Scene, kind: str) -> None:
+    assert said(perturbed(room, kind, len(PERTURBATIONS[kind].levels))) == []
+
+
+def test_nothing_is_said_of_a_scene_in_order(room: Scene) -> None:
+    assert said(room) == []
+
+
+def test_random_points_that_come_without_colors_are_what_synthetic_scenes_start_from(room: Scene) -> None:
+    colors = torch.full_like(room.point_colors, 0.5) + torch.rand(room.point_colors.shape) * 0.001
+    assert said(replace(perturbed(room, "points_random", 1), point_colors=colors)) == []
+
+
+def test_no_view_that_lacks_texture_normals_or_neighbors_is_an_error(room: Scene) -> None:
+    blank = [replace(view, image=torch.zeros_like(view.image), normal=None) for view in room.train]
+    assert said(replace(room, train=blank)) == ["points_unsupported"]
+    assert said(replace(room, train=blank[:1])) == ["points_unsupported"]
+    assert said(replace(room, train=room.train[:1])) == ["views_sparse"]
+    assert said(replace(room, points=room.points[:0], point_colors=room.point_colors[:0])) == []
