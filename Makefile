@@ -56,7 +56,7 @@ API := build/api
 api: install
 	$(BIN)/python -m pdoc --docformat google -o $(API) \
 		envgs_bench.core '!envgs_bench.core.' $(addprefix envgs_bench.,parts records settings testing) \
-		$(addprefix envgs_bench.methods.,method gaussian_method reflection)
+		$(addprefix envgs_bench.methods.,method gaussian_model gaussian_method reflection)
 
 bench: install
 	$(BIN)/envgs-bench bench core

@@ -12,8 +12,8 @@
 | envgs | envgs.py | surfels with β, and traced environment surfels for what they reflect |
 | envgs_single_set | single_set.py | surfels with β, traced for what they reflect themselves |
 
-The first two are `gaussian_method.py` and no more; gaussian_shader adds a map, `learned_map.py`; 3igs is 3dgs with
-colors of its own, by `tensor_field.py` and `directional_encoding.py`; the others are `reflection.py` and differ in
-where the reflected color comes from: `envmap.py` is what the three with a map share, `traced.py` the last two. Another
-package adds a method by an entry point of group `envgs_bench.methods`.
+The first two are `gaussian_method.py`, which trains what `gaussian_model.py` draws and stores; gaussian_shader adds a
+map, `learned_map.py`; 3igs is 3dgs with colors of its own, by `tensor_field.py` and `directional_encoding.py`; the
+others are `reflection.py` and differ in where the reflected color comes from: `envmap.py` is what the three with a map
+share, `traced.py` the last two. Another package adds a method by an entry point of group `envgs_bench.methods`.
 """

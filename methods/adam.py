@@ -59,6 +59,15 @@ class KernelAdam(torch.optim.Adam):
             )
 
 
+def step_together(optimizers: Sequence[torch.optim.Optimizer], counts: Tensor) -> Tensor:
+    """Step all of them where `counts`, a truth on the device, is true, and none where it is not; 1 where none did."""
+    skipped = (~counts).float()
+    for optimizer in optimizers:
+        optimizer.found_inf = skipped  # type: ignore[attr-defined]  # torch's way to skip a fused step
+        optimizer.step()
+    return skipped
+
+
 def set_rate(group: dict[str, Any], rate: float) -> None:
     """Give a group of `adam` another learning rate."""
     if isinstance(group["lr"], Tensor):

@@ -115,6 +115,11 @@ def initial_tensors(
     return tensors
 
 
+def half_diagonal(points: Tensor) -> float:
+    """Of the box of the points [N, 3], at least 1e-3: the scene scale where all cameras share one center."""
+    return max(0.5 * float((points.amax(0) - points.amin(0)).norm()), 1e-3)
+
+
 def quantile_box(points: Tensor, quantile: float) -> tuple[Tensor, Tensor]:
     """Corners [3], [3] of the axis-aligned box that holds the central `quantile` of the points' range on each axis.
 

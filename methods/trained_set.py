@@ -1,4 +1,4 @@
-"""TrainedSet: one set of Gaussians in training, with the statistics of its steps and its densification rule."""
+"""TrainedSet: one set of Gaussians in training, with the statistics of its steps."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ PROPAGATED_OPACITY = 0.9
 
 
 class TrainedSet:
-    def __init__(self, parameters: GaussianParameters, rule: DensificationRule) -> None:
+    def __init__(self, parameters: GaussianParameters) -> None:
         self.parameters = parameters
-        self.rule = rule
         self.record = DensificationRecord(len(parameters), parameters.tensors["means"].device)
 
     def training_state(self) -> dict[str, Any]:
@@ -29,9 +28,11 @@ class TrainedSet:
         self.parameters.restore_training(state["parameters"])
         self.record.restore_training(state["record"])
 
-    def densify(self, radius: float, generator: torch.Generator, oversized: Oversized = "split") -> None:
+    def densify(
+        self, rule: DensificationRule, radius: float, generator: torch.Generator, oversized: Oversized = "split"
+    ) -> None:
         """Grow and shrink by the rule and what the last steps recorded, with `densify`'s arguments."""
-        self.record = densify(self.parameters, self.record, self.rule, radius, generator, oversized)
+        self.record = densify(self.parameters, self.record, rule, radius, generator, oversized)
 
     def keep(self, rows: Tensor) -> None:
         """Keep only the primitives that a mask [N] names, with what was recorded of them."""

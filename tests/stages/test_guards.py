@@ -22,6 +22,7 @@ from tuned_baselines import TUNED_2DGS
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
+from envgs_bench.methods import gaussian_method
 from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.registry import create_method
 from envgs_bench.stages import health
@@ -105,7 +106,7 @@ def climb(method: GaussianMethod) -> None:
 
 
 def apply_all_steps(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(GaussianMethod, "_finite", lambda self, loss: torch.tensor(True))
+    patch.setattr(gaussian_method, "all_finite", lambda magnitudes: torch.tensor(True))
 
 
 def never_end(patch: pytest.MonkeyPatch) -> None:
