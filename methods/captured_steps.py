@@ -101,7 +101,8 @@ class CapturedSteps:
         while len(self._under_way) > in_flight:
             view, step, numbers, copy = self._under_way.popleft()
             if not copy.is_finite():
-                again = self._learn_again(view, step).values
+                with torch.enable_grad():  # whoever settles may only be drawing
+                    again = self._learn_again(view, step).values
                 numbers.values.copy_(again)
                 if bool(again.isfinite().all()):  # so it was the graph that had too little room
                     self._graph = None

@@ -53,6 +53,7 @@ class Evidence:
         """That of at most `most` of the scene's points, all on the CPU; `near` is the nearest depth that is drawn."""
         count = len(scene.points)
         rows = torch.linspace(0, count - 1, min(count, most)).round().long()
+        rows = rows.clamp_max(count - 1)  # float32 rounds beyond the last of more than 2²⁴ points
         points = scene.points[rows].detach().cpu().float()
         pixels, shown = [], []
         for view in scene.train:

@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from envgs_bench.core import Camera, View
 
-WIDTH = 160  # pixels to which wider pictures are reduced
+WIDTH = 160  # pixels: pictures at least twice as wide are reduced, by a whole factor, to less than twice this
 NEIGHBORS = 4  # other views that a patch is looked for in
 AGREEING = 2  # of them that must show it: others may see something in front
 PATCH = 2  # pixels of the reduced picture between a patch's 3 × 3 samples
@@ -28,7 +28,7 @@ OTHERWISE = 2  # depths beside the best that are no others
 
 @dataclass(frozen=True)
 class _Reduced:
-    """A view as it is swept: its picture [1, 3, h, w], no wider than WIDTH."""
+    """A view as it is swept: its picture [1, 3, h, w], narrower than 2·WIDTH."""
 
     camera: Camera
     picture: Tensor
@@ -71,7 +71,7 @@ def _reduced(view: View, device: torch.device) -> _Reduced:
     picture = view.rgb(device).permute(2, 0, 1)[None]
     factor = view.camera.width // WIDTH
     if factor > 1:
-        size = (round(view.camera.height / factor), round(view.camera.width / factor))
+        size = (max(1, round(view.camera.height / factor)), round(view.camera.width / factor))
         picture = functional.interpolate(picture, size, mode="area")
     return _Reduced(view.camera.to(device), picture)
 

@@ -157,8 +157,22 @@ def test_steps_from_graphs_are_those_without(kind, plain_graphs, monkeypatch):
         assert torch.equal(method.sets["base"].parameters.tensors[name], values), name
 
 
+def test_a_step_that_lacked_room_is_taken_again_before_a_picture_is_drawn(plain_graphs, monkeypatch):
+    monkeypatch.setattr(captured_steps, "_Graph", CrampedGraph)
+    monkeypatch.setattr(CrampedGraph, "replays", 0)
+    method, scene = create_method("2dgs", {"backend": "cpu"}), picture()
+    monkeypatch.setattr(method, "_captures", lambda: True)
+    method.initialize(scene, 1000)
+    rows = [method.training_step(scene.train[step % 4], step) for step in range(1, 6)]  # the last one from a graph
+    method.render(scene.test[0].camera)
+    assert CrampedGraph.replays == 4
+    assert int(method.skipped_steps) == 0
+    assert all(math.isfinite(row["loss"]) for row in rows)
+
+
 def test_a_picture_that_lacked_room_is_no_skipped_step(plain_graphs, monkeypatch):
     monkeypatch.setattr(captured_steps, "_Graph", CrampedGraph)
+    monkeypatch.setattr(CrampedGraph, "replays", 0)
     method, scene = create_method("2dgs", {"backend": "cpu"}), picture()
     monkeypatch.setattr(method, "_captures", lambda: True)
     losses = train(method, scene, steps=12, of=1000)

@@ -10,11 +10,12 @@ import torch
 from scipy.spatial import cKDTree
 from toy_scenes import coarse_toys
 
-from envgs_bench.core import Scene
+from envgs_bench.core import Camera, Scene, View
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
 from envgs_bench.methods.evidence import Evidence
 from envgs_bench.methods.mending import mended_points
+from envgs_bench.methods.plane_sweep import swept_points
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.resident_views import ResidentViews
 
@@ -59,6 +60,27 @@ def test_points_that_are_wrong_or_missing_are_found_on_the_surfaces(room: Scene,
     found = mended(broken)
     assert len(found.points) > 300
     assert np.median(off_surfaces(found.points, room)) < 0.1
+
+
+def test_of_very_many_points_the_last_is_looked_at_too(room: Scene) -> None:
+    """So many that their number has no neighbor in float32."""
+    count = 2**24 + 4
+    many = replace(room, points=torch.zeros(1, 3).expand(count, 3), point_colors=torch.zeros(1, 3).expand(count, 3))
+    assert len(Evidence.of(many, NEAR).points) == 4_000
+
+
+def test_pictures_a_pixel_high_are_swept() -> None:
+    views = [View(str(x), strip_at(x), torch.full((1, 640, 3), 90, dtype=torch.uint8)) for x in (0.0, 0.1, 0.2)]
+    wanted = [torch.tensor([[320.5, 0.5]])] * len(views)
+    points, colors = swept_points(views, wanted, 0.5, 20.0, CPU)
+    assert (points.shape, colors.shape) == ((0, 3), (0, 3))  # of one color: no depth is clear
+
+
+def strip_at(x: float) -> Camera:
+    """A camera of 640×1 pixels that looks along z."""
+    pose = torch.eye(4)
+    pose[0, 3] = -x
+    return Camera(pose, torch.tensor([[500.0, 0, 320], [0, 500, 0.5], [0, 0, 1]]), 640, 1)
 
 
 @pytest.mark.parametrize("share", [0.25, 0.5, 1.0])
