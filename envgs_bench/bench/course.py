@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.methods.method import Method
+from envgs_bench.metrics.psnr import psnr
 from envgs_bench.stages.training import shuffled
 
 # Steps of a whole training that is thrown away: what is compiled or imported at first use is then there. Kernels of a
@@ -102,11 +102,8 @@ def warm_up(trainee: Trainee, scene: Scene, seed: int, device: str) -> None:
 
 @torch.no_grad()
 def mean_psnr(picture: Callable[[Camera], Tensor], views: Sequence[View], device: str) -> float:
-    """Unweighted mean over views of the PSNR of whole clamped pictures, dB."""
-    scores = []
-    for view in views:
-        image = picture(view.camera.to(device)).clamp(0, 1)
-        scores.append(-10 * math.log10(max(float((image - view.rgb(device)).square().mean()), 1e-12)))
+    """Unweighted mean over views of the PSNR of whole clamped pictures, dB, as records have it."""
+    scores = [psnr(picture(view.camera.to(device)).clamp(0, 1), view.rgb(device)) for view in views]
     return sum(scores) / len(scores)
 
 
