@@ -13,7 +13,18 @@
 | envgs_single_set | single_set.py | surfels with β, traced for what they reflect themselves |
 
 The first two are `gaussian_method.py`, which trains what `gaussian_model.py` draws and stores; gaussian_shader adds a
-map, `learned_map.py`; 3igs is 3dgs with colors of its own, by `tensor_field.py` and `directional_encoding.py`; the
-others are `reflection.py` and differ in where the reflected color comes from: `envmap.py` is what the three with a map
-share, `traced.py` the last two. Another package adds a method by an entry point of group `envgs_bench.methods`.
+map, `learned_map.py`; 3igs is 3dgs with colors of its own, by a field and a network; the others are `reflection.py` and
+differ in where the reflected color comes from: `envmap.py` is what the three with a map share, `traced.py` the last
+two. Another package adds a method by an entry point of group `envgs_bench.methods`.
+
+| what Gaussian methods share | where |
+|---|---|
+| what a training starts from, judged and mended | start/ |
+| what surfaces reflect: maps, tables, fields | lighting/ |
+| a set, its fields, its optimizer | trained_set.py, parameters.py, adam.py |
+| what a step minimizes | training_loss.py, losses.py, gradients.py |
+| when what happens | schedule.py, base_growth.py |
+| which primitives come and go, and how many | densification.py, importance.py, pruning.py, budget.py |
+| steps on a GPU | captured_steps.py, resident_views.py |
+| a model as files | checkpoint.py, ply.py, storage/ |
 """

@@ -13,9 +13,9 @@ from envgs_bench.core import Camera, Rendering, Scene, Statistics
 from envgs_bench.parts import BASE, ENV
 
 from .densification import DensificationRule, spatial_criterion
-from .initialization import quantile_box, random_points_in_grid, random_points_on_sphere
 from .parameters import primitive_bytes
 from .schedule import DENSIFY_FLOOR, ENV_RESET_FLOOR, RECOVERY
+from .start.initialization import quantile_box, random_points_in_grid, random_points_on_sphere
 from .traced import TracedReflection, TracedSettings
 
 

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from envgs_bench.core import Statistics
 
-from .cubemap import resized_cubemap, sample_cubemap
 from .learned_map import MapMethod, MapSettings
+from .lighting.cubemap import resized_cubemap, sample_cubemap
 from .reflection import ReflectionSettings, ReflectiveMethod
 
 DOUBLES_AT = (7_500, 13_500, 21_000)  # steps of a run of 30,000

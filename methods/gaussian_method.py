@@ -20,13 +20,13 @@ from .densification import DensificationRule, Oversized, screen_criterion
 from .frustum import in_view
 from .gaussian_model import GaussianModel
 from .gradients import RememberedGradients, all_finite, largest_magnitudes
-from .initialization import ORIENTATIONS, Orientation, half_diagonal
 from .losses import training_psnr
-from .mending import Mended, mended
 from .pruning import prune
 from .resident_views import ResidentViews
 from .schedule import DENSIFY_FLOOR, Schedule
 from .settings import GaussianSettings, check_words
+from .start.initialization import ORIENTATIONS, Orientation, half_diagonal
+from .start.mending import Mended, mended
 from .training_loss import TrainingLoss, lacking_normals
 
 WORDS = {  # of settings that choose

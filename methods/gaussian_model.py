@@ -14,11 +14,11 @@ from envgs_bench.parts import BASE, SETS
 
 from .budget import Budget, SharedBudget
 from .checkpoint import read_checkpoint, write_checkpoint
-from .initialization import Orientation, evenly_thinned, initial_orientation, initial_tensors
 from .method import Method
 from .parameters import GaussianParameters, LearningRates, primitive_bytes
 from .schedule import Schedule
 from .settings import GaussianSettings
+from .start.initialization import Orientation, evenly_thinned, initial_orientation, initial_tensors
 from .trained_set import TrainedSet
 
 

@@ -18,12 +18,12 @@ from envgs_bench.core.vectors import unit
 from envgs_bench.parts import BASE, BETA, REFLECTION
 
 from .adam import set_rate
-from .brdf_table import specular_weight
 from .learned_map import MapMethod, MapSettings
+from .lighting.brdf_table import specular_weight
+from .lighting.prefiltered_cubemap import RoughMap, prefilter_of, rough_map
+from .lighting.shading import colored, mirrored, seen_from
 from .parameters import LearningRates
-from .prefiltered_cubemap import RoughMap, prefilter_of, rough_map
 from .settings import PublishedSettings
-from .shading import colored, mirrored, seen_from
 
 INITIAL_TINT, INITIAL_ROUGHNESS = 0.0, 0.6  # logits
 INITIAL_LIGHT = 0.8

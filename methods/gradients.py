@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -13,7 +12,7 @@ from torch import Tensor
 REMEMBERED_STEPS = 32  # whose gradients' magnitudes are kept, to say which were not finite
 
 
-def largest_magnitudes(tensors: Sequence[Tensor]) -> Tensor:
+def largest_magnitudes(tensors: list[Tensor]) -> Tensor:
     """Each tensor's largest magnitude, [N]; NaN where it holds one. None of the tensors may be empty.
 
     On a GPU one kernel, which takes a CPU sixteen times as long.

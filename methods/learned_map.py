@@ -12,8 +12,8 @@ from envgs_bench.core import Scene
 from envgs_bench.parts import ENV
 
 from .adam import adam, optimizer_state, restore_optimizer
-from .cubemap import layout_of
 from .gaussian_method import GaussianMethod
+from .lighting.cubemap import layout_of
 from .settings import GaussianSettings
 
 

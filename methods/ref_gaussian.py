@@ -18,14 +18,14 @@ from envgs_bench.core.torch.sh import sh_basis
 from envgs_bench.core.vectors import unit
 from envgs_bench.parts import BASE, BETA, REFLECTION
 
-from .brdf_table import specular_weight
 from .envmap import EnvMap, EnvMapSettings
+from .lighting.brdf_table import specular_weight
+from .lighting.prefiltered_cubemap import RoughMap, prefilter_of, rough_map
+from .lighting.shading import colored, mirrored, seen_from
 from .losses import edge_aware_smoothness
 from .parameters import LearningRates, inverse_sigmoid
-from .prefiltered_cubemap import RoughMap, prefilter_of, rough_map
 from .regions import Ball, foreground_ball
 from .settings import PublishedSettings
-from .shading import colored, mirrored, seen_from
 
 DIELECTRIC = 0.04  # what a surface that is no metal reflects head-on
 METALLIC_ABOVE = 0.02  # m from which normals propagate, and up to which base colors are sabotaged

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from envgs_bench.core import View
 
-from .evidence import mirrored_normals
+from .start.evidence import mirrored_normals
 
 SHARE_OF_DEVICE = 0.25  # part of a GPU's memory that views may stay in
 

@@ -19,13 +19,13 @@ from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics
 from envgs_bench.core.vectors import unit
 from envgs_bench.parts import BASE, ENV, REFLECTION
 
-from . import directional_encoding
 from .adam import adam, optimizer_state, restore_optimizer
-from .directional_encoding import encoded
-from .initialization import quantile_box
+from .lighting import directional_encoding
+from .lighting.directional_encoding import encoded
+from .lighting.shading import colored
+from .lighting.tensor_field import field_components
 from .parameters import SH_DC, LearningRates
-from .shading import colored
-from .tensor_field import field_components
+from .start.initialization import quantile_box
 from .three_d_gs import ThreeDGS, ThreeDGSSettings
 
 COMPONENTS = 48  # of each mode of the field

@@ -12,8 +12,8 @@ from torch import Tensor
 from envgs_bench.core import GaussianSet, Rendering, build_bvh, rasterize, trace
 from envgs_bench.core.differentiable import SetTensors
 from envgs_bench.core.ssim import ssim
-from envgs_bench.methods.cubemap import CubemapLayout, layout_of, sample_cubemap
-from envgs_bench.methods.prefiltered_cubemap import prefilter_of, rough_map
+from envgs_bench.methods.lighting.cubemap import CubemapLayout, layout_of, sample_cubemap
+from envgs_bench.methods.lighting.prefiltered_cubemap import prefilter_of, rough_map
 from envgs_bench.parts import ALPHA
 
 from .cases import LOOKUPS, PEERS, RASTERIZED, Case

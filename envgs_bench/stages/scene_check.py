@@ -1,14 +1,14 @@
 """What is wrong with a scene before anything is trained on it, and would not show in a training that fits what it sees.
 
 A run with too few views, or with points or normals that contradict the pictures, learns the training views and fails
-on all others. Its losses know nothing of that; the scene does (`envgs_bench.methods.evidence`).
+on all others. Its losses know nothing of that; the scene does (`envgs_bench.methods.start.evidence`).
 """
 
 from __future__ import annotations
 
 from envgs_bench.core import Scene
-from envgs_bench.methods.evidence import Evidence, empty_cells
-from envgs_bench.methods.mending import MISSING, UNSUPPORTED
+from envgs_bench.methods.start.evidence import Evidence, empty_cells
+from envgs_bench.methods.start.mending import MISSING, UNSUPPORTED
 from envgs_bench.records import TrainingWarning, WarningKind
 
 SPARSE = 12.0  # degrees between the two nearest views of a point from which views are too few to agree on its depth

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from envgs_bench.methods.brdf_table import brdf_table, specular_weight
+from envgs_bench.methods.lighting.brdf_table import brdf_table, specular_weight
 
 
 def reflected_share(cosine: float, roughness: float, reflectance: float) -> float:

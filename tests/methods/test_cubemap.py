@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from envgs_bench.methods.cubemap import layout_of, resized_cubemap, sample_cubemap, texel_directions
+from envgs_bench.methods.lighting.cubemap import layout_of, resized_cubemap, sample_cubemap, texel_directions
 
 
 def smooth(directions: Tensor) -> Tensor:

@@ -11,8 +11,8 @@ from schedules import steps_of_events
 from torch.nn import functional
 
 from envgs_bench.core import Scene, View
-from envgs_bench.methods.cubemap import layout_of, sample_cubemap
 from envgs_bench.methods.deferred_reflection import DeferredReflection
+from envgs_bench.methods.lighting.cubemap import layout_of, sample_cubemap
 from envgs_bench.methods.registry import create_method
 from envgs_bench.testing import tiny_scene
 

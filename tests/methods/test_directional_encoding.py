@@ -11,7 +11,7 @@ from scipy.special import sph_harm_y
 from torch import Tensor
 from torch.nn import functional
 
-from envgs_bench.methods.directional_encoding import HARMONICS, SIZE, encoded
+from envgs_bench.methods.lighting.directional_encoding import HARMONICS, SIZE, encoded
 
 
 def directions(count: int) -> Tensor:

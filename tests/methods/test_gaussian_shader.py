@@ -11,9 +11,9 @@ from mirror_ball import gain_of_training, mirror_ball
 from torch.nn import functional
 
 from envgs_bench.core import Scene
-from envgs_bench.methods.brdf_table import specular_weight
 from envgs_bench.methods.gaussian_shader import MATERIALS, GaussianShader
-from envgs_bench.methods.prefiltered_cubemap import prefilter_of, rough_map
+from envgs_bench.methods.lighting.brdf_table import specular_weight
+from envgs_bench.methods.lighting.prefiltered_cubemap import prefilter_of, rough_map
 from envgs_bench.methods.registry import create_method
 from envgs_bench.testing import tiny_scene
 

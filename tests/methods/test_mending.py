@@ -13,11 +13,11 @@ from toy_scenes import coarse_toys
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
-from envgs_bench.methods.evidence import Evidence
-from envgs_bench.methods.mending import mended_points
-from envgs_bench.methods.plane_sweep import swept_points
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.resident_views import ResidentViews
+from envgs_bench.methods.start.evidence import Evidence
+from envgs_bench.methods.start.mending import mended_points
+from envgs_bench.methods.start.plane_sweep import swept_points
 
 NEAR = 0.2
 CPU = torch.device("cpu")

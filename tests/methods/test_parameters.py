@@ -2,8 +2,8 @@
 
 import torch
 
-from envgs_bench.methods.initialization import initial_tensors
 from envgs_bench.methods.parameters import SH_DC, GaussianParameters, LearningRates, primitive_bytes, sh_from_rgb
+from envgs_bench.methods.start.initialization import initial_tensors
 
 
 def make_parameters(n: int = 6, beta: float | None = 0.2) -> GaussianParameters:

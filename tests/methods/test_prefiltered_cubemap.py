@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from envgs_bench.methods.cubemap import layout_of, sample_cubemap, texel_directions
-from envgs_bench.methods.prefiltered_cubemap import ROUGHNESSES, RoughMap, prefilter_of, rough_map
+from envgs_bench.methods.lighting.cubemap import layout_of, sample_cubemap, texel_directions
+from envgs_bench.methods.lighting.prefiltered_cubemap import ROUGHNESSES, RoughMap, prefilter_of, rough_map
 
 SIZE = 32
 AXIS = torch.nn.functional.normalize(torch.tensor([0.3, -0.5, 0.8]), dim=0)

@@ -14,9 +14,9 @@ from torch.nn import functional
 
 from envgs_bench.core import Scene
 from envgs_bench.core.torch.sh import sh_basis
-from envgs_bench.methods.brdf_table import specular_weight
+from envgs_bench.methods.lighting.brdf_table import specular_weight
+from envgs_bench.methods.lighting.prefiltered_cubemap import prefilter_of, rough_map
 from envgs_bench.methods.losses import edge_aware_smoothness
-from envgs_bench.methods.prefiltered_cubemap import prefilter_of, rough_map
 from envgs_bench.methods.ref_gaussian import MATERIALS, RefGaussian
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.storage.layouts import LAYOUTS

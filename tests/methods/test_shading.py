@@ -7,7 +7,7 @@ import torch
 from torch.nn import functional
 
 from envgs_bench.core import GaussianSet, rasterize
-from envgs_bench.methods.shading import colored, mirrored, seen_from
+from envgs_bench.methods.lighting.shading import colored, mirrored, seen_from
 from envgs_bench.testing import tiny_scene
 
 CAMERA = tiny_scene().test[0].camera

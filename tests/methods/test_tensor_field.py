@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from envgs_bench.methods.tensor_field import field_components
+from envgs_bench.methods.lighting.tensor_field import field_components
 
 RANK, SIZE = 4, 6
 

@@ -11,10 +11,10 @@ from mirror_ball import gain_of_training, mirror_ball
 from torch.nn import functional
 
 from envgs_bench.core import Scene
-from envgs_bench.methods.directional_encoding import encoded
+from envgs_bench.methods.lighting.directional_encoding import encoded
+from envgs_bench.methods.lighting.tensor_field import field_components
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.storage.layouts import LAYOUTS
-from envgs_bench.methods.tensor_field import field_components
 from envgs_bench.methods.three_igs import MATERIALS, ThreeIGS
 from envgs_bench.testing import tiny_scene
 

@@ -5,8 +5,8 @@ import torch
 from reflection_scenes import HEIGHT, WIDTH, make_camera
 
 from envgs_bench.core import Scene, View
-from envgs_bench.methods.initialization import initial_tensors
 from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.start.initialization import initial_tensors
 from envgs_bench.methods.traced import TracedReflection
 
 

@@ -12,8 +12,8 @@ from fakes.methods import MeanColor, Settings
 
 from envgs_bench.core import Scene
 from envgs_bench.methods import gaussian_method
-from envgs_bench.methods.mending import Mended
 from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.start.mending import Mended
 from envgs_bench.metrics import WeightsUnavailable
 from envgs_bench.settings import parse_settings
 from envgs_bench.stages import execution
