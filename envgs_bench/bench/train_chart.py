@@ -8,13 +8,12 @@ from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator
 
 from envgs_bench.reports.charts.chart_font import chart_fonts
 from envgs_bench.reports.charts.drawn import write_figure
+from envgs_bench.reports.charts.look import INK, RC, SOFT, open_axes, plain_numbers
 from envgs_bench.reports.charts.palette import Style, styles
-from envgs_bench.reports.charts.pareto_chart import RC
-from envgs_bench.reports.charts.pareto_panel import GRID, INK, SOFT
 
 from .train import OURS, label_of
 
@@ -42,15 +41,11 @@ def draw_training(rows: Sequence[Row], stem: Path) -> list[Path]:
                 **_look(by, method, style[method.removesuffix("_mcmc")]),
             )
         axis.set_xscale("log")
-        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axis.xaxis.set_minor_formatter(NullFormatter())
-        axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
+        plain_numbers(axis, LogLocator(subs=(1, 2, 5)))
         axis.set_xlabel("training, seconds (log)   ← less is better")
         axis.set_ylabel(f"PSNR of {first['views']} {first['scored_on']} views, dB   higher is better →")
-        axis.grid(color=GRID, linewidth=0.8)
-        axis.set_axisbelow(True)
+        open_axes(axis)
         axis.tick_params(which="both", length=0)
-        axis.spines[["top", "right"]].set_visible(False)
         axis.legend(frameon=False, fontsize=8, labelcolor=SOFT)
         return write_figure(figure, stem)
 

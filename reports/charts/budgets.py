@@ -21,9 +21,8 @@ from ..tables.columns import MAIN_COLUMNS, in_region
 from ..tables.sections import Section
 from .chart_font import chart_fonts
 from .drawn import TitledChart, write_figure
+from .look import INK, RC, SOFT, open_axes
 from .palette import Style, styles
-from .pareto_chart import RC
-from .pareto_panel import GRID, INK, SOFT
 
 COLUMNS = 2  # panels in a row
 WIDTH, HEIGHT = 4.8, 3.2  # a panel's with its margins, inches
@@ -65,10 +64,8 @@ def _draw_curves(curves: Sequence[BudgetCurve], style: dict[str, Style], out: Pa
             axis.set_xscale("log", base=2)
             axis.xaxis.set_major_formatter(FuncFormatter(lambda count, _: f"{count:,.0f}"))
             axis.set_xlabel("primitives")
-            axis.grid(color=GRID, linewidth=0.8)
-            axis.set_axisbelow(True)
+            open_axes(axis)
             axis.tick_params(length=0)
-            axis.spines[["top", "right"]].set_visible(False)
         shown = {curve.method: style[curve.method] for curve in curves}
         lines = [mpl.lines.Line2D([], [], color=s.color, marker=s.marker, markersize=6) for s in shown.values()]
         ring = mpl.lines.Line2D([], [], **_ring(SOFT))

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator
 
 from ..numbers.ladder import RUNGS, Ladder, Rung
 from ..numbers.statistics import Interval
@@ -20,9 +20,8 @@ from ..tables.columns import FRAME_MS, PSNR
 from .chart_font import chart_fonts
 from .drawn import DrawnChart, write_figure
 from .label_placement import Box, along, place_labels
+from .look import GRAY, INK, RC, SOFT, open_axes, plain_numbers
 from .palette import Style, styles
-from .pareto_chart import RC
-from .pareto_panel import GRAY, GRID, INK, SOFT
 
 PANELS = 12  # in one file
 COLUMNS = 4  # panels in a row
@@ -154,13 +153,9 @@ def _scales(axis: Axes, found: Sequence[Step]) -> None:
     axis.set_xlim(min(xs) / ratio**0.25, max(xs) * ratio**0.3)
     axis.set_ylim(min(ys) - margin, max(ys) + margin)
     wide = ratio > 4
-    axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)) if wide else MaxNLocator(4, steps=(1, 2, 5, 10)))
-    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
-    axis.xaxis.set_minor_formatter(NullFormatter())
-    axis.grid(color=GRID, linewidth=0.8)
-    axis.set_axisbelow(True)
+    plain_numbers(axis, LogLocator(subs=(1, 2, 5)) if wide else MaxNLocator(4, steps=(1, 2, 5, 10)))
+    open_axes(axis)
     axis.tick_params(which="both", length=0, pad=4)
-    axis.spines[["top", "right"]].set_visible(False)
     axis.set_xlabel(f"{FRAME_MS.axis} (log)")
 
 

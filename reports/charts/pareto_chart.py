@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -13,23 +12,13 @@ from ..tables.columns import ACCURACIES, COSTS, FRAME_MS, PSNR, Column
 from ..tables.sections import Section
 from .chart_font import chart_fonts
 from .drawn import write_figure
-from .pareto_panel import GRAY, INK, SOFT, Panel, draw_panel, name_marks
+from .look import GRAY, RC
+from .pareto_panel import Panel, draw_panel, name_marks
 
 MAX_ROWS = 4  # data sets drawn one by one; more are drawn as their means
 WIDTH, HEIGHT = 5.6, 2.9  # a panel's, inches
 LEFT, RIGHT, BOTTOM, TOP = 0.85, 0.2, 0.62, 0.72  # around it, for what stands beside its axes
 REGIONS = ("near_field", "reflective", "foreground")  # the first that the data set has is drawn beside the full image
-RC: dict[Any, Any] = {
-    "font.size": 9.5,
-    "axes.edgecolor": "#98a2b3",
-    "axes.linewidth": 0.8,
-    "axes.labelcolor": INK,
-    "text.color": INK,
-    "xtick.color": SOFT,
-    "ytick.color": SOFT,
-    "pdf.fonttype": 42,  # publishers refuse type 3
-    "text.parse_math": False,  # a name may hold a dollar sign
-}
 
 
 def draw_charts(sections: Sequence[Section], out: Path) -> list[Path]:

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator
 
 from ..tables.columns import Column
 from ..tables.sections import ALL, Section
 from ..tables.table import Table
 from .label_placement import Box, along, place_labels
+from .look import GRAY, INK, SOFT, open_axes, plain_numbers
 from .palette import Style, styles
 from .pareto import Point, front, points
 
-INK, SOFT, GRID, GRAY = "#1f2733", "#667085", "#e8ebf0", "#a5adba"
 MAX_NAMED = 12  # points above this number may go without a name if they are dominated and there is no room
 
 
@@ -45,13 +45,9 @@ def draw_panel(axis: Axes, panel: Panel, first: bool) -> None:
     axis.set_xscale("log")
     _limits(axis, places)
     low, high = axis.get_xlim()
-    axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)) if high > 6 * low else MaxNLocator(5, steps=(1, 2, 5, 10)))
-    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
-    axis.xaxis.set_minor_formatter(NullFormatter())
-    axis.grid(color=GRID, linewidth=0.8)
-    axis.set_axisbelow(True)
+    plain_numbers(axis, LogLocator(subs=(1, 2, 5)) if high > 6 * low else MaxNLocator(5, steps=(1, 2, 5, 10)))
+    open_axes(axis)
     axis.tick_params(which="both", length=0, pad=5)
-    axis.spines[["top", "right"]].set_visible(False)
     axis.set_xlabel(f"{panel.cost.axis} (log)   ← less is better")
     better = "higher is better →" if panel.accuracy.better == "higher" else "← lower is better"
     axis.set_ylabel(f"{panel.accuracy.axis}   {better}")

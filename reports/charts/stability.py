@@ -17,9 +17,8 @@ from ..tables.columns import PSNR, in_region
 from ..tables.sections import Section
 from .chart_font import chart_fonts
 from .drawn import TitledChart, write_figure
+from .look import INK, RC, SOFT, open_axes
 from .palette import Style, styles
-from .pareto_chart import RC
-from .pareto_panel import GRID, INK, SOFT
 
 COLUMNS = 4  # panels in a row
 WIDTH, HEIGHT = 3.1, 2.5  # a panel's with its margins, inches
@@ -135,10 +134,8 @@ def _write(
         for axis, draw, name in zip(axes, panels, names, strict=False):
             draw(axis)
             axis.set_title(_short(name, 44), loc="left", fontsize=9)
-            axis.grid(color=GRID, linewidth=0.8)
-            axis.set_axisbelow(True)
+            open_axes(axis)
             axis.tick_params(length=0)
-            axis.spines[["top", "right"]].set_visible(False)
         for axis in list(axes)[len(panels) :]:
             axis.set_axis_off()
         lines = [mpl.lines.Line2D([], [], color=s.color, marker=s.marker, markersize=6) for s in style.values()]
