@@ -1,5 +1,6 @@
 """Toy scenes with exact ground truth, ray traced by Embree."""
 
-from .source import ToySettings, files_read, load_toy
+from .settings import ToySettings
+from .source import files_read, load_toy
 
 __all__ = ["ToySettings", "files_read", "load_toy"]

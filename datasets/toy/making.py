@@ -18,7 +18,7 @@ from .normal_noise import noisy_normals
 from .points import sfm_points
 from .render import geometry, picture
 from .scenes import SCENES
-from .source import ToySettings
+from .settings import ToySettings
 from .world import World
 
 

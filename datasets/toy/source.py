@@ -4,39 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-from pydantic import Field
+from typing import Any
 
 from envgs_bench.core import Scene
 
-from ..settings import SourceSettings, parse_dataset_settings
+from ..settings import parse_dataset_settings
 from ..store.cache import cached_scene
+from .settings import ToySettings
 
 VERSION = 8  # raise it with every change that alters a scene
-
-
-class ToySettings(SourceSettings):
-    """Settings of `kind: toy`."""
-
-    kind: Literal["toy"]
-    scene: Literal[
-        "chrome_room",
-        "sky_ball",
-        "diffuse_room",
-        "lacquered_table",
-        "facing_mirrors",
-        "glass",
-        "wavy_mirror",
-        "thin_rails",
-    ]
-    width: Annotated[int, Field(ge=8)] = 160  # pixels
-    height: Annotated[int, Field(ge=8)] = 120
-    views: Annotated[int, Field(ge=2)] = 48  # training and test views together
-    noise: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.01  # standard deviation of the points' positions, m
-    normal_noise: Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)] = 0.0  # mean angle of training views, °
-    seed: Annotated[int, Field(ge=0)] = 0  # for textures, sky, light, pixels, points and normals
-    supersampling: Annotated[int, Field(ge=1)] = 3  # rays along each side of a pixel
 
 
 def load_toy(settings: Mapping[str, Any], cache_dir: Path) -> Scene:

@@ -1,0 +1,32 @@
+"""ToySettings: what a toy scene is made from."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ..settings import SourceSettings
+
+
+class ToySettings(SourceSettings):
+    """Settings of `kind: toy`."""
+
+    kind: Literal["toy"]
+    scene: Literal[
+        "chrome_room",
+        "sky_ball",
+        "diffuse_room",
+        "lacquered_table",
+        "facing_mirrors",
+        "glass",
+        "wavy_mirror",
+        "thin_rails",
+    ]
+    width: Annotated[int, Field(ge=8)] = 160  # pixels
+    height: Annotated[int, Field(ge=8)] = 120
+    views: Annotated[int, Field(ge=2)] = 48  # training and test views together
+    noise: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.01  # standard deviation of the points' positions, m
+    normal_noise: Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)] = 0.0  # mean angle of training views, °
+    seed: Annotated[int, Field(ge=0)] = 0  # for textures, sky, light, pixels, points and normals
+    supersampling: Annotated[int, Field(ge=1)] = 3  # rays along each side of a pixel
