@@ -103,7 +103,7 @@ def warm_up(trainee: Trainee, scene: Scene, seed: int, device: str) -> None:
 @torch.no_grad()
 def mean_psnr(picture: Callable[[Camera], Tensor], views: Sequence[View], device: str) -> float:
     """Unweighted mean over views of the PSNR of whole clamped pictures, dB, as records have it."""
-    scores = [psnr(picture(view.camera.to(device)).clamp(0, 1), view.rgb(device)) for view in views]
+    scores = [psnr(picture(view.camera.to(device)).clamp(0, 1).cpu(), view.rgb()) for view in views]
     return sum(scores) / len(scores)
 
 
