@@ -193,6 +193,18 @@ def test_more_primitives_than_sixteen_bits_count(tracer):
     assert drawn.statistics.weights[-1].item() == pytest.approx(0.5, abs=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore:overflow encountered", "ignore:invalid value encountered")  # embree's spread
+@pytest.mark.parametrize("apart", [1e-45, 1e-42, 1.6e36])
+def test_distances_that_have_no_inverse_are_as_good_as_others(tracer, apart):
+    """Forty surfels in a row so close, or so far apart, that bins of their centers' range have no width in float32."""
+    means = torch.zeros(40, 3)
+    means[:, 0] = apart * (torch.arange(40) // 20 * 99 + torch.arange(40) % 20)
+    means[:, 2] = 3
+    drawn = trace_with(tracer, facing_surfels(means, scale=0.3), *forward_ray())
+    assert drawn.hits.item() == (1 if apart > 1 else 14)  # at an opacity of 0.5 fourteen end a ray
+    assert drawn.depth.item() == pytest.approx(3.0, abs=1e-5)
+
+
 def test_rays_without_a_direction_meet_nothing(tracer):
     """They have the background's color, cost the others nothing, and leave all gradients finite."""
     surfels, (origins, directions) = random_set(300), random_rays(100)

@@ -69,11 +69,14 @@ BuildPart part_of(const std::vector<Item>& items, int begin, int end) {
 std::pair<BuildPart, BuildPart> split(std::vector<Item>& items, const BuildPart& part) {
     Float4 extent = part.centroids.high - part.centroids.low;
     int axis = extent[0] >= extent[1] && extent[0] >= extent[2] ? 0 : extent[1] >= extent[2] ? 1 : 2;
-    int middle = (part.begin + part.end) / 2;
-    if (!(extent[axis] > 0.0f)) return {part_of(items, part.begin, middle), part_of(items, middle, part.end)};
-
+    auto halves = [&] {
+        int middle = (part.begin + part.end) / 2;
+        return std::pair(part_of(items, part.begin, middle), part_of(items, middle, part.end));
+    };
     int bins = part.count() < kManySurfels ? kMaxBins / 2 : kMaxBins;
     float origin = part.centroids.low[axis], scale = float(bins) * 0.9999f / extent[axis];
+    if (!(extent[axis] > 0.0f && extent[axis] < kInfinity && scale < kInfinity)) return halves();
+
     Aabb boxes[kMaxBins];
     int counts[kMaxBins] = {};
     for (int i = part.begin; i < part.end; ++i) {
@@ -100,7 +103,9 @@ std::pair<BuildPart, BuildPart> split(std::vector<Item>& items, const BuildPart&
         float cost = box.area() * leaves_for(count) + right_cost[bin];
         if (cost < best_cost) best_cost = cost, best = bin;
     }
-    // The ends of the centroids' box fall into the first and the last bin, so some plane has surfels on both sides.
+    // The ends of the centroids' box fall into the first and the last bin, so some plane has surfels on both sides; none
+    // is best where the boxes' areas are too large for a float.
+    if (best < 0) return halves();
     BuildPart left{part.begin, part.begin, {}, {}}, right{part.end, part.end, {}, {}};
     for (int bin = 0; bin < bins; ++bin) (bin < best ? left : right).box.add(boxes[bin]);
     while (left.end < right.begin) {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "colors.h"
 #include "parallel.h"
 #include "traversal.h"
 
@@ -10,10 +11,18 @@ namespace envgs {
 namespace {
 
 constexpr int kChunk = 64;  // rays that one thread takes at a time
-constexpr int kGroup = 8;   // hits that the backward pass differentiates at a time
+constexpr int kAhead = 4;   // hits between the one whose memory is asked for and the one that is blended
+constexpr int kLine = 64;   // bytes of a line of the caches
+constexpr int kColors = 2 * kLine;  // bytes of a hit's SH that are asked for: most of degree 2's
 constexpr int kSurfelValues = count_of<SurfelValues<float>, float>, kMoments = count_of<SurfelMoments<float>, float>;
 
 Vec3<float> ray_at(const float* rays, int ray) { return load3(rays + 3l * ray); }
+
+// Asks for memory before it is needed: hits lie anywhere in it, and a ray knows its next ones.
+template <int Bytes, int Write = 0>
+void prefetch(const void* at) {
+    for (int line = 0; line < Bytes; line += kLine) __builtin_prefetch(static_cast<const char*>(at) + line, Write);
+}
 
 }  // namespace
 
@@ -27,7 +36,7 @@ struct TracePass::TracedSurfelSums {
 
 struct TracePass::Worker {
     std::vector<TracedSurfelSums> sums;
-    std::vector<float> sh, extras;
+    std::vector<float> sh, extras;  // [N, K, 4], [N, E]
 };
 
 TracePass::TracePass(std::shared_ptr<const Bvh> bvh, const Gaussians& gaussians, const RayBatch& rays,
@@ -50,7 +59,13 @@ void TracePass::forward(Planes<float> out, int* hits, float* weights, bool keep_
                 const std::vector<Hit>& found = traversal.hits(origin, direction, t_min_, transmittance_min_);
                 BlendedSums<float> sums = {};
                 float transmittance = 1.0f, extras[kMaxExtras] = {};
-                for (const Hit& hit : found) {
+                for (size_t k = 0; k < found.size(); ++k) {
+                    if (k + kAhead < found.size()) {
+                        int ahead = found[k + kAhead].index();
+                        prefetch<sizeof(TracedSurfel)>(&bvh_->surfels[ahead]);
+                        prefetch<kColors>(g_.sh + 3l * g_.sh_coefficients * ahead);
+                    }
+                    const Hit& hit = found[k];
                     int i = hit.index();
                     const TracedSurfel& s = bvh_->surfels[i];
                     float weight = transmittance * hit.alpha;
@@ -73,6 +88,18 @@ void TracePass::forward(Planes<float> out, int* hits, float* weights, bool keep_
         for (int i = 0; i < g_.count; ++i) weights[i] += part[i];
 }
 
+// Eight surfels, one a lane; lanes past the end repeat the last.
+SurfelValues<Float8> TracePass::gather(const int* hits, int count) const {
+    alignas(64) float gathered[kSurfelValues][kGroup];
+    for (int lane = 0; lane < kGroup; ++lane) {
+        const float* values = array_of<float>(bvh_->surfels[hits[std::min(lane, count - 1)]]);
+        for (int k = 0; k < kSurfelValues; ++k) gathered[k][lane] = values[k];
+    }
+    SurfelValues<Float8> surfels;
+    std::memcpy(&surfels, gathered, sizeof surfels);
+    return surfels;
+}
+
 void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<const float> out,
                                   Planes<const float> gradient, TracedSurfelSums* sums, float* g_sh, float* g_extras,
                                   RayGradients rays) const {
@@ -83,68 +110,75 @@ void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<co
         g_extra[e] = read(gradient.extras, e * out.pixels + ray);
         remaining += g_extra[e] * out.extras[e * out.pixels + ray];
     }
+    Float4 g_blended = {g.color.x, g.color.y, g.color.z, 0.0f};
     Vec3<float> g_origin = {0, 0, 0}, g_direction = {0, 0, 0};
     Vec3<Float8> o = {Float8{} + origin.x, Float8{} + origin.y, Float8{} + origin.z};
     Vec3<Float8> d = {Float8{} + direction.x, Float8{} + direction.y, Float8{} + direction.z};
 
     for (int begin = 0; begin < count; begin += kGroup) {
         int group = std::min(kGroup, count - begin);
-        // Eight surfels, one a lane; lanes past the end repeat the last and get no weight.
-        alignas(64) float gathered[kSurfelValues][kGroup];
-        for (int lane = 0; lane < kGroup; ++lane) {
-            const float* values = array_of<float>(bvh_->surfels[hits[begin + std::min(lane, group - 1)]]);
-            for (int k = 0; k < kSurfelValues; ++k) gathered[k][lane] = values[k];
+        const float* sh[kGroup];
+        float* to_sh[kGroup];
+        for (int lane = 0; lane < group; ++lane) {
+            sh[lane] = g_.sh + 3l * g_.sh_coefficients * hits[begin + lane];
+            to_sh[lane] = g_sh + 4l * g_.sh_coefficients * hits[begin + lane];
         }
-        SurfelValues<Float8> surfels;
-        std::memcpy(&surfels, gathered, sizeof surfels);
+        for (int next = begin + kGroup; next < std::min(begin + 2 * kGroup, count); ++next) {
+            int i = hits[next];
+            prefetch<sizeof(TracedSurfel)>(&bvh_->surfels[i]);
+            prefetch<sizeof(TracedSurfelSums), 1>(&sums[i]);
+            prefetch<kColors>(g_.sh + 3l * g_.sh_coefficients * i);
+            prefetch<kColors, 1>(g_sh + 4l * g_.sh_coefficients * i);
+        }
+        SurfelValues<Float8> surfels = gather(hits + begin, group);
         const SurfelFrame<Float8>& frame = surfels.frame;
         PlaneHit<Float8> hit = intersect(frame, o - surfels.mean, d);
         Float8 alpha = response_alpha(surfels.opacity, hit.u * hit.u + hit.v * hit.v);
+        Float8 side = select(hit.d_z < 0.0f, Float8{} + 1.0f, Float8{} - 1.0f);
+        SeenColors seen;
+        see_colors(g_.sh_coefficients, sh, group, sh_along_ray_ ? d : surfels.mean - o, seen);
 
-        // Along the ray, hit after hit: colors, transmittance, dL/dα.
-        alignas(32) float weight[kGroup] = {}, g_alpha[kGroup] = {};
+        // Along the ray, hit after hit: transmittance, dL/dα.
+        alignas(32) float weights[kGroup] = {}, g_alpha[kGroup] = {};
+        Float4 g_color[kGroup];
         for (int lane = 0; lane < group; ++lane) {
             int i = hits[begin + lane];
-            const TracedSurfel& s = bvh_->surfels[i];
-            Vec3<float> v = sh_along_ray_ ? direction : s.mean - origin;
-            Vec3<float> color = color_at(g_, i, v);
-            float side = hit.d_z[lane] < 0.0f ? 1.0f : -1.0f;
-            float value = hit_value(g, color, float(hit.t[lane]), side, s.frame.n);
+            Vec3<float> color = {seen.color[lane][0], seen.color[lane][1], seen.color[lane][2]};
+            float value = hit_value(g, color, float(hit.t[lane]), float(side[lane]), bvh_->surfels[i].frame.n);
             for (int e = 0; e < g_.extra_count; ++e) value += g_extra[e] * g_.extras[g_.extra_count * i + e];
             HitGradient<float> g_hit = blend_backward(float(alpha[lane]), value, transmittance, remaining);
-            weight[lane] = g_hit.weight, g_alpha[lane] = g_hit.alpha;
-
-            TracedSurfelSums& sum = sums[i];
-            Vec3<float> g_v = color_backward_at(g_, i, v, color, weight[lane] * g.color,
-                                                g_sh + 3l * g_.sh_coefficients * i);
-            if (sh_along_ray_) {
-                g_direction = g_direction + g_v;
-            } else {
-                sum.color_direction = sum.color_direction + g_v;
-                g_origin = g_origin - g_v;
-            }
-            sum.normal = sum.normal + (side * weight[lane]) * g.normal;
-            for (int e = 0; e < g_.extra_count; ++e) g_extras[g_.extra_count * i + e] += weight[lane] * g_extra[e];
+            weights[lane] = g_hit.weight, g_alpha[lane] = g_hit.alpha;
+            g_color[lane] = g_hit.weight * g_blended;
+            sums[i].normal = sums[i].normal + (side[lane] * g_hit.weight) * g.normal;
         }
 
+        Float8 weight = load_lanes<Float8>(weights);
+        Vec3<Float8> g_v = see_colors_backward(g_.sh_coefficients, sh, group, seen, g_color, to_sh);
         AlphaGradient<Float8> ga = alpha_backward(surfels.opacity, alpha, load_lanes<Float8>(g_alpha));
-        Vec3<Float8> local = intersect_backward(hit, dot(frame.u, d), dot(frame.v, d),
-                                                load_lanes<Float8>(weight) * g.depth, 2.0f * ga.rho * hit.u,
-                                                2.0f * ga.rho * hit.v);
+        Vec3<Float8> local = intersect_backward(hit, dot(frame.u, d), dot(frame.v, d), weight * g.depth,
+                                                2.0f * ga.rho * hit.u, 2.0f * ga.rho * hit.v);
         SurfelMoments<Float8> moments = {};
         add_hit(moments, hit, local);
         for (int lane = 0; lane < group; ++lane) {
-            TracedSurfelSums& sum = sums[hits[begin + lane]];
+            int i = hits[begin + lane];
+            TracedSurfelSums& sum = sums[i];
             float* to = array_of<float>(sum.moments);
             for (int k = 0; k < kMoments; ++k) to[k] += array_of<Float8>(moments)[k][lane];
             sum.opacity += ga.opacity[lane];
+            if (!sh_along_ray_)
+                sum.color_direction = sum.color_direction + Vec3<float>{g_v.x[lane], g_v.y[lane], g_v.z[lane]};
+            for (int e = 0; e < g_.extra_count; ++e) g_extras[g_.extra_count * i + e] += weights[lane] * g_extra[e];
         }
-        Vec3<Float8> world = local.x * frame.u + local.y * frame.v + local.z * frame.n;
+
         typename LanesOf<Float8>::Int inside;
         for (int lane = 0; lane < kGroup; ++lane) inside[lane] = lane < group ? -1 : 0;
-        auto total = [&](Float8 x) { return sum_lanes(select(inside, x, Float8{})); };
-        g_origin = g_origin + Vec3<float>{total(world.x), total(world.y), total(world.z)};
-        g_direction = g_direction + Vec3<float>{total(hit.t * world.x), total(hit.t * world.y), total(hit.t * world.z)};
+        auto total = [&](Vec3<Float8> v) -> Vec3<float> {
+            auto sum = [&](Float8 x) { return sum_lanes(select(inside, x, Float8{})); };
+            return {sum(v.x), sum(v.y), sum(v.z)};
+        };
+        Vec3<Float8> world = local.x * frame.u + local.y * frame.v + local.z * frame.n;
+        g_origin = g_origin + total(sh_along_ray_ ? world : world - g_v);
+        g_direction = g_direction + total(sh_along_ray_ ? hit.t * world + g_v : hit.t * world);
     }
     store3(rays.origins + 3l * ray, g_origin);
     store3(rays.directions + 3l * ray, g_direction);
@@ -156,7 +190,7 @@ void TracePass::backward(Planes<const float> out, Planes<const float> gradient, 
     parallel(threads_, [&](int w) {
         Worker& worker = workers[w];
         worker.sums.assign(g_.count, TracedSurfelSums{});
-        worker.sh.assign(3l * g_.sh_coefficients * g_.count, 0.0f);
+        worker.sh.assign(4l * g_.sh_coefficients * g_.count, 0.0f);
         worker.extras.assign(long(g_.extra_count) * g_.count, 0.0f);
         for (int chunk = w; chunk < chunks(); chunk += threads_) {
             const int* hits = chunk_hits_[chunk].data();
@@ -191,12 +225,12 @@ void TracePass::finish_surfels(int begin, int end, const std::vector<Worker>& wo
         result.scales[2l * i + 1] = g.scale_v;
         result.opacities[i] = sum.opacity;
     }
-    auto add = [&](float* to, long stride, auto part) {
-        for (const Worker& worker : workers)
-            for (long k = stride * begin; k < stride * end; ++k) to[k] += part(worker)[k];
-    };
-    add(result.sh, 3l * g_.sh_coefficients, [](const Worker& w) { return w.sh.data(); });
-    add(result.extras, g_.extra_count, [](const Worker& w) { return w.extras.data(); });
+    long rows = g_.sh_coefficients, extras = g_.extra_count;
+    for (const Worker& worker : workers) {
+        for (long k = rows * begin; k < rows * end; ++k)
+            store3(result.sh + 3 * k, load3(result.sh + 3 * k) + load3(worker.sh.data() + 4 * k));
+        for (long k = extras * begin; k < extras * end; ++k) result.extras[k] += worker.extras[k];
+    }
 }
 
 }  // namespace envgs

@@ -49,6 +49,7 @@ private:
     struct TracedSurfelSums;
 
     int chunks() const;
+    SurfelValues<Float8> gather(const int* hits, int count) const;
     void differentiate_ray(int ray, const int* hits, int count, Planes<const float> out, Planes<const float> gradient,
                            TracedSurfelSums* sums, float* g_sh, float* g_extras, RayGradients rays) const;
     void finish_surfels(int begin, int end, const std::vector<Worker>& workers, GaussianGradients result) const;

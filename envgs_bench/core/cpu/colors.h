@@ -1,0 +1,82 @@
+// Colors of eight primitives at a time, one a lane, and their derivative: see sh_color and sh_color_backward.
+#pragma once
+#include "gaussians.h"
+
+namespace envgs {
+
+constexpr int kGroup = 8;
+constexpr int kMaxCoefficients = 16;
+using Float4 = LaneTypes<4>::Float;  // red, green, blue, and a lane that nobody reads
+
+// Eight primitives' colors and where they are seen from.
+struct SeenColors {
+    Vec3<Float8> direction;  // unit, or zero
+    Float8 inverse_length;   // of what it was before
+    Float8 basis[kMaxCoefficients];
+    Float4 color[kGroup];
+};
+
+// Row k of SH coefficients [K][3]. The fourth lane is the next row's first value; after the last row it is 0.
+template <int K>
+inline Float4 sh_row(const float* sh, int k) {
+    if (k + 1 < K) return load_lanes<Float4>(sh + 3 * k);
+    Float4 last = {sh[3 * k], sh[3 * k + 1], sh[3 * k + 2], 0.0f};
+    return last;
+}
+
+template <int Degree>
+inline void see_colors(const float* const (&sh)[kGroup], int count, Vec3<Float8> v, SeenColors& seen) {
+    constexpr int K = (Degree + 1) * (Degree + 1);
+    Float8 l = length(v);
+    seen.inverse_length = select(l > 0.0f, 1.0f / l, Float8{});
+    seen.direction = seen.inverse_length * v;
+    sh_basis<Degree>(seen.direction, seen.basis);
+    for (int lane = 0; lane < count; ++lane) {
+        Float4 color = Float4{} + 0.5f;
+        for (int k = 0; k < K; ++k) color = color + seen.basis[k][lane] * sh_row<K>(sh[lane], k);
+        seen.color[lane] = maximum(color, Float4{});
+    }
+}
+
+// The first `count` lanes' colors: SH coefficients [K][3] in `sh`, seen along v = mean − origin.
+inline void see_colors(int coefficients, const float* const (&sh)[kGroup], int count, Vec3<Float8> v,
+                       SeenColors& seen) {
+    switch (coefficients) {
+        case 1: return see_colors<0>(sh, count, v, seen);
+        case 4: return see_colors<1>(sh, count, v, seen);
+        case 9: return see_colors<2>(sh, count, v, seen);
+        default: return see_colors<3>(sh, count, v, seen);
+    }
+}
+
+template <int Degree>
+inline Vec3<Float8> see_colors_backward(const float* const (&sh)[kGroup], int count, const SeenColors& seen,
+                                        const Float4 (&gradient)[kGroup], float* const (&g_sh)[kGroup]) {
+    constexpr int K = (Degree + 1) * (Degree + 1);
+    Float8 g_basis[K] = {};
+    for (int lane = 0; lane < count; ++lane) {
+        Float4 g = select(seen.color[lane] > 0.0f, gradient[lane], Float4{});
+        for (int k = 0; k < K; ++k) {
+            const float* row = sh[lane] + 3 * k;
+            g_basis[k][lane] = g[0] * row[0] + g[1] * row[1] + g[2] * row[2];
+            float* sum = g_sh[lane] + 4 * k;
+            store_lanes(sum, load_lanes<Float4>(sum) + seen.basis[k][lane] * g);
+        }
+    }
+    return normalize_backward(seen.direction, seen.inverse_length, sh_basis_backward<Degree>(seen.direction, g_basis));
+}
+
+// From dL/dcolor, adds dL/dsh to each lane's g_sh, rows of four [K][4], which so never overlap; returns dL/dv, 0 in lanes
+// from `count` on.
+inline Vec3<Float8> see_colors_backward(int coefficients, const float* const (&sh)[kGroup], int count,
+                                        const SeenColors& seen, const Float4 (&gradient)[kGroup],
+                                        float* const (&g_sh)[kGroup]) {
+    switch (coefficients) {
+        case 1: return see_colors_backward<0>(sh, count, seen, gradient, g_sh);
+        case 4: return see_colors_backward<1>(sh, count, seen, gradient, g_sh);
+        case 9: return see_colors_backward<2>(sh, count, seen, gradient, g_sh);
+        default: return see_colors_backward<3>(sh, count, seen, gradient, g_sh);
+    }
+}
+
+}  // namespace envgs
