@@ -19,7 +19,7 @@ from .split import with_validation
 # `split.with_validation` parts them, or finds some where there are none.
 Source = Callable[[Mapping[str, Any], Path], Scene]
 
-ADDRESSES = ("obtain", "download")  # where data are to be had: nothing that a scene is made from
+ADDRESSES = ("obtain", "download", "photographs")  # where data are to be had: nothing that a scene is made from
 BUILT_IN = {
     "toy": "envgs_bench.datasets.toy:load_toy",
     "colmap": "envgs_bench.datasets.sources.colmap:load_colmap",
@@ -35,8 +35,9 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     Args:
         settings: `kind` picks the source: one of `BUILT_IN`, or an import path "package.module:function" to a function
             of these same two arguments. `obtain` says where the data are to be had, for whoever has no folder `root`,
-            and `download` is the address of their archive, where they have one; the keys of `settings.SceneSettings`
-            hold for every source. The other keys are the source's own.
+            `download` is the address of their archive, where they have one, and `photographs` says how the folder is
+            made of what that holds; the keys of `settings.SceneSettings` hold for every source. The other keys are the
+            source's own.
         cache_dir: where sources keep what took them time; made if missing.
 
     Raises:

@@ -1,26 +1,22 @@
-"""Reconstruction: cameras and points from photographs alone, by pycolmap's structure from motion."""
+"""Reconstruction: points of photographs, and their cameras where these are not known, by structure from motion."""
 
 from __future__ import annotations
 
-import json
-import shutil
-import uuid
-import warnings
-import zlib
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import pycolmap
 
 from ..errors import DatasetError
 from ..formats.colmap_model import Model
+from ..formats.photograph import Photograph
 from ..formats.pictures import read_header
 from ..progress import report
+from .kept_model import kept_model
 from .lightglue import LightGlue
 from .sift import Sift
 
@@ -31,7 +27,6 @@ IMAGES_A_BATCH = 8  # between two reports of progress
 NEIGHBORS = 10  # each image is matched with this many after it, and with those 2, 4, 8 … away
 MIN_IMAGES = 3  # images that a model must place
 SEED = 0
-CHECKSUMS = "checksums.json"  # of the model's files, beside them
 
 
 class Matcher(Protocol):
@@ -81,52 +76,59 @@ class Reconstructor:
         Raises:
             DatasetError: no two images could be placed, or the matcher's weights cannot be had.
         """
-        if folder.is_dir():
-            if _checksums(folder) == _remembered(folder):
-                return Model(folder)
-            warnings.warn(f"{folder} is damaged: it is not what was written; it is made again", stacklevel=2)
-            shutil.rmtree(folder)
-        matcher = MATCHERS[self.matcher](self.feature_size)
-        work = folder.with_name(f"{folder.name}-{uuid.uuid4().hex}.part")
-        try:
-            (work / "images").mkdir(parents=True)
-            for index, name in enumerate(names):  # under names that no list of pairs can break
-                (work / "images" / _plain(index, name)).symlink_to((images / name).resolve())
-            with _quiet():
-                self._find_features(matcher, names, images, work)
-                self._match(matcher, names, work)
-                model = self._map(names, images, work)
-            (work / "model").mkdir()
-            model.write_binary(str(work / "model"))
-            (work / "model" / CHECKSUMS).write_text(json.dumps(_checksums(work / "model")), encoding="utf-8")
-            try:
-                (work / "model").rename(folder)
-            except OSError:
-                if not folder.is_dir():  # else another process has made it meanwhile
-                    raise
-        finally:
-            shutil.rmtree(work, ignore_errors=True)
-        return Model(folder)
 
-    def _find_features(self, matcher: Matcher, names: Sequence[str], images: Path, work: Path) -> None:
-        by_size: dict[tuple[int, int], list[str]] = defaultdict(list)
-        for index, name in enumerate(names):
-            header = read_header(images / name)
-            by_size[header.width, header.height].append(_plain(index, name))
+        def make(work: Path) -> pycolmap.Reconstruction:
+            by_size: dict[tuple[int, int], list[str]] = defaultdict(list)
+            for name in names:
+                header = read_header(images / name)
+                by_size[header.width, header.height].append(name)
+            readers = [(_reader(self.camera_model), alike) for alike in by_size.values()]
+            self._find_and_match({name: images / name for name in names}, readers, work)
+            return self._map(names, images, work)
+
+        return kept_model(folder, make)
+
+    def triangulated(self, photographs: Sequence[Photograph], folder: Path) -> Model:
+        """As `model_of`, of photographs whose cameras and poses are known and stay as they are: only points are found.
+
+        Args:
+            photographs: fitted to their files (`fit_to_files`), none of them turned.
+
+        Raises:
+            DatasetError: no point is seen by two of them, or the matcher's weights cannot be had.
+        """
+
+        def make(work: Path) -> pycolmap.Reconstruction:
+            by_camera: dict[str, list[Photograph]] = defaultdict(list)
+            for photograph in photographs:
+                by_camera[photograph.camera_id].append(photograph)
+            readers = [(_reader_of(alike[0].camera), [p.name for p in alike]) for alike in by_camera.values()]
+            self._find_and_match({p.name: p.path for p in photographs}, readers, work)
+            return _triangulate(photographs, work)
+
+        return kept_model(folder, make)
+
+    def _find_and_match(
+        self, files: Mapping[str, Path], readers: Sequence[tuple[pycolmap.ImageReaderOptions, list[str]]], work: Path
+    ) -> None:
+        """Fill the database with features and matches of these files; each reader's share a camera."""
+        matcher = MATCHERS[self.matcher](self.feature_size)
+        (work / "images").mkdir()
+        plain = _plain_names(files)
+        for name, path in files.items():
+            (work / "images" / plain[name]).symlink_to(path.resolve())
         done = 0
-        for plain in by_size.values():
-            reader = pycolmap.ImageReaderOptions()
-            reader.camera_model = self.camera_model
-            for batch in _batches(plain, IMAGES_A_BATCH):
+        for reader, names in readers:
+            for batch in _batches([plain[name] for name in names], IMAGES_A_BATCH):
                 matcher.find_features(work / "database.db", work / "images", batch, reader)
                 if reader.existing_camera_id < 0:
                     reader.existing_camera_id = _newest_camera(work / "database.db")
                 done += len(batch)
-                report("finding features", done, len(names))
+                report("finding features", done, len(files))
+        self._match(matcher, list(plain.values()), work)
 
     def _match(self, matcher: Matcher, names: Sequence[str], work: Path) -> None:
-        plain = [_plain(index, name) for index, name in enumerate(names)]
-        pairs = list(combinations(plain, 2)) if self.matching == "exhaustive" else list(_neighbors(plain))
+        pairs = list(combinations(names, 2)) if self.matching == "exhaustive" else list(_neighbors(names))
         verification = pycolmap.TwoViewGeometryOptions()
         verification.ransac.random_seed = SEED
         done = 0
@@ -161,26 +163,57 @@ class Reconstructor:
                 "they should overlap by more than half and show texture"
             )
         best = max(models.values(), key=lambda model: model.num_reg_images())
-        original = {_plain(index, name): name for index, name in enumerate(names)}
-        for image in best.images.values():
-            image.name = original[image.name]
-        return best
+        return _named(best, names)
 
 
-def _checksums(folder: Path) -> dict[str, int]:
-    """The CRC-32 of each of the model's files."""
-    return {path.name: zlib.crc32(path.read_bytes()) for path in sorted(folder.glob("*.bin")) if path.is_file()}
+def _triangulate(photographs: Sequence[Photograph], work: Path) -> pycolmap.Reconstruction:
+    """Points for the matches in the database, seen from where the photographs were taken."""
+    model = pycolmap.Reconstruction()
+    plain = _plain_names(photograph.name for photograph in photographs)
+    with pycolmap.Database.open(work / "database.db") as opened:
+        for camera in opened.read_all_cameras():
+            model.add_camera_with_trivial_rig(camera)
+        for photograph in photographs:
+            image = opened.read_image_with_name(plain[photograph.name])
+            placed = pycolmap.Image(name=image.name, camera_id=image.camera_id, image_id=image.image_id)
+            model.add_image_with_trivial_frame(placed, pycolmap.Rigid3d(photograph.world_to_camera[:3]))
+    options = pycolmap.IncrementalPipelineOptions()
+    options.random_seed = SEED
+    (work / "models").mkdir()
+    report("finding points", 0, 1)
+    pycolmap.triangulate_points(model, work / "database.db", work / "images", work / "models", options=options)
+    if not model.num_points3D():
+        raise DatasetError(
+            f"{photographs[0].path.parent}: {len(photographs)} images share no point that fits their poses; check "
+            "these, their axes first"
+        )
+    return _named(model, list(plain))
 
 
-def _remembered(folder: Path) -> Any:
-    try:
-        return json.loads((folder / CHECKSUMS).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
+def _named(model: pycolmap.Reconstruction, names: Sequence[str]) -> pycolmap.Reconstruction:
+    """The model with its images called as they were before they got plain names."""
+    original = {plain: name for name, plain in _plain_names(names).items()}
+    for image in model.images.values():
+        image.name = original[image.name]
+    return model
 
 
-def _plain(index: int, name: str) -> str:
-    return f"{index:06d}{Path(name).suffix}"
+def _reader(camera_model: str) -> pycolmap.ImageReaderOptions:
+    reader = pycolmap.ImageReaderOptions()
+    reader.camera_model = camera_model
+    return reader
+
+
+def _reader_of(camera: pycolmap.Camera) -> pycolmap.ImageReaderOptions:
+    """One that knows the camera."""
+    reader = _reader(camera.model.name)
+    reader.camera_params = ",".join(map(repr, map(float, camera.params)))
+    return reader
+
+
+def _plain_names(names: Iterable[str]) -> dict[str, str]:
+    """By name one that no list of pairs can break."""
+    return {name: f"{index:06d}{Path(name).suffix}" for index, name in enumerate(names)}
 
 
 def _neighbors(names: Sequence[str]) -> Iterator[tuple[str, str]]:
@@ -196,14 +229,3 @@ def _batches(items: Sequence, size: int) -> Iterator[Sequence]:
 def _newest_camera(database: Path) -> int:
     with pycolmap.Database.open(database) as opened:
         return max(camera.camera_id for camera in opened.read_all_cameras())
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """pycolmap says every step it takes; here only its errors are of interest."""
-    before = pycolmap.logging.minloglevel
-    pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
-    try:
-        yield
-    finally:
-        pycolmap.logging.minloglevel = before

@@ -53,11 +53,10 @@ def load_photos(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     """
     choice = parse_dataset_settings(PhotosSettings, settings)
     require_folder(choice.root)
-    images, names = _images(choice)
+    images, _ = _images(choice)
 
     def make() -> Scene:
-        model = _model(choice, images, names, cache_dir)
-        _judge(choice, images, names, model.image_names)
+        model = model_of(settings, cache_dir)
         found, _ = model.photographs(images)
         if choice.equalize_exposure:
             found = with_equal_exposure(found, model.observations(), choice.background)
@@ -79,6 +78,16 @@ def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photogr
     choice = parse_dataset_settings(PhotosSettings, settings)
     images, names = _images(choice)
     return _model(choice, images, names, cache_dir).photographs(images)[0]
+
+
+def model_of(settings: Mapping[str, Any], cache_dir: Path) -> Model:
+    """Cameras, poses and points of these photographs, from the cache or made now; raises as `load_photos`."""
+    choice = parse_dataset_settings(PhotosSettings, settings)
+    require_folder(choice.root)
+    images, names = _images(choice)
+    model = _model(choice, images, names, cache_dir)
+    _judge(choice, images, names, model.image_names)
+    return model
 
 
 def _images(choice: PhotosSettings) -> tuple[Path, list[str]]:

@@ -12,16 +12,22 @@ from pydantic import Field
 from envgs_bench.core import Scene
 
 from ..errors import DatasetError
+from ..formats.colmap_model import Model
 from ..formats.names import path_below
 from ..formats.normal_maps import Frame
 from ..formats.photograph import Photograph
 from ..formats.point_clouds import PointCloud, random_points, read_point_cloud
 from ..formats.transforms_json import FrameFile, read_frames, without_common_folder
+from ..photographs.fitting import fit_to_files
+from ..photographs.reconstruction import Reconstructor
 from ..photographs.siblings import with_siblings
 from ..settings import parse_dataset_settings, require_folder
+from ..store.contents import digest_of
 from .capture import Missing, PhotographSettings, cached_capture, files_of, make_scene, refuse_missing
 
 VERSION = 3  # raise it with every change that alters a scene
+MODEL_VERSION = 1  # and this with every change that alters a model
+FEATURE_SIZE = 3200  # pixels along the longer side, for finding features: COLMAP's own
 NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # instant-ngp's defaults; aabb_scale enlarges its box [0, 1]³ around the middle
 NGP_RANGE = 1e-6, 1e6  # of its scales
 
@@ -79,6 +85,23 @@ def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photogr
     """What `load_transforms` makes its views from."""
     choice = parse_dataset_settings(TransformsSettings, settings)
     return _photographs(read_frames(path_below(choice.root, choice.file, choice.root)), choice)[0]
+
+
+def model_of(settings: Mapping[str, Any], cache_dir: Path) -> Model:
+    """The file's poses with points that SIFT's matches give them, from the cache or made now.
+
+    Raises:
+        DatasetError: as `load_transforms`, or the photographs share no point that fits their poses.
+    """
+    choice = parse_dataset_settings(TransformsSettings, settings)
+    require_folder(choice.root)
+    file = read_frames(path_below(choice.root, choice.file, choice.root))
+    found, missing = _photographs(file, choice)
+    refuse_missing(choice.missing, len(file.frames), missing, file.path)
+    photographs = fit_to_files(found)
+    contents = digest_of([file.path, *(photograph.path for photograph in photographs)], choice.root, cache_dir)
+    how = Reconstructor("sift", "as given", "exhaustive", FEATURE_SIZE)
+    return how.triangulated(photographs, cache_dir / "models" / f"triangulated-{MODEL_VERSION}-{contents[:16]}")
 
 
 def _files(file: FrameFile, photographs: Sequence[Photograph]) -> list[Path]:

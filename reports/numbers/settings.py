@@ -17,10 +17,12 @@ def flat_settings(settings: Any, prefix: str = "") -> dict[str, str]:
         return {}
     flat: dict[str, str] = {}
     for key, value in settings.items():
+        if key in ("root", "path", "cache_dir", "name", "obtain", "download", "photographs"):
+            continue
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):
             flat |= flat_settings(value, f"{name}.")
-        elif key not in ("root", "path", "cache_dir", "name", "obtain", "download"):
+        else:
             flat[name] = str(value)
     return flat
 

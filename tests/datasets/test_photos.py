@@ -11,59 +11,20 @@ import numpy as np
 import pycolmap
 import pytest
 import torch
+from corner_photographs import FOCAL, HEIGHT, WIDTH, look, photograph
 from PIL import Image
-from scipy import ndimage
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import DatasetError, load_scene
 from envgs_bench.datasets.photographs.reconstruction import Reconstructor
 from envgs_bench.datasets.progress import listening
 
-WIDTH, HEIGHT, FOCAL = 240, 180, 220.0
 VIEWS = 8
 
 
 def load(root: Path, **settings: Any) -> Scene:
     common = {"kind": "photos", "root": str(root), "camera_model": "SIMPLE_PINHOLE", "feature_size": 240}
     return load_scene({**common, **settings}, root.parent / "cache")
-
-
-def texture(seed: int) -> np.ndarray:
-    """Blobs of several sizes, [512, 512, 3] bytes."""
-    rng = np.random.default_rng(seed)
-    layers = [ndimage.gaussian_filter(rng.uniform(-1, 1, (512, 512, 3)), (s, s, 0), mode="wrap") * s for s in (2, 5)]
-    return (127 + 160 * sum(layers)).clip(0, 255).astype(np.uint8)
-
-
-def look(index: int) -> tuple[np.ndarray, np.ndarray]:
-    """World to camera: on an arc around the corner of two walls and a floor."""
-    angle = 0.5 + 0.09 * index
-    center = np.array([3.2 * np.cos(angle), 3.2 * np.sin(angle), 1.6 + 0.1 * np.sin(2.0 * index)])
-    forward = np.array([0.3, 0.3, 0.5]) - center
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, [0, 0, 1])
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
-    return rotation, center
-
-
-def photograph(index: int) -> np.ndarray:
-    """The corner by ray casting: planes x = 0, y = 0 and z = 0, each with a texture."""
-    rotation, center = look(index)
-    y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
-    rays = np.stack([(x - WIDTH / 2) / FOCAL, (y - HEIGHT / 2) / FOCAL, np.ones_like(x)], axis=-1) @ rotation
-    with np.errstate(divide="ignore"):
-        distances = np.where(rays < 0, -center / rays, np.inf)
-    wall = distances.argmin(axis=-1)
-    hit = center + distances.min(axis=-1)[..., None] * rays
-    picture = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
-    for axis in range(3):
-        u, v = (hit[..., other] for other in range(3) if other != axis)
-        rows, columns = np.mod(90 * np.where(wall == axis, u, 0), 512), np.mod(90 * np.where(wall == axis, v, 0), 512)
-        planes = texture(axis).astype(float).transpose(2, 0, 1)
-        drawn = [ndimage.map_coordinates(plane, [rows, columns], order=1, mode="grid-wrap") for plane in planes]
-        picture[wall == axis] = np.stack(drawn, axis=-1)[wall == axis].astype(np.uint8)
-    return picture
 
 
 @pytest.fixture(scope="module")
