@@ -32,13 +32,16 @@ extern "C" __global__ void __launch_bounds__(256) center_statistics(
     }
     float values[7] = {sum[0], sum[1], sum[2], squares[0], squares[1], squares[2], finite};
     float total = TransposedSum<7>::of(values);
-    if (lane_id() < 7) atomicAdd(block.sum + lane_id(), total);
+    constexpr int before_sums = 6;  // in the struct, as what follows are `sum`, `squares` and `count`
+    float* block_sums = reinterpret_cast<float*>(&block) + before_sums;
+    if (lane_id() < 7) atomicAdd(block_sums + lane_id(), total);
     __syncthreads();
     if (threadIdx.x < 3) {
         atomicMin(&statistics->low[threadIdx.x], block.low[threadIdx.x]);
         atomicMax(&statistics->high[threadIdx.x], block.high[threadIdx.x]);
     }
-    if (threadIdx.x < 7) atomicAdd(statistics->sum + threadIdx.x, (&block.sum[0])[threadIdx.x]);
+    float* sums = reinterpret_cast<float*>(statistics) + before_sums;
+    if (threadIdx.x < 7) atomicAdd(sums + threadIdx.x, block_sums[threadIdx.x]);
 }
 
 extern "C" __global__ void hilbert_keys(
