@@ -3,7 +3,7 @@
 FROM python:3.12-slim
 
 RUN apt-get update \
-    && apt-get install --yes --no-install-recommends g++ make git libgl1 libglib2.0-0 \
+    && apt-get install --yes --no-install-recommends g++ make \
     && rm -rf /var/lib/apt/lists/*
 
 WORKDIR /envgs-bench
