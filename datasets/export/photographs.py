@@ -80,7 +80,7 @@ def undistorted(
             rays = np.asarray(camera.cam_from_img(places))
             seen = np.asarray(pinhole.img_from_cam(np.column_stack([rays, np.ones(len(rays))])))
             for point, place in zip(image.points2D, seen, strict=True):
-                point.xy = place
+                point.xy = place.tolist()
         image.name = names[image.name]
         report("undistorting the model", done, len(content.images))
     for number, pinhole in pinholes.items():

@@ -170,13 +170,13 @@ def _triangulate(photographs: Sequence[Photograph], work: Path) -> pycolmap.Reco
     """Points for the matches in the database, seen from where the photographs were taken."""
     model = pycolmap.Reconstruction()
     plain = _plain_names(photograph.name for photograph in photographs)
+    poses = {plain[photograph.name]: photograph.world_to_camera[:3] for photograph in photographs}
     with pycolmap.Database.open(work / "database.db") as opened:
         for camera in opened.read_all_cameras():
             model.add_camera_with_trivial_rig(camera)
-        for photograph in photographs:
-            image = opened.read_image_with_name(plain[photograph.name])
+        for image in opened.read_all_images():
             placed = pycolmap.Image(name=image.name, camera_id=image.camera_id, image_id=image.image_id)
-            model.add_image_with_trivial_frame(placed, pycolmap.Rigid3d(photograph.world_to_camera[:3]))
+            model.add_image_with_trivial_frame(placed, pycolmap.Rigid3d(poses[image.name]))
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = SEED
     (work / "models").mkdir()
