@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -43,7 +44,7 @@ def export_photographs(source: Mapping[str, Any], width: int, root: Path, cache_
         OSError: it cannot be written.
     """
     model = MODELS[source["kind"]](source, cache_dir)
-    photographs = with_masks(fit_to_files(PHOTOGRAPHS[source["kind"]](source, cache_dir)), Path(source["root"]))
+    photographs = fit_to_files(with_masks(PHOTOGRAPHS[source["kind"]](source, cache_dir), Path(source["root"])))
     widest = undistorted_camera(photographs[0].camera).width
     if not 1 <= width <= widest:
         raise DatasetError(f"{source['root']}: {widest} pixels wide once undistorted; expected {width} at least")
@@ -70,9 +71,7 @@ def undistorted(
     pinholes = {}
     for done, image in enumerate(content.images.values(), start=1):
         camera = content.cameras[image.camera_id]
-        pinhole = undistorted_camera(camera)
-        if pinhole is camera:
-            pinhole = pycolmap.Camera(camera.todict())
+        pinhole = copy.deepcopy(undistorted_camera(camera))
         pinhole.rescale(*sizes[image.name])
         pinholes[image.camera_id] = pinhole
         if len(image.points2D):

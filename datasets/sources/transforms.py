@@ -11,7 +11,7 @@ from pydantic import Field
 
 from envgs_bench.core import Scene
 
-from ..errors import DatasetError
+from ..errors import DatasetError, listed
 from ..formats.colmap_model import Model
 from ..formats.names import path_below
 from ..formats.normal_maps import Frame
@@ -99,6 +99,11 @@ def model_of(settings: Mapping[str, Any], cache_dir: Path) -> Model:
     found, missing = _photographs(file, choice)
     refuse_missing(choice.missing, len(file.frames), missing, file.path)
     photographs = fit_to_files(found)
+    turned = [photograph.path.name for photograph in photographs if photograph.turned]
+    if turned:
+        raise DatasetError(
+            f"{file.path}: points need pixels as their cameras have them; save upright: {listed(turned)}"
+        )
     contents = digest_of([file.path, *(photograph.path for photograph in photographs)], choice.root, cache_dir)
     how = Reconstructor("sift", "as given", "exhaustive", FEATURE_SIZE)
     return how.triangulated(photographs, cache_dir / "models" / f"triangulated-{MODEL_VERSION}-{contents[:16]}")

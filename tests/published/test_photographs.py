@@ -175,6 +175,18 @@ def test_photographs_that_share_nothing_are_refused(published: Path, tmp_path: P
     assert not (tmp_path / "made").exists()
 
 
+def test_photographs_that_their_cameras_turned_are_refused(published: Path, tmp_path: Path) -> None:
+    root = tmp_path / "turned"
+    (root / "images").mkdir(parents=True)
+    (root / "transforms.json").symlink_to(published / "transforms.json")
+    quarter = Image.Exif()
+    quarter[0x0112] = 6  # Orientation: turn it by 90 degrees to see it upright
+    for path in (published / "images").iterdir():
+        Image.open(path).transpose(Image.Transpose.ROTATE_90).save(root / "images" / path.name, exif=quarter)
+    with pytest.raises(DatasetError, match=r"transforms\.json: points need pixels .* save upright: 0000\.jpg"):
+        export_photographs({"kind": "transforms", "missing": "skip", "root": root}, 100, tmp_path / "m", tmp_path / "c")
+
+
 @pytest.mark.slow
 def test_the_fox_is_made_as_its_results_used_it(tmp_path: Path) -> None:
     data = Path(os.environ.get("ENVGS_BENCH_DATA", ""))
