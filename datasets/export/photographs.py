@@ -84,7 +84,7 @@ def undistorted(
         report("undistorting the model", done, len(content.images))
     for number, pinhole in pinholes.items():
         camera = content.cameras[number]
-        camera.model, camera.params = pinhole.model, pinhole.params
+        camera.model, camera.params = pinhole.model, pinhole.params.tolist()
         camera.width, camera.height = pinhole.width, pinhole.height
     content.update_point_3d_errors()
     return content
