@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from envgs_bench.core import Camera, Rendering, Scene, Statistics
+from envgs_bench.core.vectors import unit
 from envgs_bench.parts import BASE, ENV
 
+from .budget import Budget
 from .densification import DensificationRule, spatial_criterion
 from .parameters import primitive_bytes
+from .reflection_trial import PLAIN, SHORTEST_RUN, TrialOutcome, reflection_gain
 from .schedule import DENSIFY_FLOOR, ENV_RESET_FLOOR, RECOVERY
 from .start.initialization import quantile_box, random_points_in_grid, random_points_on_sphere
 from .traced import TracedReflection, TracedSettings
@@ -37,6 +40,8 @@ class EnvGSSettings(TracedSettings):
     env_densify_until: int = 21_000  # step before which the environment's densification and opacity resets end
     env_opacity_reset_every: int = 6_000  # steps between the environment's opacity resets; 0: never
 
+    reflection_trial: bool = True  # try before the first step what mirrored rays explain; if nothing, train as 2DGS
+
 
 class EnvGS(TracedReflection):
     """EnvGS (Xie et al., CVPR 2025, Sec. 4): surfels, and a second set of them that only reflected rays meet."""
@@ -49,10 +54,37 @@ class EnvGS(TracedReflection):
     def __init__(self, settings: EnvGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
         self._box = (torch.zeros(3), torch.ones(3))
+        self._limit: Budget | None = None
+        self._trial: TrialOutcome | None = None
+
+    def limit(self, budget: Budget) -> None:
+        super().limit(budget)
+        self._limit = budget
 
     def initialize(self, scene: Scene, steps: int) -> None:
+        if self._trial is None and self.settings.reflection_trial and steps >= SHORTEST_RUN:
+            self._trial = self._tried(scene)
+        if self.plain:
+            self.settings = replace(self.settings, **PLAIN)
+            if self._limit is not None:
+                self.limit(self._limit)  # which one set now has for itself
         super().initialize(scene, steps)
+        if self._trial is not None:
+            self.mended.append(self._trial.sentence)
         self._box = environment_box(self.started_from, self.settings)
+
+    @property
+    def plain(self) -> bool:
+        """Whether a trial has shown that nothing reflects: there is one set then, without β, trained as 2DGS."""
+        return self._trial is not None and not self._trial.reflects
+
+    def _tried(self, scene: Scene) -> TrialOutcome:
+        settings, seed = replace(self.settings, reflection_trial=False), self.generator.initial_seed()
+        mirrored, control = (kind(settings, self.device, seed) for kind in (EnvGS, AlongNormals))
+        if self._limit is not None:
+            mirrored.limit(self._limit)
+            control.limit(self._limit)
+        return TrialOutcome(reflection_gain(scene, mirrored, control))
 
     def start_reflection(self) -> None:
         """Fill the box with random primitives (Sec. 4.3), and a sphere around it: the sky, where no point lies."""
@@ -112,7 +144,12 @@ class EnvGS(TracedReflection):
             rule = replace(rule, gradient_threshold=s.env_densify_threshold)
         return rule
 
+    def initial_beta(self) -> float | None:
+        return None if self.plain else super().initial_beta()
+
     def primitive_bytes(self) -> dict[str, int]:
+        if self.plain:
+            return super().primitive_bytes()
         return super().primitive_bytes() | {ENV: primitive_bytes(self.axes, self.settings.sh_degree, has_beta=False)}
 
     def own_bound(self, name: str) -> int:
@@ -132,6 +169,22 @@ class EnvGS(TracedReflection):
     def _young(self, step: int) -> bool:
         """Whether the environment is not there or so new that, as after a reset, nothing yet shows what is needed."""
         return step <= self.schedule.at(self.settings.bootstrap) + RECOVERY
+
+    def training_state(self) -> dict[str, Any]:
+        return super().training_state() | {"trial": None if self._trial is None else self._trial.gain}
+
+    def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
+        self._trial = None if state["trial"] is None else TrialOutcome(state["trial"])
+        super().resume(scene, steps, state)
+
+
+class AlongNormals(EnvGS):
+    """The control of a trial: its rays leave along the surface's normals, so that no view changes what they see."""
+
+    def _reflected_rays(self, base: Rendering, camera: Camera, step: int | None) -> tuple[Tensor, Tensor, Tensor]:
+        origins, mirrored, beta = super()._reflected_rays(base, camera, step)
+        normal = unit(base.normal if self.settings.joint else base.normal.detach())
+        return origins, torch.where(mirrored.any(dim=-1, keepdim=True), normal, 0.0), beta
 
 
 def environment_box(scene: Scene, settings: EnvGSSettings) -> tuple[Tensor, Tensor]:

@@ -1,0 +1,193 @@
+"""A trial of reflections: it tells a mirror from paint, leaves a run that it keeps alone, and makes the others 2DGS."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from fakes.runs import set_environment
+from mirror_ball import mirror_ball, sky
+from sweeps import one_run
+from tuned_baselines import TUNED_2DGS
+
+from envgs_bench.core import Scene, View
+from envgs_bench.methods import envgs, reflection_trial
+from envgs_bench.methods.budget import Budget
+from envgs_bench.methods.envgs import AlongNormals, EnvGS, EnvGSSettings
+from envgs_bench.methods.gaussian_method import GaussianMethod
+from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.reflection_trial import LEAST_GAIN, PIXELS, PLAIN, SHORTEST_RUN, reflection_gain, smaller
+from envgs_bench.testing import tiny_scene
+
+SMALL = {"env_grid": 3, "env_far_count": 50}
+STEPS = 90  # densified every 30; from step 9 on reflections
+
+
+def painted(scene: Scene) -> Scene:
+    """The ball with a texture about as fine as what it mirrored, which is the same from everywhere."""
+
+    def repainted(view: View) -> View:
+        assert view.normal is not None
+        color = torch.where(view.masks["reflective"][..., None], sky(4 * view.normal), 0.0)
+        return replace(view, image=(255 * color).round().byte())
+
+    return replace(scene, train=[repainted(view) for view in scene.train])
+
+
+@pytest.mark.parametrize(("paints", "reflects"), [(False, True), (True, False)])
+def test_a_mirror_is_told_from_paint(paints: bool, reflects: bool) -> None:
+    scene = painted(mirror_ball()) if paints else mirror_ball()
+    settings = EnvGSSettings(env_grid=6, env_far_count=300)
+    gain = reflection_gain(scene, EnvGS(settings), AlongNormals(settings))
+    assert abs(gain - LEAST_GAIN) > 0.5
+    assert (gain > LEAST_GAIN) == reflects
+
+
+@pytest.fixture
+def short_runs(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """Runs of any length begin with a trial, of few steps."""
+    monkeypatch.setattr(envgs, "SHORTEST_RUN", 0)
+    monkeypatch.setattr(reflection_trial, "SCHEDULE", 60)
+    monkeypatch.setattr(reflection_trial, "STEPS", 9)
+    return monkeypatch
+
+
+def finds(monkeypatch: pytest.MonkeyPatch, gain: float) -> list[Scene]:
+    """Trials find this from now on; the scenes that they are made on."""
+    tried = []
+
+    def found(scene: Scene, *_: Any) -> float:
+        tried.append(scene)
+        return gain
+
+    monkeypatch.setattr(envgs, "reflection_gain", found)
+    return tried
+
+
+def trained(kind: str, budget: Budget | None = None, **settings: Any) -> GaussianMethod:
+    method = create_method(kind, settings, seed=1)
+    assert isinstance(method, GaussianMethod)
+    if budget is not None:
+        method.limit(budget)
+    scene = tiny_scene()
+    method.initialize(scene, STEPS)
+    for step in range(1, STEPS + 1):
+        method.training_step(scene.train[step % len(scene.train)], step)
+    return method
+
+
+def assert_same_sets(a: GaussianMethod, b: GaussianMethod) -> None:
+    assert a.sets.keys() == b.sets.keys()
+    for name in a.sets:
+        tensors, others = (method.sets[name].parameters.tensors for method in (a, b))
+        assert tensors.keys() == others.keys()
+        for field, values in tensors.items():
+            assert torch.equal(values, others[field])
+
+
+def test_a_run_that_keeps_its_reflections_is_to_the_last_bit_what_it_is_without_a_trial(
+    short_runs: pytest.MonkeyPatch,
+) -> None:
+    short_runs.setattr(reflection_trial, "LEAST_GAIN", -99.0)
+    kept, untried = (trained("envgs", **SMALL, reflection_trial=tries) for tries in (True, False))
+    assert_same_sets(kept, untried)
+    assert set(kept.sets) == {"base", "env"}
+    assert torch.equal(kept.generator.get_state(), untried.generator.get_state())
+    assert (len(kept.mended), len(untried.mended)) == (1, 0)
+
+
+@pytest.mark.parametrize("budget", [None, Budget(primitives=300), Budget(mb=0.03)])
+def test_where_nothing_reflects_envgs_is_2dgs_to_the_last_bit(
+    budget: Budget | None, short_runs: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    finds(short_runs, LEAST_GAIN - 0.01)
+    plain, baseline = trained("envgs", budget, **SMALL), trained("2dgs", budget, **TUNED_2DGS)
+    assert_same_sets(plain, baseline)
+    camera = tiny_scene().test[0].camera
+    drawn = plain.render(camera)
+    assert torch.equal(drawn.color, baseline.render(camera).color)
+    assert not drawn.layers
+    assert plain.model_bytes() == baseline.model_bytes()
+    assert "+0.09 dB" in plain.mended[0]
+    assert "2DGS" in plain.mended[0]
+
+    plain.save(tmp_path)
+    loaded = create_method("envgs", SMALL)
+    loaded.load(tmp_path)
+    assert torch.equal(loaded.render(camera).color, drawn.color)
+
+
+def test_an_interrupted_run_is_tried_once(short_runs: pytest.MonkeyPatch) -> None:
+    tried = finds(short_runs, -1.0)
+    first, second = (create_method("envgs", SMALL, seed=1) for _ in range(2))
+    assert isinstance(first, EnvGS)
+    assert isinstance(second, EnvGS)
+    scene = tiny_scene()
+    first.initialize(scene, STEPS)
+    second.resume(scene, STEPS, first.training_state())
+    assert len(tried) == 1
+    assert second.plain
+    assert second.mended == first.mended
+    for step in (1, 2):
+        for method in (first, second):
+            method.training_step(scene.train[step], step)
+    assert_same_sets(first, second)
+
+
+@pytest.mark.parametrize(("steps", "asked", "tries"), [(SHORTEST_RUN - 1, True, 0), (SHORTEST_RUN, False, 0)])
+def test_short_runs_and_those_that_are_told_not_to_have_no_trial(
+    steps: int, asked: bool, tries: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = finds(monkeypatch, -1.0)
+    create_method("envgs", SMALL | {"reflection_trial": asked}).initialize(tiny_scene(), steps)
+    assert len(tried) == tries
+
+
+def test_control_rays_are_as_many_and_leave_along_the_normals() -> None:
+    scene, rays = tiny_scene(), {}
+    camera = scene.test[0].camera
+    for kind in (EnvGS, AlongNormals):
+        method = kind(EnvGSSettings(**SMALL))
+        method.initialize(scene, STEPS)
+        with torch.no_grad():
+            base = method.rasterize_base(camera, 1)
+            rays[kind] = method._reflected_rays(base, camera, 1)
+    (origins, mirrored, beta), (others, directions, weights) = rays.values()
+    torch.testing.assert_close(others, origins)
+    torch.testing.assert_close(weights, beta)
+    torch.testing.assert_close(directions.norm(dim=-1), mirrored.norm(dim=-1))
+    traced = directions.any(dim=-1)
+    assert traced.any()
+    torch.testing.assert_close(directions[traced], torch.nn.functional.normalize(base.normal, dim=-1)[traced])
+    assert (directions - mirrored).abs().max() > 0.1
+
+
+@pytest.mark.parametrize(("lean", "full"), [("envgs", "2dgs_tuned"), ("envgs_lean", "2dgs_lean")])
+def test_what_becomes_plain_has_the_settings_of_tuned_2dgs(
+    lean: str, full: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    set_environment(monkeypatch)
+    method, baseline = (one_run("tuning", method=name).method.settings for name in (lean, full))
+    unused = {"mono_loss"} | ({"prune_from"} if baseline["prune_error"] == 0 else set())
+    shared = baseline.keys() & method.keys() - unused
+    assert {key: (method | PLAIN)[key] for key in shared} == {key: baseline[key] for key in shared}
+    assert PLAIN.keys() <= asdict(EnvGSSettings()).keys()
+
+
+@pytest.mark.parametrize(("size", "expected"), [((96, 72), (96, 72)), ((320, 240), (96, 72)), ((200, 3_000), (21, 324))])
+def test_views_are_made_small_by_area(size: tuple[int, int], expected: tuple[int, int]) -> None:
+    width, height = size
+    camera = tiny_scene().train[0].camera.resized(width, height)
+    image = torch.arange(width).expand(height, width)[..., None].expand(-1, -1, 3) * 255 / width
+    normal = torch.tensor([0.0, 0.6, 0.8]).expand(height, width, 3)
+    small = smaller(View("view", camera, image.byte(), normal=normal))
+    assert (small.camera.width, small.camera.height) == expected
+    assert small.image.shape == (expected[1], expected[0], 3)
+    assert expected[0] * expected[1] <= PIXELS
+    ramp = (torch.arange(expected[0]) + 0.5) * 255 / expected[0]
+    assert (small.image[0, :, 0] - ramp).abs().max() < 3
+    assert small.normal is not None
+    torch.testing.assert_close(small.normal[0], normal[0, : expected[0]])
