@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar
 
 import torch
@@ -16,7 +16,7 @@ from envgs_bench.parts import BASE, ENV
 from .budget import Budget
 from .densification import DensificationRule, spatial_criterion
 from .parameters import primitive_bytes
-from .reflection_trial import PLAIN, SHORTEST_RUN, TrialOutcome, reflection_gain
+from .reflection_trial import PLAIN, SHORTEST_RUN, TrialOutcome, reflection_trial
 from .schedule import DENSIFY_FLOOR, ENV_RESET_FLOOR, RECOVERY
 from .start.initialization import quantile_box, random_points_in_grid, random_points_on_sphere
 from .traced import TracedReflection, TracedSettings
@@ -84,7 +84,7 @@ class EnvGS(TracedReflection):
         if self._limit is not None:
             mirrored.limit(self._limit)
             control.limit(self._limit)
-        return TrialOutcome(reflection_gain(scene, mirrored, control))
+        return reflection_trial(scene, mirrored, control)
 
     def start_reflection(self) -> None:
         """Fill the box with random primitives (Sec. 4.3), and a sphere around it: the sky, where no point lies."""
@@ -171,10 +171,10 @@ class EnvGS(TracedReflection):
         return step <= self.schedule.at(self.settings.bootstrap) + RECOVERY
 
     def training_state(self) -> dict[str, Any]:
-        return super().training_state() | {"trial": None if self._trial is None else self._trial.gain}
+        return super().training_state() | {"trial": None if self._trial is None else asdict(self._trial)}
 
     def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
-        self._trial = None if state["trial"] is None else TrialOutcome(state["trial"])
+        self._trial = None if state["trial"] is None else TrialOutcome(**state["trial"])
         super().resume(scene, steps, state)
 
 

@@ -19,7 +19,15 @@ from envgs_bench.methods.budget import Budget
 from envgs_bench.methods.envgs import AlongNormals, EnvGS, EnvGSSettings
 from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.registry import create_method
-from envgs_bench.methods.reflection_trial import LEAST_GAIN, PIXELS, PLAIN, SHORTEST_RUN, reflection_gain, smaller
+from envgs_bench.methods.reflection_trial import (
+    LEAST_GAIN,
+    LEAST_WEIGHT,
+    PIXELS,
+    PLAIN,
+    SHORTEST_RUN,
+    TrialOutcome,
+    smaller,
+)
 from envgs_bench.testing import tiny_scene
 
 SMALL = {"env_grid": 3, "env_far_count": 50}
@@ -37,13 +45,29 @@ def painted(scene: Scene) -> Scene:
     return replace(scene, train=[repainted(view) for view in scene.train])
 
 
-@pytest.mark.parametrize(("paints", "reflects"), [(False, True), (True, False)])
-def test_a_mirror_is_told_from_paint(paints: bool, reflects: bool) -> None:
+@pytest.mark.parametrize("paints", [False, True])
+def test_a_mirror_is_told_from_paint(paints: bool) -> None:
     scene = painted(mirror_ball()) if paints else mirror_ball()
     settings = EnvGSSettings(env_grid=6, env_far_count=300)
-    gain = reflection_gain(scene, EnvGS(settings), AlongNormals(settings))
-    assert abs(gain - LEAST_GAIN) > 0.5
-    assert (gain > LEAST_GAIN) == reflects
+    found = reflection_trial.reflection_trial(scene, EnvGS(settings), AlongNormals(settings))
+    if paints:
+        assert found.weight < LEAST_WEIGHT / 1.5
+        assert found.gain < LEAST_GAIN - 0.5
+    else:
+        assert found.weight > 2 * LEAST_WEIGHT
+        assert found.gain > LEAST_GAIN + 1
+    assert found.reflects is not paints
+
+
+@pytest.mark.parametrize(
+    ("weight", "gain", "reflects"), [(0.84, 0.29, False), (0.86, -1.0, True), (0.5, 0.31, True), (2.0, 3.0, True)]
+)
+def test_either_of_both_numbers_shows_a_reflection(weight: float, gain: float, reflects: bool) -> None:
+    found = TrialOutcome(weight, gain)
+    assert found.reflects is reflects
+    assert f"{weight:.2f} times" in found.sentence
+    assert f"{gain:+.2f} dB" in found.sentence
+    assert ("2DGS" in found.sentence) is not reflects
 
 
 @pytest.fixture
@@ -55,15 +79,15 @@ def short_runs(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     return monkeypatch
 
 
-def finds(monkeypatch: pytest.MonkeyPatch, gain: float) -> list[Scene]:
-    """Trials find this from now on; the scenes that they are made on."""
+def finds_nothing(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
+    """Trials find from now on that nothing reflects; the scenes that they are made on."""
     tried = []
 
-    def found(scene: Scene, *_: Any) -> float:
+    def found(scene: Scene, *_: Any) -> TrialOutcome:
         tried.append(scene)
-        return gain
+        return TrialOutcome(0.5, -1.0)
 
-    monkeypatch.setattr(envgs, "reflection_gain", found)
+    monkeypatch.setattr(envgs, "reflection_trial", found)
     return tried
 
 
@@ -91,7 +115,7 @@ def assert_same_sets(a: GaussianMethod, b: GaussianMethod) -> None:
 def test_a_run_that_keeps_its_reflections_is_to_the_last_bit_what_it_is_without_a_trial(
     short_runs: pytest.MonkeyPatch,
 ) -> None:
-    short_runs.setattr(reflection_trial, "LEAST_GAIN", -99.0)
+    short_runs.setattr(reflection_trial, "LEAST_WEIGHT", 0.0)
     kept, untried = (trained("envgs", **SMALL, reflection_trial=tries) for tries in (True, False))
     assert_same_sets(kept, untried)
     assert set(kept.sets) == {"base", "env"}
@@ -103,7 +127,7 @@ def test_a_run_that_keeps_its_reflections_is_to_the_last_bit_what_it_is_without_
 def test_where_nothing_reflects_envgs_is_2dgs_to_the_last_bit(
     budget: Budget | None, short_runs: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    finds(short_runs, LEAST_GAIN - 0.01)
+    finds_nothing(short_runs)
     plain, baseline = trained("envgs", budget, **SMALL), trained("2dgs", budget, **TUNED_2DGS)
     assert_same_sets(plain, baseline)
     camera = tiny_scene().test[0].camera
@@ -111,7 +135,6 @@ def test_where_nothing_reflects_envgs_is_2dgs_to_the_last_bit(
     assert torch.equal(drawn.color, baseline.render(camera).color)
     assert not drawn.layers
     assert plain.model_bytes() == baseline.model_bytes()
-    assert "+0.09 dB" in plain.mended[0]
     assert "2DGS" in plain.mended[0]
 
     plain.save(tmp_path)
@@ -121,7 +144,7 @@ def test_where_nothing_reflects_envgs_is_2dgs_to_the_last_bit(
 
 
 def test_an_interrupted_run_is_tried_once(short_runs: pytest.MonkeyPatch) -> None:
-    tried = finds(short_runs, -1.0)
+    tried = finds_nothing(short_runs)
     first, second = (create_method("envgs", SMALL, seed=1) for _ in range(2))
     assert isinstance(first, EnvGS)
     assert isinstance(second, EnvGS)
@@ -141,7 +164,7 @@ def test_an_interrupted_run_is_tried_once(short_runs: pytest.MonkeyPatch) -> Non
 def test_short_runs_and_those_that_are_told_not_to_have_no_trial(
     steps: int, asked: bool, tries: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tried = finds(monkeypatch, -1.0)
+    tried = finds_nothing(monkeypatch)
     create_method("envgs", SMALL | {"reflection_trial": asked}).initialize(tiny_scene(), steps)
     assert len(tried) == tries
 
