@@ -188,7 +188,7 @@ class Record(_Part):
     scored_on: ScoredOn = "test"  # which views' scores and times these are
     perturbation: Perturbed | None = None
     warnings: list[TrainingWarning] = []  # in the order of their steps
-    notes: list[str] = []  # what was noticed of the data, and what of it the method mended
+    notes: list[str] = []  # what was noticed of the data, what of it the method mended, and what its trials found
     losses: list[str] = []  # the terms that the loss was made of, in some step at least
     dropped_losses: dict[str, str] = {}  # a loss that the settings ask for -> why it could not be computed
     metrics: Metrics | None = None

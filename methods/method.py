@@ -34,8 +34,8 @@ class Method(ABC):
         dropped_losses: a loss that the settings ask for and that cannot be computed here -> why, a loss of
             `envgs_bench.parts.LOSSES` under its key there; complete once `initialize` is done. The harness adds the
             perceptual loss where it has none to offer, the method what the scene lacks.
-        mended: what of the scene the method does not take as it is given, and what it takes instead, a sentence each;
-            complete once `initialize` is done.
+        mended: what of the scene the method does not take as it is given, and what it takes instead; what of itself a
+            trial on the scene has shown to be needed or not. A sentence each; complete once `initialize` is done.
     """
 
     Settings: ClassVar[type]

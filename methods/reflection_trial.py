@@ -43,7 +43,7 @@ STEPS = 200  # that it takes: 60 without reflections, and 140 with
 PIXELS = 7_000  # of a view, at most
 SHORTEST_RUN = 2_000  # steps of a run that can afford a trial
 LEAST_WEIGHT = 0.85  # a tuning suite's scenes that reflect have 0.95 and more, `diffuse_room` 0.75
-LEAST_GAIN = 0.3  # dB
+LEAST_GAIN = 0.5  # dB
 TINY = 1e-12
 
 
@@ -53,7 +53,7 @@ class TrialOutcome:
 
     Attributes:
         weight: the mean β of the pictures, × the control's.
-        gain: how much nearer to the views they brought what they changed, in dB.
+        gain: how much nearer to the views they brought what they changed more, in dB.
     """
 
     weight: float
@@ -75,7 +75,8 @@ def reflection_trial(scene: Scene, mirrored: Method, control: Method) -> TrialOu
     """Train both methods, and compare how they draw the scene's training views.
 
     The gain is 10·log₁₀(Σ w e' / Σ w e) over all pixels of the views, with the squared errors e of `mirrored` and e' of
-    `control`, and w, how much its reflection changes the pixel of `mirrored`: a small mirror is not outvoted by walls.
+    `control`, and w, by how much more its reflection changes the pixel of `mirrored`, 0 where it changes that of
+    `control` more: a small mirror is not outvoted by walls.
 
     Args:
         mirrored, control: new, with the same settings and seed.
@@ -86,10 +87,11 @@ def reflection_trial(scene: Scene, mirrored: Method, control: Method) -> TrialOu
     sums = torch.zeros(2, 2, dtype=torch.float64)  # of β and of w·e, for either method
     for view in small.train:
         target, drawn = view.rgb(mirrored.device), [method.render(view.camera) for method in (mirrored, control)]
-        changed = (drawn[0].color - drawn[0].layers[BASE]).abs().mean(dim=-1)
+        changed, by_control = ((picture.color - picture.layers[BASE]).abs().mean(dim=-1) for picture in drawn)
+        more = (changed - by_control).clamp_min(0)
         for row, picture in enumerate(drawn):
             error = (picture.color.clamp(0, 1) - target).square().mean(dim=-1)
-            sums[row] += torch.stack([picture.layers[BETA].mean(), (changed * error).sum()]).double().cpu()
+            sums[row] += torch.stack([picture.layers[BETA].mean(), (more * error).sum()]).double().cpu()
     (weight, error), (of_control, error_of_control) = sums.clamp_min(TINY).tolist()
     return TrialOutcome(weight / of_control, 10 * math.log10(error_of_control / error))
 

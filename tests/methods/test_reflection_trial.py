@@ -60,7 +60,7 @@ def test_a_mirror_is_told_from_paint(paints: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    ("weight", "gain", "reflects"), [(0.84, 0.29, False), (0.86, -1.0, True), (0.5, 0.31, True), (2.0, 3.0, True)]
+    ("weight", "gain", "reflects"), [(0.84, 0.49, False), (0.86, -1.0, True), (0.5, 0.51, True), (2.0, 3.0, True)]
 )
 def test_either_of_both_numbers_shows_a_reflection(weight: float, gain: float, reflects: bool) -> None:
     found = TrialOutcome(weight, gain)
