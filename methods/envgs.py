@@ -16,7 +16,7 @@ from envgs_bench.parts import BASE, ENV
 from .budget import Budget
 from .densification import DensificationRule, spatial_criterion
 from .parameters import primitive_bytes
-from .reflection_trial import PLAIN, SHORTEST_RUN, TrialOutcome, reflection_trial
+from .reflection_trial import BOOTSTRAP, PLAIN, SHORTEST_RUN, TrialOutcome, reflection_trial
 from .schedule import DENSIFY_FLOOR, ENV_RESET_FLOOR, RECOVERY
 from .start.initialization import quantile_box, random_points_in_grid, random_points_on_sphere
 from .traced import TracedReflection, TracedSettings
@@ -79,7 +79,8 @@ class EnvGS(TracedReflection):
         return self._trial is not None and not self._trial.reflects
 
     def _tried(self, scene: Scene) -> TrialOutcome:
-        settings, seed = replace(self.settings, reflection_trial=False), self.generator.initial_seed()
+        settings = replace(self.settings, reflection_trial=False, bootstrap=BOOTSTRAP)
+        seed = self.generator.initial_seed()
         mirrored, control = (kind(settings, self.device, seed) for kind in (EnvGS, AlongNormals))
         if self._limit is not None:
             mirrored.limit(self._limit)

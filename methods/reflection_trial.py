@@ -40,7 +40,8 @@ PLAIN: dict[str, Any] = {  # of a base set that reflects nothing: what `2dgs_tun
 }
 
 SCHEDULE = 600  # steps of the run whose beginning a trial is
-STEPS = 200  # that it takes: 60 without reflections, and 140 with
+BOOTSTRAP = 3_000  # steps of a run of 30,000 with the base set alone: 60 of a trial
+STEPS = 200  # that it takes
 PIXELS = 7_000  # of a view, at most
 SHORTEST_RUN = 2_000  # steps of a run that can afford a trial
 LEAST_WEIGHT = 0.85  # scenes of the tuning suite have 0.95 and more, `diffuse_room` 0.75
@@ -62,8 +63,8 @@ class TrialOutcome:
 
     @property
     def reflects(self) -> bool:
-        """Whether they do what a texture cannot, by either."""
-        return self.weight >= LEAST_WEIGHT or self.gain >= LEAST_GAIN
+        """Whether they do what a texture cannot, by either; where a number is none, nothing has been shown."""
+        return not (self.weight < LEAST_WEIGHT and self.gain < LEAST_GAIN)
 
     @property
     def sentence(self) -> str:

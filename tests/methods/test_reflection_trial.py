@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,8 @@ def test_a_mirror_is_told_from_paint(paints: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    ("weight", "gain", "reflects"), [(0.84, 0.79, False), (0.86, -1.0, True), (0.5, 0.81, True), (2.0, 3.0, True)]
+    ("weight", "gain", "reflects"),
+    [(0.84, 0.79, False), (0.86, -1.0, True), (0.5, 0.81, True), (math.nan, math.nan, True)],
 )
 def test_either_of_both_numbers_shows_a_reflection(weight: float, gain: float, reflects: bool) -> None:
     found = TrialOutcome(weight, gain)
