@@ -125,6 +125,12 @@ def test_a_run_that_keeps_its_reflections_is_to_the_last_bit_what_it_is_without_
     assert (len(kept.mended), len(untried.mended)) == (1, 0)
 
 
+def test_a_run_that_reflects_late_is_tried_as_any_other(short_runs: pytest.MonkeyPatch) -> None:
+    method = create_method("envgs", SMALL | {"bootstrap": 29_000})
+    method.initialize(tiny_scene(), STEPS)
+    assert "times the weight" in method.mended[0]
+
+
 @pytest.mark.parametrize("budget", [None, Budget(primitives=300), Budget(mb=0.03)])
 def test_where_nothing_reflects_envgs_is_2dgs_to_the_last_bit(
     budget: Budget | None, short_runs: pytest.MonkeyPatch, tmp_path: Path
