@@ -40,7 +40,7 @@ class EnvGSSettings(TracedSettings):
     env_densify_until: int = 21_000  # step before which the environment's densification and opacity resets end
     env_opacity_reset_every: int = 6_000  # steps between the environment's opacity resets; 0: never
 
-    reflection_trial: bool = True  # try before the first step what mirrored rays explain; if nothing, train as 2DGS
+    reflection_trial: bool = False  # try before the first step what mirrored rays explain; if nothing, train as 2DGS
 
 
 class EnvGS(TracedReflection):

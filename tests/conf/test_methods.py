@@ -35,10 +35,10 @@ DIFFERENCES = {
     "3igs_tuned": TUNED_3DGS | {"sh_degree": 0},
     "envmap128": {"envmap_size": 128},
     "envmap256": {"envmap_size": 256},
-    "envgs_no_joint": {"joint": False, "reflection_trial": False},
+    "envgs_no_joint": {"joint": False},
     "2dgs_lean": TUNED_2DGS | LEAN,
     "3dgs_lean": TUNED_3DGS | LEAN,
-    "envgs_lean": {"prune_error": 0.05},
+    "envgs_lean": {"prune_error": 0.05, "reflection_trial": True},
 }
 ABLATIONS = {  # of the published recipe
     "envgs_paper_no_joint": {"joint": False},

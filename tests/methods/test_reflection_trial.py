@@ -31,7 +31,7 @@ from envgs_bench.methods.reflection_trial import (
 from envgs_bench.methods.registry import create_method
 from envgs_bench.testing import tiny_scene
 
-SMALL = {"env_grid": 3, "env_far_count": 50}
+SMALL = {"env_grid": 3, "env_far_count": 50, "reflection_trial": True}
 STEPS = 90  # densified every 30; from step 9 on reflections
 
 
@@ -118,7 +118,7 @@ def test_a_run_that_keeps_its_reflections_is_to_the_last_bit_what_it_is_without_
     short_runs: pytest.MonkeyPatch,
 ) -> None:
     short_runs.setattr(reflection_trial, "LEAST_WEIGHT", 0.0)
-    kept, untried = (trained("envgs", **SMALL, reflection_trial=tries) for tries in (True, False))
+    kept, untried = (trained("envgs", **SMALL | {"reflection_trial": tries}) for tries in (True, False))
     assert_same_sets(kept, untried)
     assert set(kept.sets) == {"base", "env"}
     assert torch.equal(kept.generator.get_state(), untried.generator.get_state())
