@@ -49,6 +49,7 @@ class SharedBudget:
         """
         if budget.primitives is None and budget.mb is None:
             raise ValueError("the budget limits neither primitives nor mb, expected one of them or both")
+        self.budget = budget
         self._limits: list[tuple[int, dict[str, int]]] = []  # (in all, of a primitive of each set)
         if budget.primitives is not None:
             if budget.primitives < LEAST_PRIMITIVES:

@@ -13,7 +13,6 @@ from envgs_bench.core import Camera, Rendering, Scene, Statistics
 from envgs_bench.core.vectors import unit
 from envgs_bench.parts import BASE, ENV
 
-from .budget import Budget
 from .densification import DensificationRule, spatial_criterion
 from .parameters import primitive_bytes
 from .reflection_trial import BOOTSTRAP, PLAIN, SHORTEST_RUN, TrialOutcome, reflection_trial
@@ -54,20 +53,15 @@ class EnvGS(TracedReflection):
     def __init__(self, settings: EnvGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
         self._box = (torch.zeros(3), torch.ones(3))
-        self._limit: Budget | None = None
         self._trial: TrialOutcome | None = None
-
-    def limit(self, budget: Budget) -> None:
-        super().limit(budget)
-        self._limit = budget
 
     def initialize(self, scene: Scene, steps: int) -> None:
         if self._trial is None and self.settings.reflection_trial and steps >= SHORTEST_RUN:
             self._trial = self._tried(scene)
         if self.plain:
             self.settings = replace(self.settings, **PLAIN)
-            if self._limit is not None:
-                self.limit(self._limit)  # which one set now has for itself
+            if self._budget is not None:
+                self.limit(self._budget.budget)  # which one set now has for itself
         super().initialize(scene, steps)
         if self._trial is not None:
             self.mended.append(self._trial.sentence)
@@ -82,9 +76,9 @@ class EnvGS(TracedReflection):
         settings = replace(self.settings, reflection_trial=False, bootstrap=BOOTSTRAP)
         seed = self.generator.initial_seed()
         mirrored, control = (kind(settings, self.device, seed) for kind in (EnvGS, AlongNormals))
-        if self._limit is not None:
-            mirrored.limit(self._limit)
-            control.limit(self._limit)
+        if self._budget is not None:
+            mirrored.limit(self._budget.budget)
+            control.limit(self._budget.budget)
         return reflection_trial(scene, mirrored, control)
 
     def start_reflection(self) -> None:

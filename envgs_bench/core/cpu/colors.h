@@ -41,12 +41,7 @@ inline void see_colors(const float* const (&sh)[kGroup], int count, Vec3<Float8>
 // The first `count` lanes' colors: SH coefficients [K][3] in `sh`, seen along v = mean − origin.
 inline void see_colors(int coefficients, const float* const (&sh)[kGroup], int count, Vec3<Float8> v,
                        SeenColors& seen) {
-    switch (coefficients) {
-        case 1: return see_colors<0>(sh, count, v, seen);
-        case 4: return see_colors<1>(sh, count, v, seen);
-        case 9: return see_colors<2>(sh, count, v, seen);
-        default: return see_colors<3>(sh, count, v, seen);
-    }
+    with_degree(coefficients, [&](auto degree) { see_colors<degree>(sh, count, v, seen); });
 }
 
 template <int Degree>
@@ -71,12 +66,9 @@ inline Vec3<Float8> see_colors_backward(const float* const (&sh)[kGroup], int co
 inline Vec3<Float8> see_colors_backward(int coefficients, const float* const (&sh)[kGroup], int count,
                                         const SeenColors& seen, const Float4 (&gradient)[kGroup],
                                         float* const (&g_sh)[kGroup]) {
-    switch (coefficients) {
-        case 1: return see_colors_backward<0>(sh, count, seen, gradient, g_sh);
-        case 4: return see_colors_backward<1>(sh, count, seen, gradient, g_sh);
-        case 9: return see_colors_backward<2>(sh, count, seen, gradient, g_sh);
-        default: return see_colors_backward<3>(sh, count, seen, gradient, g_sh);
-    }
+    return with_degree(coefficients, [&](auto degree) {
+        return see_colors_backward<degree>(sh, count, seen, gradient, g_sh);
+    });
 }
 
 }  // namespace envgs

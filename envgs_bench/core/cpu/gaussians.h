@@ -32,24 +32,27 @@ inline Quaternion<float> quaternion_at(const Gaussians& g, int i) {
 }
 inline Vec3<float> mean_at(const Gaussians& g, int i) { return load3(g.means + 3 * i); }
 
+// f with the SH degree of so many coefficients, an integral constant: what is compiled once for each degree.
+template <class F>
+inline auto with_degree(int coefficients, F f) {
+    switch (coefficients) {
+        case 1: return f(std::integral_constant<int, 0>{});
+        case 4: return f(std::integral_constant<int, 1>{});
+        case 9: return f(std::integral_constant<int, 2>{});
+        default: return f(std::integral_constant<int, 3>{});
+    }
+}
+
 inline Vec3<float> color_at(const Gaussians& g, int i, Vec3<float> v) {
     const float* sh = g.sh + 3l * g.sh_coefficients * i;
-    switch (g.sh_coefficients) {
-        case 1: return sh_color<0>(sh, v);
-        case 4: return sh_color<1>(sh, v);
-        case 9: return sh_color<2>(sh, v);
-        default: return sh_color<3>(sh, v);
-    }
+    return with_degree(g.sh_coefficients, [&](auto degree) { return sh_color<degree>(sh, v); });
 }
 inline Vec3<float> color_backward_at(const Gaussians& g, int i, Vec3<float> v, Vec3<float> color, Vec3<float> gradient,
                                      float* g_sh) {
     const float* sh = g.sh + 3l * g.sh_coefficients * i;
-    switch (g.sh_coefficients) {
-        case 1: return sh_color_backward<0>(sh, v, color, gradient, g_sh);
-        case 4: return sh_color_backward<1>(sh, v, color, gradient, g_sh);
-        case 9: return sh_color_backward<2>(sh, v, color, gradient, g_sh);
-        default: return sh_color_backward<3>(sh, v, color, gradient, g_sh);
-    }
+    return with_degree(g.sh_coefficients, [&](auto degree) {
+        return sh_color_backward<degree>(sh, v, color, gradient, g_sh);
+    });
 }
 
 }  // namespace envgs
