@@ -10,9 +10,10 @@ applies, and the step is taken again as it would have been without a graph.
 
 from __future__ import annotations
 
+import gc
 from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from operator import is_
@@ -54,6 +55,8 @@ Learn = Callable[[View, int], StepNumbers]
 
 class CapturedSteps:
     """Takes a method's steps: the first of each kind one kernel after the other, those that repeat it from a graph.
+
+    Steps are taken within `on_training_stream`, and so is all else that differentiates what they train.
 
     Args:
         learn: all of a step's work on the device, from a view that is there. It must not wait for the device, and must
@@ -101,9 +104,10 @@ class CapturedSteps:
         while len(self._under_way) > in_flight:
             view, step, numbers, copy = self._under_way.popleft()
             if not copy.is_finite():
-                with torch.enable_grad():  # whoever settles may only be drawing
+                # Whoever settles may only be drawing.
+                with on_training_stream(numbers.values.device), torch.enable_grad():
                     again = self._learn_again(view, step).values
-                numbers.values.copy_(again)
+                    numbers.values.copy_(again)
                 if bool(again.isfinite().all()):  # so it was the graph that had too little room
                     self._graph = None
 
@@ -129,9 +133,7 @@ class _Graph:
         self._kind, self._holds = kind, holds
         self._view = _copied(view)
         self._graph = torch.cuda.CUDAGraph()
-        stream = _recording_stream(view.image.device)
-        stream.wait_stream(torch.cuda.current_stream())
-        with torch.cuda.stream(stream):
+        with _no_collection():
             # Without torch.cuda.graph(), which empties the allocator's caches and so waits for the device.
             self._graph.capture_begin(capture_error_mode="thread_local")
             try:
@@ -141,7 +143,6 @@ class _Graph:
                     self._graph.capture_end()
                 raise
             self._graph.capture_end()
-        torch.cuda.current_stream().wait_stream(stream)
 
     def serves(self, kind: Hashable, holds: tuple[Tensor, ...]) -> bool:
         return kind == self._kind and len(holds) == len(self._holds) and all(map(is_, holds, self._holds))
@@ -153,6 +154,41 @@ class _Graph:
         return replace(self._numbers, values=self._numbers.values.clone())
 
 
+@contextmanager
+def on_training_stream(device: torch.device) -> Iterator[None]:
+    """What is launched in here comes after what the caller has launched and before what the caller launches next.
+
+    It goes to a stream of its own, on a CPU nowhere else. The default stream cannot be recorded, and a gradient is
+    handed to a parameter on the stream on which the parameter was first used: for as long as some thread of autograd's
+    holds on to that, a recording on another stream would drag the first one in, and fail.
+    """
+    if device.type != "cuda":
+        yield
+        return
+    outside, stream = torch.cuda.current_stream(device), _training_stream(device)
+    if outside == stream:
+        yield
+        return
+    stream.wait_stream(outside)
+    try:
+        with torch.cuda.stream(stream):
+            yield
+    finally:
+        outside.wait_stream(stream)
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Python collects no garbage in here: freeing another graph, or what is mapped for it, would end a recording."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
+
+
 def _give_back_spare(device: torch.device) -> None:
     """Leave a GPU's memory to others that share it: what earlier recordings took, torch does not reuse for the next."""
     if torch.cuda.memory_reserved(device) > SPARE_BYTES + torch.cuda.memory_allocated(device):
@@ -160,7 +196,7 @@ def _give_back_spare(device: torch.device) -> None:
 
 
 @cache
-def _recording_stream(device: torch.device) -> torch.cuda.Stream:
+def _training_stream(device: torch.device) -> torch.cuda.Stream:
     return torch.cuda.Stream(device)
 
 

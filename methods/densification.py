@@ -95,10 +95,12 @@ def screen_criterion(statistics: Statistics, camera: Camera) -> Tensor:
     A center at depth t moves by f/t pixels a unit, so ∂L/∂x_ndc = W/(2f)·t·∂L/∂x, and alike for y.
     """
     assert statistics.position_gradients is not None
-    in_camera = statistics.position_gradients @ camera.world_to_camera[:2, :3].T
     # Filled in where the camera is: copying two numbers to a GPU waits for it.
     half_size = torch.stack([camera.intrinsics.new_full((), size / 2) for size in (camera.width, camera.height)])
-    return (in_camera * (half_size / camera.intrinsics.diagonal()[:2])).norm(dim=1)
+    rows = camera.world_to_camera[:2, :3] * (half_size / camera.intrinsics.diagonal()[:2])[:, None]
+    x, y, z = statistics.position_gradients.unbind(dim=1)
+    # Written out: a matrix product this narrow takes cuBLAS many times as long.
+    return torch.hypot(*(x * by_x + y * by_y + z * by_z for by_x, by_y, by_z in rows))
 
 
 def spatial_criterion(statistics: Statistics) -> Tensor:

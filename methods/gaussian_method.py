@@ -14,7 +14,7 @@ from envgs_bench.parts import ALPHA, BASE, BETA, MONO
 
 from .adam import step_together
 from .base_growth import BaseGrowth, max_base_primitives
-from .captured_steps import CapturedSteps, StepNumbers
+from .captured_steps import CapturedSteps, StepNumbers, on_training_stream
 from .checkpoint import on_device
 from .densification import DensificationRule, Oversized, screen_criterion
 from .frustum import in_view
@@ -138,6 +138,10 @@ class GaussianMethod(GaussianModel):
     # A training step
 
     def training_step(self, view: View, step: int) -> dict[str, Tensor]:
+        with on_training_stream(self.device):
+            return self._step(view, step)
+
+    def _step(self, view: View, step: int) -> dict[str, Tensor]:
         view = self._views.on_device(view)
         self.prepared.clear()
         self.before_step(step)

@@ -1,6 +1,7 @@
 """Steps replayed from a graph: when one is recorded, and what happens to those that it had too little room for."""
 
 import dataclasses
+import gc
 import math
 
 import pytest
@@ -196,6 +197,26 @@ def test_a_recorded_step_learns_what_the_step_without_a_graph_does_cuda(kind, mo
             assert int(method.skipped_steps) == 0
     torch.testing.assert_close(curves[True][:5], curves[False][:5], rtol=1e-3, atol=0)
     assert abs(float(curves[True][-20:].mean() / curves[False][-20:].mean()) - 1) < 0.05
+
+
+@needs_cuda
+def test_garbage_waits_until_a_recording_ends_cuda():
+    """Methods refer to themselves, so their graphs are freed when Python looks for garbage: here, at every chance."""
+    scene, thresholds = picture(width=96, height=72), gc.get_threshold()
+    gc.disable()
+    try:
+        for seed in range(3):
+            method = create_method("2dgs", {}, device="cuda", seed=seed)
+            method.initialize(scene, 1000)
+            for step in range(1, 6):
+                method.training_step(scene.train[0], step)
+            assert method._steps._graph is not None
+            method.settle()
+            gc.set_threshold(1, 1, 1)
+            gc.enable()
+    finally:
+        gc.set_threshold(*thresholds)
+        gc.enable()
 
 
 @needs_cuda
