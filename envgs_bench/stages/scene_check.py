@@ -6,6 +6,8 @@ on all others. Its losses know nothing of that; the scene does (`envgs_bench.met
 
 from __future__ import annotations
 
+import torch
+
 from envgs_bench.core import Scene
 from envgs_bench.methods.start.evidence import Evidence, empty_cells
 from envgs_bench.methods.start.mending import MISSING, UNSUPPORTED
@@ -14,12 +16,13 @@ from envgs_bench.records import TrainingWarning, WarningKind
 SPARSE = 12.0  # degrees between the two nearest views of a point from which views are too few to agree on its depth
 
 
-def scene_warnings(scene: Scene) -> list[TrainingWarning]:
-    """What training views, points and normals warn of; each of step 0."""
+def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[TrainingWarning]:
+    """What training views, points and normals warn of; each of step 0. All pixels are looked at on `device`."""
     if not len(scene.points):
         return []  # the method refuses them
     evidence = Evidence.of(scene, scene.free_space)
-    covered, support, parallax = empty_cells(scene, scene.free_space)[1], evidence.support(), evidence.parallax()
+    covered = empty_cells(scene, scene.free_space, device)[1]
+    support, parallax = evidence.support(), evidence.parallax()
     mirrored, views = len(evidence.mirrored_views()), len(scene.train)
     found: list[tuple[WarningKind, bool, str]] = [
         (

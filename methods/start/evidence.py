@@ -175,36 +175,39 @@ def mirrored_normals(normal: Tensor, view: View) -> Tensor:
 
 
 @torch.no_grad()
-def empty_cells(scene: Scene, near: float) -> tuple[Tensor, float]:
+def empty_cells(scene: Scene, near: float, device: torch.device | str = "cpu") -> tuple[Tensor, float]:
     """Which cells of each view show something and none of the scene's points; and the share that has some.
 
     A cell of one color, a clear sky, shows nothing that a point could be found on.
 
+    Args:
+        device: where all pixels and points are looked at, much sooner on a GPU.
+
     Returns:
-        [V, CELLS, CELLS] by rows and columns; and of the cells that show something the share with a point, of the
-        median view: 1 where no cell does.
+        [V, CELLS, CELLS] by rows and columns, on the CPU; and of the cells that show something the share with a point,
+        of the median view: 1 where no cell does.
     """
-    empty, shares = [], []
-    points = scene.points.detach().cpu().float()
-    for view in scene.train:
-        textured = _textured_cells(view)
-        without = textured & ~_cells_with(points, view, near)
-        empty.append(without)
-        shares.append(1 - float(without.sum()) / max(int(textured.sum()), 1))
-    return torch.stack(empty), statistics.median(shares)
+    points = scene.points.detach().to(device).float()
+    textured = torch.stack([_textured_cells(view, device) for view in scene.train]).cpu()
+    empty = textured & ~torch.stack([_cells_with(points, view, near) for view in scene.train]).cpu()
+    shares = 1 - empty.sum(dim=(1, 2)) / textured.sum(dim=(1, 2)).clamp_min(1)
+    return empty, statistics.median(shares.tolist())
 
 
 def _cells_with(points: Tensor, view: View, near: float) -> Tensor:
     """Which cells of the view, [CELLS, CELLS] by rows and columns, would show any of the points."""
-    at, depths = view.camera.project(points)
-    cell = at / at.new_tensor([view.camera.width, view.camera.height]) * CELLS
-    shown = (depths > near) & (cell >= 0).all(dim=1) & (cell < CELLS).all(dim=1)
-    columns, rows = cell[shown].long().unbind(dim=1)
-    return (rows * CELLS + columns).bincount(minlength=CELLS * CELLS).reshape(CELLS, CELLS) > 0
+    at, depths = view.camera.to(points.device).project(points)
+    width, height = view.camera.width / CELLS, view.camera.height / CELLS
+    column, row = at[:, 0] / width, at[:, 1] / height
+    shown = (depths > near) & (column >= 0) & (column < CELLS) & (row >= 0) & (row < CELLS)
+    cell = torch.where(shown, row, 0.0).long() * CELLS + torch.where(shown, column, 0.0).long()
+    found = torch.zeros(CELLS * CELLS + 1, dtype=torch.bool, device=points.device)
+    found[torch.where(shown, cell, CELLS * CELLS)] = True
+    return found[:-1].reshape(CELLS, CELLS)
 
 
-def _textured_cells(view: View) -> Tensor:
+def _textured_cells(view: View, device: torch.device | str) -> Tensor:
     """Which cells of the view, [CELLS, CELLS], are not of one color: by the deviation of their gray values."""
-    gray = view.rgb().mean(dim=-1)[None, None]
+    gray = view.rgb(device).mean(dim=-1)[None, None]
     mean, square = (functional.adaptive_avg_pool2d(values, CELLS)[0, 0] for values in (gray, gray.square()))
     return (square - mean.square()) > CONTRAST**2

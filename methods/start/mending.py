@@ -66,7 +66,7 @@ def mended_points(scene: Scene, near: float, generator: torch.Generator, device:
     sound = without_points_at_cameras(scene, near)
     if len(sound.points) and Evidence.of(sound, near).support() < UNSUPPORTED:
         sound = _with(sound, torch.zeros(0, dtype=torch.long))
-    empty, covered = empty_cells(sound, near)
+    empty, covered = empty_cells(sound, near, device)
     if covered >= MISSING:
         return scene
     wanted = [_strongest(view, where, generator) for view, where in zip(scene.train, empty, strict=True)]
