@@ -27,18 +27,28 @@ class KernelAdam(torch.optim.Adam):
     """Adam by the CUDA backend's kernel, a launch a parameter; torch's takes three, of too few threads to fill a GPU.
 
     Rates and counts of steps lie on the device, where a captured step reads them. `found_inf` skips a step, as torch's.
+    What it remembers is there before the first step: a recording that made it would make it anew at every replay.
     """
+
+    def __init__(self, groups: Sequence[dict[str, Any]], **options: Any) -> None:
+        super().__init__(groups, **options)
+        for group in self.param_groups:
+            for parameter in group["params"]:
+                self.forget(parameter)
+
+    def forget(self, parameter: Tensor) -> None:
+        """Become as if the parameter had not been moved yet."""
+        self.state[parameter] = {
+            "step": torch.zeros((), device=parameter.device),
+            "exp_avg": torch.zeros_like(parameter),
+            "exp_avg_sq": torch.zeros_like(parameter),
+        }
 
     @torch.no_grad()
     def step(self, closure: Any = None) -> None:  # type: ignore[override]  # nothing is evaluated again
         moved = [(p, group) for group in self.param_groups for p in group["params"] if p.grad is not None]
         if not moved:
             return
-        for parameter, _ in moved:
-            state = self.state[parameter]
-            if not state:
-                state["step"] = torch.zeros((), device=parameter.device)
-                state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(parameter), torch.zeros_like(parameter)
         skipped = getattr(self, "found_inf", None)
         taken = torch.ones_like(self.state[moved[0][0]]["step"]) if skipped is None else 1 - skipped
         counts = [self.state[parameter]["step"] for parameter, _ in moved]
@@ -77,7 +87,7 @@ def set_rate(group: dict[str, Any], rate: float) -> None:
 
 
 def optimizer_state(optimizer: torch.optim.Optimizer, parameters: Mapping[str, Tensor]) -> dict[str, Any]:
-    """What Adam remembers of each parameter that it has moved, and its learning rate, by the parameter's name."""
+    """What Adam remembers of each parameter, nothing of some that it has not moved, and its rate, by the names."""
     rates = {id(parameter): group["lr"] for group in optimizer.param_groups for parameter in group["params"]}
     return {
         name: {"lr": float(rates[id(parameter)]), **optimizer.state.get(parameter, {})}
@@ -93,6 +103,9 @@ def restore_optimizer(
     for name, parameter in parameters.items():
         moments = {key: value.to(parameter.device) for key, value in state[name].items() if key != "lr"}
         set_rate(groups[id(parameter)], float(state[name]["lr"]))
-        optimizer.state.pop(parameter, None)
         if moments:
             optimizer.state[parameter] = moments
+        elif isinstance(optimizer, KernelAdam):
+            optimizer.forget(parameter)
+        else:
+            optimizer.state.pop(parameter, None)

@@ -200,6 +200,22 @@ def test_a_recorded_step_learns_what_the_step_without_a_graph_does_cuda(kind, mo
 
 
 @needs_cuda
+def test_a_map_that_has_doubled_remembers_its_gradients_cuda():
+    method, scene, since = create_method("envmap", CAPTURED["envmap"], device="cuda"), picture(width=96, height=72), 0
+    method.initialize(scene, STEPS)
+    sizes = []
+    for step in range(1, STEPS + 1):
+        method.training_step(scene.train[0], step)
+        sizes.append(method.texels.shape[1])
+        since = since + 1 if sizes[-2:] == sizes[-1:] * 2 else 1
+    method.settle()
+    assert len(set(sizes)) > 2
+    assert method._steps._graph is not None
+    assert 1 < since < STEPS
+    assert int(method._texel_optimizer.state[method.texels]["step"]) == since
+
+
+@needs_cuda
 def test_garbage_waits_until_a_recording_ends_cuda():
     """Methods refer to themselves, so their graphs are freed when Python looks for garbage: here, at every chance."""
     scene, thresholds = picture(width=96, height=72), gc.get_threshold()
