@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from envgs_bench.core import Camera, Scene, View
 
@@ -21,6 +22,8 @@ from .scenes import SCENES
 from .settings import ToySettings
 from .world import World
 
+SLIVER = 1e-3  # of the pixels of all views: a region with fewer is none
+
 
 def make_scene(choice: ToySettings, name: str) -> Scene:
     """The scene that these settings describe."""
@@ -35,7 +38,7 @@ def make_scene(choice: ToySettings, name: str) -> Scene:
     def make_view(index: int) -> View:
         return _view(world, cameras[index], f"{index:04d}", choice.supersampling, for_views[index])
 
-    views = on_disk(streamed("tracing views", make_view, range(choice.views)))
+    views = _without_slivers(on_disk(streamed("tracing views", make_view, range(choice.views))))
     train, test = split_views(views, name)
     val = validation_of(train)  # with exact normals, as test views
     points, colors = sfm_points(train, choice.noise, description.far_points, for_points)
@@ -44,6 +47,17 @@ def make_scene(choice: ToySettings, name: str) -> Scene:
     as_bytes = np.round(255 * colors) / 255  # a point's color has 8 bits wherever structure from motion stores it
     cloud = torch.from_numpy(points).float(), torch.from_numpy(as_bytes).float()
     return Scene(name, train, test, *cloud, val=val)
+
+
+def _without_slivers(views: list[View]) -> list[View]:
+    """The views with regions left empty that hardly any pixel belongs to: a score of a pixel or two says nothing."""
+    pixels = sum(view.camera.width * view.camera.height for view in views)
+    counts = {name: sum(int(view.masks[name].sum()) for view in views) for name in views[0].masks}
+
+    def emptied(masks: dict[str, Tensor]) -> dict[str, Tensor]:
+        return {n: torch.zeros_like(mask) if counts[n] < SLIVER * pixels else mask for n, mask in masks.items()}
+
+    return [replace(view, masks=emptied(view.masks)) for view in views]
 
 
 def _view(world: World, camera: Camera, name: str, supersampling: int, rng: np.random.Generator) -> View:

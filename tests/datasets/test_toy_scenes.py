@@ -85,7 +85,7 @@ def test_regions_say_what_a_scene_is_for(load: Load) -> None:
     assert share("chrome_room", "reflective") > 0.2
     assert share("chrome_room", "near_field") > 0.9 * share("chrome_room", "reflective")
     assert share("sky_ball", "reflective") > 0.2
-    assert share("sky_ball", "near_field") < 0.001
+    assert share("sky_ball", "near_field") == 0  # where the ball's edge shows the ground, a pixel a view, is no region
     assert share("diffuse_room", "reflective") == 0
     assert 0.4 < share("lacquered_table", "near_field") / share("lacquered_table", "reflective") < 0.75
     for name in ("facing_mirrors", "wavy_mirror", "thin_rails"):
