@@ -53,9 +53,10 @@ def _without_slivers(views: list[View]) -> list[View]:
     """The views with regions left empty that hardly any pixel belongs to: a score of a pixel or two says nothing."""
     pixels = sum(view.camera.width * view.camera.height for view in views)
     counts = {name: sum(int(view.masks[name].sum()) for view in views) for name in views[0].masks}
+    slivers = [name for name, count in counts.items() if 0 < count < SLIVER * pixels]
 
     def emptied(masks: dict[str, Tensor]) -> dict[str, Tensor]:
-        return {n: torch.zeros_like(mask) if counts[n] < SLIVER * pixels else mask for n, mask in masks.items()}
+        return masks | {name: torch.zeros_like(masks[name]) for name in slivers}
 
     return [replace(view, masks=emptied(view.masks)) for view in views]
 
