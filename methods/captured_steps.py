@@ -10,12 +10,9 @@ applies, and the step is taken again as it would have been without a graph.
 
 from __future__ import annotations
 
-import gc
 from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Mapping
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import cache
 from operator import is_
 
 import torch
@@ -23,7 +20,8 @@ from torch import Tensor
 
 from envgs_bench.core import View
 
-SPARE_BYTES = 1 << 30  # that torch may keep for nothing; sizes change with each recording, and it keeps all of them
+from .recording import on_own_stream, own_camera, recorded
+
 IN_FLIGHT = 1  # steps that the device may be behind when another is launched: it then never waits for the host
 
 
@@ -56,7 +54,7 @@ Learn = Callable[[View, int], StepNumbers]
 class CapturedSteps:
     """Takes a method's steps: the first of each kind one kernel after the other, those that repeat it from a graph.
 
-    Steps are taken within `on_training_stream`, and so is all else that differentiates what they train.
+    Steps are taken within `on_own_stream`, and so is all else that differentiates what they train.
 
     Args:
         learn: all of a step's work on the device, from a view that is there. It must not wait for the device, and must
@@ -105,7 +103,7 @@ class CapturedSteps:
             view, step, numbers, copy = self._under_way.popleft()
             if not copy.is_finite():
                 # Whoever settles may only be drawing.
-                with on_training_stream(numbers.values.device), torch.enable_grad():
+                with on_own_stream(numbers.values.device), torch.enable_grad():
                     again = self._learn_again(view, step).values
                     numbers.values.copy_(again)
                 if bool(again.isfinite().all()):  # so it was the graph that had too little room
@@ -129,20 +127,9 @@ class _Graph:
     """One recording of `learn`, with its own copy of a view to read."""
 
     def __init__(self, kind: Hashable, holds: tuple[Tensor, ...], learn: Learn, view: View, step: int) -> None:
-        _give_back_spare(view.image.device)
         self._kind, self._holds = kind, holds
         self._view = _copied(view)
-        self._graph = torch.cuda.CUDAGraph()
-        with _no_collection():
-            # Without torch.cuda.graph(), which empties the allocator's caches and so waits for the device.
-            self._graph.capture_begin(capture_error_mode="thread_local")
-            try:
-                self._numbers = learn(self._view, step)
-            except BaseException:
-                with suppress(RuntimeError):  # that the recording is none: why, is what is being raised
-                    self._graph.capture_end()
-                raise
-            self._graph.capture_end()
+        self._graph, self._numbers = recorded(lambda: learn(self._view, step), view.image.device)
 
     def serves(self, kind: Hashable, holds: tuple[Tensor, ...]) -> bool:
         return kind == self._kind and len(holds) == len(self._holds) and all(map(is_, holds, self._holds))
@@ -154,60 +141,9 @@ class _Graph:
         return replace(self._numbers, values=self._numbers.values.clone())
 
 
-@contextmanager
-def on_training_stream(device: torch.device) -> Iterator[None]:
-    """What is launched in here comes after what the caller has launched and before what the caller launches next.
-
-    It goes to a stream of its own, on a CPU nowhere else. The default stream cannot be recorded, and a gradient is
-    handed to a parameter on the stream on which the parameter was first used: for as long as some thread of autograd's
-    holds on to that, a recording on another stream would drag the first one in, and fail.
-    """
-    if device.type != "cuda":
-        yield
-        return
-    outside, stream = torch.cuda.current_stream(device), _training_stream(device)
-    if outside == stream:
-        yield
-        return
-    stream.wait_stream(outside)
-    try:
-        with torch.cuda.stream(stream):
-            yield
-    finally:
-        outside.wait_stream(stream)
-
-
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """Python collects no garbage in here: freeing another graph, or what is mapped for it, would end a recording."""
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()
-
-
-def _give_back_spare(device: torch.device) -> None:
-    """Leave a GPU's memory to others that share it: what earlier recordings took, torch does not reuse for the next."""
-    if torch.cuda.memory_reserved(device) > SPARE_BYTES + torch.cuda.memory_allocated(device):
-        torch.cuda.empty_cache()
-
-
-@cache
-def _training_stream(device: torch.device) -> torch.cuda.Stream:
-    return torch.cuda.Stream(device)
-
-
 def _copied(view: View) -> View:
-    camera = replace(
-        view.camera,
-        world_to_camera=view.camera.world_to_camera.clone(),
-        intrinsics=view.camera.intrinsics.clone(),
-    )
     normal = None if view.normal is None else view.normal.clone()
-    return replace(view, camera=camera, image=view.image.clone(), normal=normal)
+    return replace(view, camera=own_camera(view.camera), image=view.image.clone(), normal=normal)
 
 
 def _tensors(view: View) -> Iterator[Tensor]:

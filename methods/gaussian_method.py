@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping
 from fractions import Fraction
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -14,7 +14,7 @@ from envgs_bench.parts import ALPHA, BASE, BETA, MONO
 
 from .adam import step_together
 from .base_growth import BaseGrowth, max_base_primitives
-from .captured_steps import CapturedSteps, StepNumbers, on_training_stream
+from .captured_steps import CapturedSteps, StepNumbers
 from .checkpoint import on_device
 from .densification import DensificationRule, Oversized, screen_criterion
 from .frustum import in_view
@@ -22,6 +22,7 @@ from .gaussian_model import GaussianModel
 from .gradients import RememberedGradients, all_finite, largest_magnitudes
 from .losses import training_psnr
 from .pruning import prune
+from .recording import on_own_stream
 from .resident_views import ResidentViews
 from .schedule import DENSIFY_FLOOR, Schedule
 from .settings import GaussianSettings, check_words
@@ -59,7 +60,6 @@ class GaussianMethod(GaussianModel):
     """
 
     started_from: Scene
-    captured: ClassVar[bool] = False  # a GPU records its steps: all that the host decides in one is in `phase`
 
     def __init__(self, settings: GaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
@@ -109,7 +109,7 @@ class GaussianMethod(GaussianModel):
             beta=self.initial_beta(),
             orientation=cast(Orientation, self.settings.initial_orientation),
         )
-        self.prepared.clear()
+        self.forget_prepared()
 
     def training_state(self) -> dict[str, Any]:
         self.settle()
@@ -138,12 +138,12 @@ class GaussianMethod(GaussianModel):
     # A training step
 
     def training_step(self, view: View, step: int) -> dict[str, Tensor]:
-        with on_training_stream(self.device):
+        with on_own_stream(self.device):
             return self._step(view, step)
 
     def _step(self, view: View, step: int) -> dict[str, Tensor]:
         view = self._views.on_device(view)
-        self.prepared.clear()
+        self.forget_prepared()
         self.before_step(step)
         self.set_learning_rates(step)
         if self._captures():
@@ -199,9 +199,6 @@ class GaussianMethod(GaussianModel):
     def _learn_again(self, view: View, step: int) -> StepNumbers:
         self.skipped_steps -= 1  # the first try
         return self._learn(view, step)
-
-    def _captures(self) -> bool:
-        return self.captured and self.device.type == "cuda"
 
     def settle(self) -> None:
         self._steps.settle()

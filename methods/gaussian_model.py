@@ -13,6 +13,7 @@ from envgs_bench.core import Camera, GaussianSet, Rendering, Statistics, rasteri
 from envgs_bench.parts import BASE, SETS
 
 from .budget import Budget, SharedBudget
+from .captured_frames import CapturedFrames
 from .checkpoint import read_checkpoint, write_checkpoint
 from .method import Method
 from .parameters import GaussianParameters, LearningRates, primitive_bytes
@@ -45,6 +46,7 @@ class GaussianModel(Method):
     Settings: ClassVar[type] = GaussianSettings
     settings: GaussianSettings
     axes: ClassVar[int]  # 2: surfels, 3: 3D Gaussians
+    captured: ClassVar[bool] = False  # a GPU records pictures and steps: what the host decides in one is in `phase`
 
     def __init__(self, settings: GaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
@@ -56,6 +58,7 @@ class GaussianModel(Method):
         self.background = torch.zeros(3, device=self.device)
         self.max_base = settings.max_primitives
         self._budget: SharedBudget | None = None
+        self._frames = CapturedFrames(lambda camera: self.draw(camera, None)[0], self.device)
 
     # What is drawn
 
@@ -63,11 +66,22 @@ class GaussianModel(Method):
     def render(self, camera: Camera) -> Rendering:
         if not self.prepared:
             self.prepare()
+        if self._captures():
+            return self._frames.draw(camera)
         return self.draw(camera.to(self.device), None)[0]
 
     @torch.no_grad()
     def prepare(self) -> None:
+        self.forget_prepared()
         self.prepared = {name: trained.parameters.gaussians() for name, trained in self.sets.items()}
+
+    def forget_prepared(self) -> None:
+        """What images are drawn from is no more what the sets are."""
+        self.prepared.clear()
+        self._frames.forget()
+
+    def _captures(self) -> bool:
+        return self.captured and self.device.type == "cuda"
 
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
         """The picture [H, W, …], and the statistics of each set's passes.
@@ -204,7 +218,7 @@ class GaussianModel(Method):
             raise ValueError(
                 f"{folder}: its checkpoint lacks what the method needs ({error!r}); train again"
             ) from error
-        self.prepared.clear()
+        self.forget_prepared()
 
     def state(self) -> dict:
         """What `save` writes: tensors, numbers, strings, and dictionaries of them."""

@@ -6,18 +6,16 @@ import math
 
 import pytest
 import torch
-from recordable import WaitsForTheDevice
-from small_methods import SMALL
+from recordable import CAPTURED, WaitsForTheDevice, pinhole, points_scene
 
-from envgs_bench.core import Camera, Scene, View
-from envgs_bench.methods import captured_steps
+from envgs_bench.core import Scene, View
+from envgs_bench.methods import captured_steps, recording
 from envgs_bench.methods.budget import Budget
 from envgs_bench.methods.captured_steps import CapturedSteps, StepNumbers
 from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.registry import create_method, method_names
 
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
-CAPTURED = {kind: SMALL[kind] for kind in ("2dgs", "3dgs", "envmap", "envgs", "envgs_single_set", "3dgs_dr")}
 STEPS = 80
 
 
@@ -72,10 +70,6 @@ class Learner:
     def take(self, step, name="view", phase=0, holds=()):
         view = View(name, pinhole(), torch.zeros(4, 4, 3, dtype=torch.uint8))
         return self.steps.take(view, step, phase, holds)
-
-
-def pinhole(width=4, height=4):
-    return Camera(torch.eye(4), torch.tensor([[4.0, 0, 2], [0, 4, 2], [0, 0, 1]]), width, height)
 
 
 def test_the_first_step_of_a_phase_is_taken_without_a_graph_and_others_share_one(plain_graphs):
@@ -146,7 +140,7 @@ class CrampedGraph(PlainGraph):
 @pytest.mark.parametrize("kind", CAPTURED)
 def test_steps_from_graphs_are_those_without(kind, plain_graphs, monkeypatch):
     """On the CPU, where both are the same to the last bit: events, rates and phases come at the same steps."""
-    scene, trained = picture(), {}
+    scene, trained = points_scene(), {}
     for captures in (False, True):
         method = create_method(kind, {"backend": "cpu", **CAPTURED[kind]})
         monkeypatch.setattr(method, "_captures", lambda captures=captures: captures)
@@ -161,7 +155,7 @@ def test_steps_from_graphs_are_those_without(kind, plain_graphs, monkeypatch):
 def test_a_step_that_lacked_room_is_taken_again_before_a_picture_is_drawn(plain_graphs, monkeypatch):
     monkeypatch.setattr(captured_steps, "_Graph", CrampedGraph)
     monkeypatch.setattr(CrampedGraph, "replays", 0)
-    method, scene = create_method("2dgs", {"backend": "cpu"}), picture()
+    method, scene = create_method("2dgs", {"backend": "cpu"}), points_scene()
     monkeypatch.setattr(method, "_captures", lambda: True)
     method.initialize(scene, 1000)
     rows = [method.training_step(scene.train[step % 4], step) for step in range(1, 6)]  # the last one from a graph
@@ -174,7 +168,7 @@ def test_a_step_that_lacked_room_is_taken_again_before_a_picture_is_drawn(plain_
 def test_a_picture_that_lacked_room_is_no_skipped_step(plain_graphs, monkeypatch):
     monkeypatch.setattr(captured_steps, "_Graph", CrampedGraph)
     monkeypatch.setattr(CrampedGraph, "replays", 0)
-    method, scene = create_method("2dgs", {"backend": "cpu"}), picture()
+    method, scene = create_method("2dgs", {"backend": "cpu"}), points_scene()
     monkeypatch.setattr(method, "_captures", lambda: True)
     losses = train(method, scene, steps=12, of=1000)
     assert CrampedGraph.recorded == 2
@@ -187,7 +181,7 @@ def test_a_picture_that_lacked_room_is_no_skipped_step(plain_graphs, monkeypatch
 @pytest.mark.parametrize("kind", CAPTURED)
 def test_a_recorded_step_learns_what_the_step_without_a_graph_does_cuda(kind, monkeypatch):
     """Sums of gradients come in any order on a GPU, so runs part: slowly, and around the same losses."""
-    scene, curves = picture(width=96, height=72), {}
+    scene, curves = points_scene(width=96, height=72), {}
     for captures in (False, True):
         method = create_method(kind, CAPTURED[kind], device="cuda")
         monkeypatch.setattr(method, "_captures", lambda captures=captures: captures)
@@ -201,9 +195,9 @@ def test_a_recorded_step_learns_what_the_step_without_a_graph_does_cuda(kind, mo
 
 @needs_cuda
 def test_a_map_that_has_doubled_remembers_its_gradients_cuda():
-    method, scene, since = create_method("envmap", CAPTURED["envmap"], device="cuda"), picture(width=96, height=72), 0
+    method, scene = create_method("envmap", CAPTURED["envmap"], device="cuda"), points_scene(width=96, height=72)
     method.initialize(scene, STEPS)
-    sizes = []
+    sizes, since = [], 0
     for step in range(1, STEPS + 1):
         method.training_step(scene.train[0], step)
         sizes.append(method.texels.shape[1])
@@ -218,7 +212,7 @@ def test_a_map_that_has_doubled_remembers_its_gradients_cuda():
 @needs_cuda
 def test_garbage_waits_until_a_recording_ends_cuda():
     """Methods refer to themselves, so their graphs are freed when Python looks for garbage: here, at every chance."""
-    scene, thresholds = picture(width=96, height=72), gc.get_threshold()
+    scene, thresholds = points_scene(width=96, height=72), gc.get_threshold()
     gc.disable()
     try:
         for seed in range(3):
@@ -237,8 +231,8 @@ def test_garbage_waits_until_a_recording_ends_cuda():
 
 @needs_cuda
 def test_memory_of_earlier_recordings_is_given_back_cuda(monkeypatch):
-    monkeypatch.setattr(captured_steps, "SPARE_BYTES", 0)
-    method, scene = create_method("2dgs", {}, device="cuda"), picture(width=96, height=72)
+    monkeypatch.setattr(recording, "SPARE_BYTES", 0)
+    method, scene = create_method("2dgs", {}, device="cuda"), points_scene(width=96, height=72)
     method.initialize(scene, 1000)
     reserved = []
     for step in range(1, 13):
@@ -254,7 +248,7 @@ def test_an_image_that_outgrows_its_graph_is_learned_all_the_same_cuda(monkeypat
     from envgs_bench.core.cuda import raster_pass
 
     monkeypatch.setattr(raster_pass, "MIN_CAPACITY", 1)
-    method, scene = create_method("2dgs", {}, device="cuda"), picture(width=96, height=72)
+    method, scene = create_method("2dgs", {}, device="cuda"), points_scene(width=96, height=72)
     method.initialize(scene, 1000)
     for step in range(1, 4):
         method.training_step(scene.train[0], step)
@@ -269,7 +263,7 @@ def test_an_image_that_outgrows_its_graph_is_learned_all_the_same_cuda(monkeypat
 
 @needs_cuda
 def test_a_step_that_is_not_finite_is_skipped_from_a_graph_too_cuda():
-    method, scene = create_method("2dgs", {"mono_weight": 0.1}, device="cuda"), picture(width=96, height=72)
+    method, scene = create_method("2dgs", {"mono_weight": 0.1}, device="cuda"), points_scene(width=96, height=72)
     method.initialize(scene, 1000)
     for step in range(1, 5):
         method.training_step(scene.train[0], step)
@@ -295,7 +289,7 @@ def test_a_step_that_is_not_finite_is_skipped_from_a_graph_too_cuda():
 )
 def test_no_step_waits_for_the_device(kind, settings):
     """In the last steps of a run, when all losses count and reflections are there; a graph could hold nothing else."""
-    method, scene = create_method(kind, {"backend": "cpu", **CAPTURED[kind], **settings}), picture()
+    method, scene = create_method(kind, {"backend": "cpu", **CAPTURED[kind], **settings}), points_scene()
     method.limit(Budget(primitives=5_000))
     train(method, scene, steps=STEPS - 2)
     for step in (STEPS - 1, STEPS):
@@ -317,18 +311,3 @@ def train(method: GaussianMethod, scene: Scene, steps: int = STEPS, of: int = ST
     rows = [method.training_step(scene.train[step % len(scene.train)], step) for step in range(1, steps + 1)]
     method.settle()
     return [{name: float(value) for name, value in row.items()} for row in rows]
-
-
-def picture(width: int = 16, height: int = 12) -> Scene:
-    """Four views of points before a camera that moves to the side."""
-    generator = torch.Generator().manual_seed(5)
-    views = []
-    for k in range(4):
-        pose = torch.eye(4)
-        pose[0, 3] = 0.2 * k
-        intrinsics = torch.tensor([[float(width), 0, width / 2], [0, width, height / 2], [0, 0, 1]])
-        image = torch.randint(0, 256, (height, width, 3), generator=generator, dtype=torch.uint8)
-        normal = torch.tensor([0.0, 0, -1]).expand(height, width, 3).clone()
-        views.append(View(f"view{k}", Camera(pose, intrinsics, width, height), image, normal=normal))
-    points = torch.rand(200, 3, generator=generator) * torch.tensor([3.0, 2.0, 0.5]) + torch.tensor([-1.5, -1, 2.5])
-    return Scene("points", views, views[:1], points, torch.rand(200, 3, generator=generator))
