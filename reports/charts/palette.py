@@ -53,6 +53,7 @@ METHODS = {
     "3dgs_dr": ("3dgs_dr", "P", "cross", 0.0),
     "3dgs_dr_tuned": ("3dgs_dr", "v", "triangle-down", 0.0),
     "gaussian_shader": ("gaussian_shader", "X", "x", 0.0),
+    "gaussian_shader_tuned": ("gaussian_shader", "v", "triangle-down", 0.0),
     "3igs": ("3igs", "*", "star", 0.0),
     "3igs_tuned": ("3igs", "v", "triangle-down", 0.0),
     "ref_gaussian": ("ref_gaussian", "h", "hexagon", 0.0),
