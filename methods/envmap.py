@@ -52,8 +52,13 @@ class EnvMap(MapMethod, ReflectiveMethod):
     def _size_at(self, step: int) -> int:
         """Texels along a face's edge at a step of the training."""
         doublings = DOUBLES_AT[len(DOUBLES_AT) - self.settings.envmap_doublings :]
-        doublings_left = sum(step < self.schedule.at(doubling) for doubling in doublings)
-        return max(2, self.settings.envmap_size >> doublings_left)
+        return self._size_before(sum(step < self.schedule.at(doubling) for doubling in doublings))
+
+    def _size_before(self, doublings: int) -> int:
+        return max(2, self.settings.envmap_size >> doublings)
+
+    def map_sizes(self) -> set[int]:
+        return {self._size_before(doublings) for doublings in range(self.settings.envmap_doublings + 1)}
 
     def reflected_color(
         self, origins: Tensor, directions: Tensor, step: int | None

@@ -69,8 +69,14 @@ class MapMethod(GaussianMethod):
     def restore(self, state: dict) -> None:
         super().restore(state)
         size = state["texels"].shape[1]
-        if size != self.settings.envmap_size:
+        if size not in self.map_sizes():
+            known = " or ".join(map(str, sorted(self.map_sizes())))
             raise ValueError(
-                f"the checkpoint's cube map has {size} texels an edge, envmap_size is {self.settings.envmap_size}"
+                f"the checkpoint's cube map has {size} texels an edge, expected {known}: "
+                f"envmap_size is {self.settings.envmap_size}"
             )
         self._set_texels(state["texels"])
+
+    def map_sizes(self) -> set[int]:
+        """Texels along a face's edge that the map may have at some step of a training."""
+        return {self.settings.envmap_size}

@@ -269,3 +269,23 @@ def test_a_ray_from_a_surfels_own_center_has_a_color_and_gradients(tracer):
     assert relative_error(drawn.color, expected.color) < 1e-5
     for name, gradient in gradients.items():
         assert relative_error(gradient, expected_gradients[name]) < 1e-3, name
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+def test_a_color_that_is_no_number_is_seen_in_the_picture(rasterizer, columns):
+    """Clamped to black, it would be hidden from whoever looks for losses that are not finite. It may spread: 0 · NaN."""
+    gaussians, camera = random_set(40, columns=columns, degree=1, seed=1), plain_camera()
+    gaussians.sh[7] = torch.nan
+    drawn = rasterizer.rasterize(rasterizer.take(gaussians), rasterizer.take(camera)).color
+    expected = ORACLE.rasterize(ORACLE.take(gaussians), ORACLE.take(camera)).color
+    assert expected.isnan().any()
+    assert drawn.isnan().cpu()[expected.isnan()].all()
+
+
+def test_a_color_that_is_no_number_is_seen_along_rays(tracer):
+    gaussians, (origins, directions) = random_set(60, seed=4), random_rays(200)
+    gaussians.sh[7] = torch.nan
+    drawn = tracer.trace(tracer.take(gaussians), tracer.take(origins), tracer.take(directions)).color
+    expected = ORACLE.trace(ORACLE.take(gaussians), ORACLE.take(origins), ORACLE.take(directions)).color
+    assert expected.isnan().any()
+    assert drawn.isnan().cpu()[expected.isnan()].all()

@@ -218,3 +218,17 @@ def test_the_shortest_run_ends_with_a_whole_map(steps, tmp_path):
     method.save(tmp_path)
     create_method("envmap", {"envmap_size": 16}).load(tmp_path)
     assert method.texels.shape[1] == 16
+
+
+@pytest.mark.parametrize("stop", [305, 800, 2_500])
+def test_what_an_interrupted_training_left_is_read_while_its_map_is_small(stop, tmp_path):
+    method = trained_base(envmap_size=32)
+    for step in (301, stop):
+        method.before_step(step)
+    method.save(tmp_path)
+    read = create_method("envmap", {"envmap_size": 32})
+    read.load(tmp_path)
+    assert read.texels.shape[1] == {305: 4, 800: 8, 2_500: 32}[stop]
+    torch.testing.assert_close(read.texels, method.texels)
+    with pytest.raises(ValueError, match="expected 64: envmap_size is 64"):
+        create_method("envmap", {"envmap_size": 64, "envmap_doublings": 0}).load(tmp_path)

@@ -34,7 +34,7 @@ inline void see_colors(const float* const (&sh)[kGroup], int count, Vec3<Float8>
     for (int lane = 0; lane < count; ++lane) {
         Float4 color = Float4{} + 0.5f;
         for (int k = 0; k < K; ++k) color = color + seen.basis[k][lane] * sh_row<K>(sh[lane], k);
-        seen.color[lane] = maximum(color, Float4{});
+        seen.color[lane] = maximum(Float4{}, color);  // in this order: NaN stays NaN
     }
 }
 

@@ -66,7 +66,7 @@ ENVGS_FN Vec3<float> sh_color(const float* sh, Vec3<float> v) {
     sh_basis<Degree>(inverse_length(v) * v, basis);
     Vec3<float> c = {0.5f, 0.5f, 0.5f};
     for (int k = 0; k < K; ++k) c = c + basis[k] * load3(sh + 3 * k);
-    return {maximum(c.x, 0.0f), maximum(c.y, 0.0f), maximum(c.z, 0.0f)};
+    return {maximum(0.0f, c.x), maximum(0.0f, c.y), maximum(0.0f, c.z)};  // in this order: NaN stays NaN
 }
 
 // Adds dL/dsh to g_sh and returns dL/dv; `color` is what sh_color returned.
