@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 from torch.nn import functional
+from torch.nn.utils.rnn import pad_sequence
 
 from envgs_bench.core import View
 
@@ -20,7 +21,7 @@ from .evidence import CELLS, Evidence
 SIZES = (32, 64, 96)  # pixels along both sides of what a picture is resized to, one after the other
 ROUNDS = 8  # Gauss-Newton steps at each size
 DAMPING = 0.01  # × the diagonal of the normal equations
-POINTS_A_VIEW = 1_500
+POINTS_A_VIEW = 1_500  # at most
 HIDDEN = 1.1  # × the depth of the nearest point in a cell: something may be in front of points that are farther
 FEWEST = 30  # points that a view is judged by
 LEAST_SCALE = 0.01  # of differences of sRGB values: smaller ones all count fully
@@ -69,10 +70,11 @@ class _Sights:
 @torch.no_grad()
 def alignment(evidence: Evidence) -> Alignment:
     """The turns that make the views agree with the points' colors; none of a view that shows too few points."""
+    turns = none = torch.eye(3).repeat(len(evidence.views), 1, 1)
+    if not evidence.shown.any():
+        return Alignment(none, torch.zeros(len(none)))
     sights = _sights(evidence)
     pictures = torch.cat([_resized(view.rgb().permute(2, 0, 1)[None], SIZES[-1]) for view in evidence.views])
-    none = torch.eye(3).repeat(len(pictures), 1, 1)
-    turns = none
     for size in SIZES:
         maps = _with_gradients(_resized(pictures, size))
         for _ in range(ROUNDS):
@@ -94,19 +96,20 @@ def turned(view: View, turn: Tensor) -> View:
 
 
 def _sights(evidence: Evidence) -> _Sights:
-    points, colors, known, projections = [], [], [], []
+    points, colors, projections = [], [], []
     for index, view in enumerate(evidence.views):
         camera = view.camera
         in_camera = evidence.points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
         rows = torch.nonzero(_in_front(evidence, index, in_camera[:, 2]))[:, 0]
         rows = rows[:: len(rows) // POINTS_A_VIEW + 1]
-        missing = POINTS_A_VIEW - len(rows)
-        points.append(functional.pad(in_camera[rows], (0, 0, 0, missing), value=1.0))
-        colors.append(functional.pad(evidence.colors[rows], (0, 0, 0, missing)))
-        known.append(torch.arange(POINTS_A_VIEW) < len(rows))
+        points.append(in_camera[rows])
+        colors.append(evidence.colors[rows])
         scale = 2 / camera.intrinsics.new_tensor([[camera.width], [camera.height]])
         projections.append(camera.intrinsics[:2] * scale - camera.intrinsics.new_tensor([0.0, 0.0, 1.0]))
-    return _Sights(*(torch.stack(each) for each in (points, colors, known, projections)))
+    counts = torch.tensor([len(each) for each in points])
+    known = torch.arange(int(counts.max())) < counts[:, None]
+    padded = (pad_sequence(each, batch_first=True, padding_value=1.0) for each in (points, colors))
+    return _Sights(*padded, known, torch.stack(projections))
 
 
 def _in_front(evidence: Evidence, index: int, depths: Tensor) -> Tensor:
@@ -131,12 +134,12 @@ def _with_gradients(pictures: Tensor) -> Tensor:
     return torch.cat([pictures, right * half, down * half], dim=1)
 
 
-def _compared(sights: _Sights, maps: Tensor, turns: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _compared(sights: _Sights, maps: Tensor, turns: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor]]:
     """What turned views show of the points.
 
     Returns:
         [V, K, 3] differences to the points' colors but for the view's own exposure, NaN outside the picture; where the
-        points are, [V, K, 2] as x/z and y/z; and how colors change along these two, [V, K, 3, 2].
+        points are, [V, K, 2] as x/z and y/z; and how colors change there along x and along y, each [V, K, 3].
     """
     points = sights.points @ turns.mT
     at = points[..., :2] / points[..., 2:].clamp_min(1e-6)
@@ -147,8 +150,7 @@ def _compared(sights: _Sights, maps: Tensor, turns: Tensor) -> tuple[Tensor, Ten
     values = functional.grid_sample(maps, pixels[:, :, None], align_corners=False)[..., 0].mT
     differences = torch.where(inside[..., None], values[..., :3] - sights.colors, torch.nan)
     differences = differences - differences.nanmedian(dim=1, keepdim=True).values
-    slopes = values[..., 3:].unflatten(-1, (2, 3)).mT @ scale[:, None]
-    return differences, torch.where(inside[..., None], at, 0.0), slopes
+    return differences, torch.where(inside[..., None], at, 0.0), values[..., 3:].split(3, dim=-1)
 
 
 def _median_difference(differences: Tensor) -> Tensor:
@@ -162,12 +164,13 @@ def _step(sights: _Sights, maps: Tensor, turns: Tensor) -> Tensor:
     A rotation by ω moves a point by ω × p, so that x/z = u and y/z = v change by (−uv, 1 + u², −v) · ω and
     (−1 − v², uv, u) · ω. Differences count as of Geman and McClure, by the scale of the view's median.
     """
-    differences, at, slopes = _compared(sights, maps, turns)
+    differences, at, (along_x, along_y) = _compared(sights, maps, turns)
     scale = _median_difference(differences).clamp_min(LEAST_SCALE)
     weights = (1 + (differences.abs().mean(dim=-1) / scale[:, None]).square()).pow(-2).nan_to_num(0.0)
     u, v = at.unbind(dim=-1)
-    moves = torch.stack([-u * v, 1 + u * u, -v, -1 - v * v, u * v, u], dim=-1).unflatten(-1, (2, 3))
-    effects = slopes @ moves  # [V, K, 3 colors, 3 axes]
+    moves = torch.stack([-u * v, -1 - v * v, 1 + u * u, u * v, -v, u], dim=-1).unflatten(-1, (3, 2))
+    moves = (moves.flatten(1, 2) @ sights.projection[:, :, :2].mT).unflatten(1, (-1, 3))  # [V, K, 3 axes, 2]
+    effects = along_x[..., None] * moves[..., None, :, 0] + along_y[..., None] * moves[..., None, :, 1]
     weighted = (effects * weights[..., None, None]).flatten(1, 2)
     normal = weighted.mT @ effects.flatten(1, 2)
     normal = normal + torch.diag_embed(DAMPING * normal.diagonal(dim1=1, dim2=2) + 1e-4)

@@ -75,7 +75,8 @@ def test_what_shows_nothing_or_too_little_stays_as_it_is(room: Scene) -> None:
     wrong = perturbed(room, "pose_rotation", 3)
     few = replace(wrong, points=room.points[: FEWEST - 1], point_colors=room.point_colors[: FEWEST - 1])
     blank = replace(wrong, train=[replace(view, image=torch.zeros_like(view.image)) for view in wrong.train])
+    unseen = replace(wrong, train=wrong.train[:1], points=wrong.train[0].camera.center.repeat(50, 1))
     at_cameras = perturbed(wrong, "points_at_cameras", 3)
-    for scene in (few, blank):
+    for scene in (few, blank, unseen):
         assert degrees_between(aligned_views(scene), scene.train).max() == 0
     assert alignment(Evidence.of(at_cameras, 0.0)).turns.isfinite().all()
