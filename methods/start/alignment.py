@@ -108,8 +108,9 @@ def _sights(evidence: Evidence) -> _Sights:
         projections.append(camera.intrinsics[:2] * scale - camera.intrinsics.new_tensor([0.0, 0.0, 1.0]))
     counts = torch.tensor([len(each) for each in points])
     known = torch.arange(int(counts.max())) < counts[:, None]
-    padded = (pad_sequence(each, batch_first=True, padding_value=1.0) for each in (points, colors))
-    return _Sights(*padded, known, torch.stack(projections))
+    points_of_all = pad_sequence(points, batch_first=True, padding_value=1.0)
+    colors_of_all = pad_sequence(colors, batch_first=True)
+    return _Sights(points_of_all, colors_of_all, known, torch.stack(projections))
 
 
 def _in_front(evidence: Evidence, index: int, depths: Tensor) -> Tensor:
