@@ -62,6 +62,7 @@ WarningKind = Literal[
     "views_sparse",  # of the scene, before any step: neighboring views are too far apart
     "points_missing",  # the views show much where no point is
     "points_unsupported",  # the points have not the colors of what the views show there
+    "poses_off",  # most views agree with the points' colors only when turned
     "normals_mirrored",  # some views' agree with the others' only when mirrored
 ]
 

@@ -9,20 +9,23 @@ from __future__ import annotations
 import torch
 
 from envgs_bench.core import Scene
+from envgs_bench.methods.start.alignment import alignment
 from envgs_bench.methods.start.evidence import Evidence, empty_cells
 from envgs_bench.methods.start.mending import MISSING, UNSUPPORTED
 from envgs_bench.records import TrainingWarning, WarningKind
 
 SPARSE = 12.0  # degrees between the two nearest views of a point from which views are too few to agree on its depth
+POSES_OFF = 0.075  # share of its differences to the points' colors that the median view loses when it is turned
 
 
 def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[TrainingWarning]:
-    """What training views, points and normals warn of; each of step 0. All pixels are looked at on `device`."""
+    """What training views, their poses, points and normals warn of; each of step 0. `device` looks at all pixels."""
     if not len(scene.points):
         return []  # the method refuses them
     evidence = Evidence.of(scene, scene.free_space)
     covered = empty_cells(scene, scene.free_space, device)[1]
     support, parallax = evidence.support(), evidence.parallax()
+    aligned = alignment(evidence)
     mirrored, views = len(evidence.mirrored_views()), len(scene.train)
     found: list[tuple[WarningKind, bool, str]] = [
         (
@@ -41,6 +44,13 @@ def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[Tra
             support < UNSUPPORTED,
             f"the points' colors are only {support:.0%} nearer to what the views show there than other points' are: "
             "the points, or the poses, are not those of the pictures",
+        ),
+        (
+            "poses_off",
+            # Points that are wrong or missing, or have no colors, say nothing of poses.
+            aligned.gain > POSES_OFF and support >= UNSUPPORTED and covered >= MISSING and not evidence.colorless,
+            f"the training views agree {aligned.gain:.0%} better with the points' colors once they are turned, the "
+            f"median view by {aligned.degrees:.1f}°: their poses may be off",
         ),
         (
             "normals_mirrored",

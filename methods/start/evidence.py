@@ -78,11 +78,19 @@ class Evidence:
         """
         if not self.shown.any():
             return 0.0
-        order = torch.randperm(len(self.colors), generator=torch.Generator().manual_seed(0))
-        if float((self.colors - self.colors[order]).abs().mean()) < COLORLESS:
+        if self.colorless:
             return 1.0
-        own, others = (self._difference(colors) for colors in (self.colors, self.colors[order]))
+        own, others = (self._difference(colors) for colors in (self.colors, self._shuffled_colors))
         return 1 - own / max(others, 1e-6)
+
+    @property
+    def colorless(self) -> bool:
+        """Whether all points have about one color, so that theirs say nothing of points or views."""
+        return float((self.colors - self._shuffled_colors).abs().mean()) < COLORLESS
+
+    @property
+    def _shuffled_colors(self) -> Tensor:
+        return self.colors[torch.randperm(len(self.colors), generator=torch.Generator().manual_seed(0))]
 
     def _difference(self, colors: Tensor) -> float:
         known = self.shown.any(dim=0)

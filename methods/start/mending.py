@@ -1,24 +1,27 @@
-"""Points and normals that a method would not survive as they are given, judged by the photographs alone, and mended.
+"""Points, poses and normals that a method would not survive as given, judged by the photographs alone, and mended.
 
 Where structure from motion failed (points that the pictures do not support, none where the pictures show something, at
-the cameras' centers), a plane sweep finds others. A scene in order is left as it is, to the last bit.
+the cameras' centers), a plane sweep finds others. Views that show the points elsewhere than their poses say are turned.
+A scene in order is left as it is, to the last bit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
 from envgs_bench.core import Scene, View
 
+from .alignment import alignment, turned
 from .evidence import CELLS, Evidence, empty_cells
 from .plane_sweep import swept_points
 
 UNSUPPORTED = 0.04  # `Evidence.support` below which points are where chance put them
 MISSING = 0.7  # share of a view's cells with a point below which pictures show much that no point starts
+TURNED = 0.12  # share of its differences to the points' colors that the median view must lose when it is turned
 PER_CELL = 3  # pixels of each empty cell of a view that are swept
 TRIED = 4  # × as many are drawn, and those with the strongest gradients are taken
 NEAREST, FARTHEST = 0.1, 20.0  # depths that are swept, × the scene radius
@@ -31,11 +34,13 @@ class Mended:
 
     Attributes:
         scene: the scene itself where its points are in order, else one with others.
+        turns: by the training views' names the rotations [3, 3] after their own, none where poses are in order.
         mirrored: names of the training views whose normals are to be mirrored from left to right.
         notes: what is not as it was given, a sentence each.
     """
 
     scene: Scene
+    turns: Mapping[str, Tensor] = field(default_factory=dict)
     mirrored: frozenset[str] = frozenset()
     notes: Sequence[str] = ()
 
@@ -48,16 +53,20 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
         normals: whether the views' own normals are learned from.
     """
     start, mirrored, notes = mended_points(scene, near, generator, device), frozenset[str](), []
+    turns = mended_poses(scene, near) if start is scene else {}  # points that were not in order say nothing of poses
+    if turns:
+        notes.append(f"turns {len(turns)} of {len(scene.train)} training views to where they show the points")
     if start is not scene:
         notes.append(
             f"starts from {len(start.points):,} points in place of {len(scene.points):,}: "
             "those that the training views support, and others found by a plane sweep over them"
         )
     if normals:
-        mirrored = frozenset(Evidence.of(start, near).mirrored_views())
+        views = [turned(view, turns[view.name]) if view.name in turns else view for view in scene.train]
+        mirrored = frozenset(Evidence.of(replace(start, train=views), near).mirrored_views())
     if mirrored:
         notes.append(f"mirrors the normals of {len(mirrored)} of {len(scene.train)} training views back")
-    return Mended(start, mirrored, notes)
+    return Mended(start, turns, mirrored, notes)
 
 
 @torch.no_grad()
@@ -76,6 +85,17 @@ def mended_points(scene: Scene, near: float, generator: torch.Generator, device:
     if len(points) < MIN_POINTS:
         return scene
     return replace(scene, points=points, point_colors=colors)
+
+
+def mended_poses(scene: Scene, near: float) -> dict[str, Tensor]:
+    """Rotations [3, 3] to follow those of the training views, by name; none where poses are in order."""
+    evidence = Evidence.of(scene, near)
+    if evidence.colorless or evidence.support() < UNSUPPORTED:
+        return {}
+    found = alignment(evidence)
+    if found.gain < TURNED:
+        return {}
+    return {view.name: turn for view, turn, gain in zip(scene.train, found.turns, found.gains, strict=True) if gain > 0}
 
 
 def without_points_at_cameras(scene: Scene, near: float) -> Scene:

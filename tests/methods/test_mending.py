@@ -1,4 +1,4 @@
-"""Points and normals that the photographs contradict are found and mended; what is in order stays as it is."""
+"""Points, poses and normals that the photographs contradict are mended; what is in order stays as it is."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.resident_views import ResidentViews
 from envgs_bench.methods.start.evidence import Evidence
-from envgs_bench.methods.start.mending import mended_points
+from envgs_bench.methods.start.mending import mended as mended_scene
+from envgs_bench.methods.start.mending import mended_points, mended_poses
 from envgs_bench.methods.start.plane_sweep import swept_points
 
 NEAR = 0.2
@@ -50,6 +51,7 @@ def off_surfaces(points: torch.Tensor, scene: Scene) -> np.ndarray:
 
 def test_what_is_in_order_stays_as_it_is(room: Scene) -> None:
     assert mended(room) is room
+    assert mended_poses(room, NEAR) == {}
     assert Evidence.of(room, NEAR).mirrored_views() == []
 
 
@@ -93,6 +95,25 @@ def test_views_with_mirrored_normals_are_found_and_mirrored_back(room: Scene, sh
     views = ResidentViews(CPU, room=0, mirrored=changed)
     for exact, view in zip(room.train, broken.train, strict=True):
         torch.testing.assert_close(views.on_device(view).normal, exact.normal, atol=1e-5, rtol=0)
+
+
+def test_views_are_learned_from_as_they_are_turned_back(room: Scene) -> None:
+    """Their normals, too, which had turned with them; those of mirrored ones are mirrored about the mended axes."""
+    broken = worst(room, "pose_rotation")
+    views = ResidentViews(CPU, room=0, turns=mended_poses(broken, NEAR))
+    off = {"given": [], "mended": []}
+    for exact, view in zip(room.train, broken.train, strict=True):
+        for kind, each in (("given", view), ("mended", views.on_device(view))):
+            off[kind].append(float((each.normal - exact.normal).norm(dim=-1).mean()))
+            torch.testing.assert_close(each.camera.center, exact.camera.center, atol=1e-5, rtol=0)
+    assert np.mean(off["mended"]) < np.mean(off["given"]) / 5
+
+
+def test_points_that_are_missing_or_of_one_color_turn_no_view(room: Scene) -> None:
+    broken = worst(room, "pose_rotation")
+    assert mended_poses(replace(broken, point_colors=torch.full_like(room.point_colors, 0.5)), NEAR) == {}
+    few = replace(broken, points=broken.points[::12], point_colors=broken.point_colors[::12])
+    assert mended_scene(few, NEAR, False, torch.Generator().manual_seed(0), CPU).turns == {}
 
 
 def test_published_recipes_take_points_and_normals_as_they_are_given() -> None:

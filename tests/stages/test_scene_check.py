@@ -15,6 +15,8 @@ from envgs_bench.stages.scene_check import scene_warnings
 
 SAYS = {  # kind of data -> what is said from which severity on
     "views": (2, ["views_sparse"]),
+    "pose_rotation": (3, ["poses_off"]),
+    "pose_translation": (3, ["poses_off"]),
     "points_fewer": (2, ["points_missing"]),
     "points_at_cameras": (3, ["points_missing", "points_unsupported"]),
     "points_near_cameras": (1, ["points_missing"]),
@@ -63,6 +65,11 @@ def test_nothing_is_said_of_a_scene_in_order(room: Scene) -> None:
 def test_random_points_that_come_without_colors_are_what_synthetic_scenes_start_from(room: Scene) -> None:
     colors = torch.full_like(room.point_colors, 0.5) + torch.rand(room.point_colors.shape) * 0.001
     assert said(replace(perturbed(room, "points_random", 1), point_colors=colors)) == []
+
+
+def test_points_of_one_color_say_nothing_of_poses(room: Scene) -> None:
+    broken = perturbed(room, "pose_rotation", 3)
+    assert said(replace(broken, point_colors=torch.full_like(room.point_colors, 0.5))) == []
 
 
 def test_no_view_that_lacks_texture_normals_or_neighbors_is_an_error(room: Scene) -> None:
