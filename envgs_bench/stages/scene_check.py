@@ -25,7 +25,7 @@ def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[Tra
     evidence = Evidence.of(scene, scene.free_space)
     covered = empty_cells(scene, scene.free_space, device)[1]
     support, parallax = evidence.support(), evidence.parallax()
-    aligned = alignment(evidence)
+    aligned = alignment(evidence, device)
     mirrored, views = len(evidence.mirrored_views()), len(scene.train)
     found: list[tuple[WarningKind, bool, str]] = [
         (

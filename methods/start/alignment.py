@@ -66,15 +66,22 @@ class _Sights:
     known: Tensor
     projection: Tensor
 
+    def to(self, device: torch.device | str) -> _Sights:
+        return _Sights(*(values.to(device) for values in vars(self).values()))
+
 
 @torch.no_grad()
-def alignment(evidence: Evidence) -> Alignment:
-    """The turns that make the views agree with the points' colors; none of a view that shows too few points."""
-    turns = none = torch.eye(3).repeat(len(evidence.views), 1, 1)
+def alignment(evidence: Evidence, device: torch.device | str = "cpu") -> Alignment:
+    """The turns that make the views agree with the points' colors; none of a view that shows too few points.
+
+    Args:
+        device: where all pixels and points are looked at; what is found is on the CPU.
+    """
+    turns = none = torch.eye(3, device=device).repeat(len(evidence.views), 1, 1)
     if not evidence.shown.any():
-        return Alignment(none, torch.zeros(len(none)))
-    sights = _sights(evidence)
-    pictures = torch.cat([_resized(view.rgb().permute(2, 0, 1)[None], SIZES[-1]) for view in evidence.views])
+        return Alignment(none.cpu(), torch.zeros(len(none)))
+    sights = _sights(evidence).to(device)
+    pictures = torch.cat([_resized(view.rgb(device).permute(2, 0, 1)[None], SIZES[-1]) for view in evidence.views])
     for size in SIZES:
         maps = _with_gradients(_resized(pictures, size))
         for _ in range(ROUNDS):
@@ -82,7 +89,7 @@ def alignment(evidence: Evidence) -> Alignment:
     before, after = (_median_difference(_compared(sights, maps, each)[0]) for each in (none, turns))
     gains = 1 - after / before.clamp_min(1e-6)
     better = (sights.known.sum(dim=1) >= FEWEST) & (gains > 0)
-    return Alignment(torch.where(better[:, None, None], turns, none), torch.where(better, gains, 0.0))
+    return Alignment(torch.where(better[:, None, None], turns, none).cpu(), torch.where(better, gains, 0.0).cpu())
 
 
 def turned(view: View, turn: Tensor) -> View:

@@ -53,7 +53,8 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
         normals: whether the views' own normals are learned from.
     """
     start, mirrored, notes = mended_points(scene, near, generator, device), frozenset[str](), []
-    turns = mended_poses(scene, near) if start is scene else {}  # points that were not in order say nothing of poses
+    # Points that were not in order say nothing of poses.
+    turns = mended_poses(scene, near, device) if start is scene else {}
     if turns:
         notes.append(f"turns {len(turns)} of {len(scene.train)} training views to where they show the points")
     if start is not scene:
@@ -87,12 +88,12 @@ def mended_points(scene: Scene, near: float, generator: torch.Generator, device:
     return replace(scene, points=points, point_colors=colors)
 
 
-def mended_poses(scene: Scene, near: float) -> dict[str, Tensor]:
+def mended_poses(scene: Scene, near: float, device: torch.device) -> dict[str, Tensor]:
     """Rotations [3, 3] to follow those of the training views, by name; none where poses are in order."""
     evidence = Evidence.of(scene, near)
     if evidence.colorless or evidence.support() < UNSUPPORTED:
         return {}
-    found = alignment(evidence)
+    found = alignment(evidence, device)
     if found.gain < TURNED:
         return {}
     return {view.name: turn for view, turn, gain in zip(scene.train, found.turns, found.gains, strict=True) if gain > 0}

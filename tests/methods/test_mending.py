@@ -51,7 +51,7 @@ def off_surfaces(points: torch.Tensor, scene: Scene) -> np.ndarray:
 
 def test_what_is_in_order_stays_as_it_is(room: Scene) -> None:
     assert mended(room) is room
-    assert mended_poses(room, NEAR) == {}
+    assert mended_poses(room, NEAR, CPU) == {}
     assert Evidence.of(room, NEAR).mirrored_views() == []
 
 
@@ -100,7 +100,7 @@ def test_views_with_mirrored_normals_are_found_and_mirrored_back(room: Scene, sh
 def test_views_are_learned_from_as_they_are_turned_back(room: Scene) -> None:
     """Their normals, too, which had turned with them; those of mirrored ones are mirrored about the mended axes."""
     broken = worst(room, "pose_rotation")
-    views = ResidentViews(CPU, room=0, turns=mended_poses(broken, NEAR))
+    views = ResidentViews(CPU, room=0, turns=mended_poses(broken, NEAR, CPU))
     off = {"given": [], "mended": []}
     for exact, view in zip(room.train, broken.train, strict=True):
         for kind, each in (("given", view), ("mended", views.on_device(view))):
@@ -111,7 +111,7 @@ def test_views_are_learned_from_as_they_are_turned_back(room: Scene) -> None:
 
 def test_points_that_are_missing_or_of_one_color_turn_no_view(room: Scene) -> None:
     broken = worst(room, "pose_rotation")
-    assert mended_poses(replace(broken, point_colors=torch.full_like(room.point_colors, 0.5)), NEAR) == {}
+    assert mended_poses(replace(broken, point_colors=torch.full_like(room.point_colors, 0.5)), NEAR, CPU) == {}
     few = replace(broken, points=broken.points[::12], point_colors=broken.point_colors[::12])
     assert mended_scene(few, NEAR, False, torch.Generator().manual_seed(0), CPU).turns == {}
 
