@@ -21,6 +21,8 @@ from .recording import on_own_stream, own_camera, recorded
 class CapturedFrames:
     """Draws pictures: the first of a size one kernel after the other, those that follow it from a graph.
 
+    One thread at a time: all of them would share a graph's camera.
+
     Args:
         draw: all of a picture's work on the device, from a camera that is there. It must not wait for the device.
         device: a GPU.
@@ -56,16 +58,13 @@ class _Graph:
 
     def __init__(self, draw: Callable[[Camera], Rendering], camera: Camera) -> None:
         self._camera = own_camera(camera)
-        self._graph, (self._rendering, self._sample) = recorded(self._recorded(draw), camera.device)
+        self._graph, (self._rendering, self._sample) = recorded(lambda: self._sampled_picture(draw), camera.device)
         self._sampled = torch.empty(self._sample.shape, pin_memory=True)
         self._arrived = torch.cuda.Event()
 
-    def _recorded(self, draw: Callable[[Camera], Rendering]) -> Callable[[], tuple[Rendering, Tensor]]:
-        def work() -> tuple[Rendering, Tensor]:
-            rendering = draw(self._camera)
-            return rendering, torch.cat([rendering.color[0, 0], rendering.alpha[0, :1]])
-
-        return work
+    def _sampled_picture(self, draw: Callable[[Camera], Rendering]) -> tuple[Rendering, Tensor]:
+        rendering = draw(self._camera)
+        return rendering, torch.cat([rendering.color[0, 0], rendering.alpha[0, :1]])
 
     def replay(self, camera: Camera) -> Rendering | None:
         """The picture, None where there was too little room: all of it is NaN then, so one pixel tells."""
