@@ -25,6 +25,6 @@ two. Another package adds a method by an entry point of group `envgs_bench.metho
 | what a step minimizes | training_loss.py, losses.py, gradients.py |
 | when what happens | schedule.py, base_growth.py |
 | which primitives come and go, and how many | densification.py, importance.py, pruning.py, budget.py |
-| steps on a GPU | captured_steps.py, resident_views.py |
+| steps and pictures on a GPU | recording.py, captured_steps.py, captured_frames.py, resident_views.py |
 | a model as files | checkpoint.py, ply.py, storage/ |
 """
