@@ -41,16 +41,14 @@ class CapturedFrames:
         """The picture as `draw` draws it, in tensors of its own."""
         size = camera.width, camera.height
         with on_own_stream(self._device):
-            if self._size != size:  # kernels are compiled, and lists get their room
-                self._size, self._graph = size, None
-                return self._draw(camera.to(self._device))
-            if self._graph is None:
-                self._graph = _Graph(self._draw, camera.to(self._device))
-            rendering = self._graph.replay(camera)
-            if rendering is None:
-                self._graph = None
-                return self._draw(camera.to(self._device))
-            return rendering
+            if self._size == size:
+                if self._graph is None:
+                    self._graph = _Graph(self._draw, camera.to(self._device))
+                rendering = self._graph.replay(camera)
+                if rendering is not None:
+                    return rendering
+            self._size, self._graph = size, None  # kernels are compiled, and lists get their room
+            return self._draw(camera.to(self._device))
 
 
 class _Graph:

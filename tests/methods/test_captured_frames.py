@@ -13,6 +13,7 @@ from envgs_bench.methods.registry import create_method
 
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 STEPS = 80
+DRAWN = [*((kind, {}) for kind in CAPTURED), ("envgs", {"beta_filter": 0.5, "reflect_alpha": 0.5})]
 
 
 class PlainGraph:
@@ -100,9 +101,7 @@ def test_a_method_draws_what_its_last_step_left(plain_graphs, monkeypatch):
         assert torch.equal(with_graphs, without)
 
 
-@pytest.mark.parametrize(
-    ("kind", "settings"), [*((kind, {}) for kind in CAPTURED), ("envgs", {"beta_filter": 0.5, "reflect_alpha": 0.5})]
-)
+@pytest.mark.parametrize(("kind", "settings"), DRAWN)
 def test_no_picture_waits_for_the_device(kind, settings):
     method, scene = trained(kind, "cpu", **settings)
     method.prepare()
@@ -112,9 +111,7 @@ def test_no_picture_waits_for_the_device(kind, settings):
 
 
 @needs_cuda
-@pytest.mark.parametrize(
-    ("kind", "settings"), [*((kind, {}) for kind in CAPTURED), ("envgs", {"beta_filter": 0.5, "reflect_alpha": 0.5})]
-)
+@pytest.mark.parametrize(("kind", "settings"), DRAWN)
 def test_a_recorded_picture_is_the_picture_cuda(kind, settings):
     method, scene = trained(kind, "cuda", **settings)
     cameras = [view.camera for view in scene.train]
