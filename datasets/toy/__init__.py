@@ -1,4 +1,4 @@
-"""Toy scenes with exact ground truth, ray traced by Embree."""
+"""Toy scenes with exact ground truth, ray traced by Embree; some with pictures path-traced by Mitsuba."""
 
 from .settings import ToySettings
 from .source import files_read, load_toy

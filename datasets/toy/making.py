@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from envgs_bench.core import Camera, Scene, View
@@ -16,11 +19,14 @@ from ..store.scene_file import on_disk
 from .cameras import cameras_around
 from .lighting import bake
 from .normal_noise import noisy_normals
+from .path_traced import PathTraced
 from .points import sfm_points
 from .render import geometry, picture
 from .scenes import SCENES
 from .settings import ToySettings
 from .world import World
+
+Painter = Callable[[Camera, int, np.random.Generator], NDArray[np.uint8]]  # of supersampling² rays a pixel
 
 SLIVER = 1e-3  # of the pixels of all views: a region with fewer is none
 
@@ -32,11 +38,12 @@ def make_scene(choice: ToySettings, name: str) -> Scene:
     for_scene, for_light, for_points, *for_views, for_normals = (np.random.default_rng(stream) for stream in streams)
     description = SCENES[choice.scene](for_scene)
     world = World(description.parts, description.sky, description.bounces)
-    bake(world, for_light)
+    paint = _painter(world, for_light)
     cameras = cameras_around(description.orbit, choice.views, choice.width, choice.height)
 
     def make_view(index: int) -> View:
-        return _view(world, cameras[index], f"{index:04d}", choice.supersampling, for_views[index])
+        image = paint(cameras[index], choice.supersampling, for_views[index])
+        return _view(world, cameras[index], f"{index:04d}", image)
 
     views = _without_slivers(on_disk(streamed("tracing views", make_view, range(choice.views))))
     train, test = split_views(views, name)
@@ -61,16 +68,21 @@ def _without_slivers(views: list[View]) -> list[View]:
     return [replace(view, masks=emptied(view.masks)) for view in views]
 
 
-def _view(world: World, camera: Camera, name: str, supersampling: int, rng: np.random.Generator) -> View:
+def _painter(world: World, for_light: np.random.Generator) -> Painter:
+    """What makes a camera's picture: Mitsuba where something is of metal or under a coat, otherwise our own tracer."""
+    if world.fresnel:
+        return PathTraced(world.parts, world.sky).picture
+    bake(world, for_light)
+    return partial(picture, world)
+
+
+def _view(world: World, camera: Camera, name: str, image: NDArray[np.uint8]) -> View:
     exact = geometry(world, camera)
-    regions = {"reflective": exact.reflective, "near_field": exact.near_field}
-    if world.ior.any():
-        regions["transmissive"] = exact.transmissive
     return View(
         name=name,
         camera=camera,
-        image=torch.from_numpy(picture(world, camera, supersampling, rng)),
-        masks={region: torch.from_numpy(mask) for region, mask in regions.items()},
+        image=torch.from_numpy(image),
+        masks={region: torch.from_numpy(mask) for region, mask in exact.regions.items()},
         normal=torch.from_numpy(exact.normal).float(),
         depth=torch.from_numpy(exact.depth).float(),
     )

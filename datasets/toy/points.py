@@ -63,7 +63,7 @@ def _on_surfaces(view: View, count: int, rng: np.random.Generator) -> Array:
 
 def _on_mirrors(view: View, count: int, behind: float, noise: float, rng: np.random.Generator) -> tuple[Array, Array]:
     """Points on mirrors or up to `behind` world units behind them on the line of sight, in the pictures' colors."""
-    pixels = np.flatnonzero(view.masks["reflective"].numpy())
+    pixels = np.flatnonzero(_mirrors(view))
     chosen = rng.choice(pixels, min(count, pixels.size), replace=False)
     points = _unprojected(view, chosen, _depth(view)[chosen] + behind * rng.uniform(size=chosen.size))
     return points + noise * rng.normal(size=points.shape), _colors(view)[chosen]
@@ -98,7 +98,12 @@ def _unprojected(view: View, pixels: NDArray[np.int64], depth: Array) -> Array:
 
 
 def _matte(view: View) -> NDArray[np.bool_]:
-    return (_depth(view) > 0) & ~view.masks["reflective"].numpy().reshape(-1)
+    return (_depth(view) > 0) & ~_mirrors(view).reshape(-1)
+
+
+def _mirrors(view: View) -> NDArray[np.bool_]:
+    """[H, W]: what matching of features fails on; under a coat it finds the picture, as on what is matte."""
+    return view.masks.get("mirror", view.masks["reflective"]).numpy()
 
 
 def _depth(view: View) -> Array:

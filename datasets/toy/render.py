@@ -23,9 +23,7 @@ class Geometry:
 
     depth: Array  # [H, W] camera-frame z; 0 where nothing is hit
     normal: Array  # [H, W, 3] world frame, unit, facing the camera; 0 where nothing is hit
-    reflective: NDArray[np.bool_]  # [H, W] mirrors, coats and clear solids
-    near_field: NDArray[np.bool_]  # [H, W] reflective, and the reflected ray hits a surface and not the sky
-    transmissive: NDArray[np.bool_]  # [H, W] clear solids
+    regions: dict[str, NDArray[np.bool_]]  # [H, W] each
 
 
 def picture(world: World, camera: Camera, supersampling: int, rng: np.random.Generator) -> NDArray[np.uint8]:
@@ -47,7 +45,12 @@ def picture(world: World, camera: Camera, supersampling: int, rng: np.random.Gen
 
 
 def geometry(world: World, camera: Camera) -> Geometry:
-    """Depth, normals and regions at the pixel centers, without any averaging."""
+    """Depth, normals and regions at the pixel centers, without any averaging.
+
+    `reflective` are mirrors, metals, coats and clear solids; `near_field` those whose mirrored ray hits a surface and
+    not the sky. Where the world has such things, `transmissive` are clear solids, `mirror` metals, `coated` what is
+    under a coat, and `matt` is every surface that is not reflective.
+    """
     origin, to_direction = _frame(camera)
     y, x = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
     pixels = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
@@ -58,13 +61,19 @@ def geometry(world: World, camera: Camera) -> Geometry:
     mirrors = np.flatnonzero(hits.met & (world.specular[world.part(hits)] > 0))
     points = origin + hits.distance[mirrors, None] * directions[mirrors] + OFFSET * normals[mirrors]
     mirrored = world.cast(points, reflect_directions(directions[mirrors], normals[mirrors]))
-    reflective, near_field, transmissive = (np.zeros(len(pixels), dtype=np.bool_) for _ in range(3))
-    reflective[mirrors] = True
-    near_field[mirrors] = mirrored.met
-    transmissive[mirrors] = world.ior[world.part(hits[mirrors])] > 0
+    near = np.zeros(len(pixels), dtype=np.bool_)
+    near[mirrors] = mirrored.met
+    part = world.part(hits)
+    regions = {"reflective": hits.met & (world.specular[part] > 0), "near_field": near}
+    if world.ior.any():
+        regions["transmissive"] = hits.met & (world.ior[part] > 0)
+    if world.fresnel:
+        regions["mirror"] = hits.met & world.metal[part]
+        regions["coated"] = hits.met & world.coated[part]
+        regions["matt"] = hits.met & ~regions["reflective"]
     shape = (camera.height, camera.width)
-    regions = (region.reshape(shape) for region in (reflective, near_field, transmissive))
-    return Geometry(hits.distance.reshape(shape), normals.reshape(*shape, 3), *regions)
+    masks = {name: region.reshape(shape) for name, region in regions.items()}
+    return Geometry(hits.distance.reshape(shape), normals.reshape(*shape, 3), masks)
 
 
 def _transformed(vectors: NDArray[np.float64], matrix: NDArray[np.float64]) -> Array:

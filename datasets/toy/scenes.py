@@ -6,7 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from .descriptions.brushed_patio import brushed_patio
 from .descriptions.chrome_room import chrome_room, diffuse_room
+from .descriptions.copper_table import copper_table
 from .descriptions.description import Description, Orbit
 from .descriptions.facing_mirrors import facing_mirrors
 from .descriptions.glass import glass
@@ -26,4 +28,6 @@ SCENES: dict[str, Callable[[np.random.Generator], Description]] = {
     "glass": glass,
     "wavy_mirror": wavy_mirror,
     "thin_rails": thin_rails,
+    "copper_table": copper_table,
+    "brushed_patio": brushed_patio,
 }

@@ -22,6 +22,8 @@ class ToySettings(SourceSettings):
         "glass",
         "wavy_mirror",
         "thin_rails",
+        "copper_table",
+        "brushed_patio",
     ]
     width: Annotated[int, Field(ge=8)] = 160  # pixels
     height: Annotated[int, Field(ge=8)] = 120

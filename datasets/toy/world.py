@@ -23,7 +23,8 @@ class Part:
     """One surface and its material: radiance = (1 − reflectance)·diffuse + reflectance·reflected.
 
     With an index of refraction it bounds a clear solid, which lies on the side that its normals point away from, and
-    neither `albedo` nor `reflectance` counts.
+    neither `albedo` nor `reflectance` counts. A metal, and a coat over the albedo, reflect by Fresnel's equations, as
+    Mitsuba solves them (`path_traced.PathTraced`): `reflectance` does not count there.
     """
 
     shape: Shape
@@ -32,6 +33,8 @@ class Part:
     roughness: float = 0.0  # roughness of the reflecting microfacets (GGX, alpha = roughness²); 0 is a mirror
     ior: float = 0.0  # index of refraction of the clear solid behind; 0: opaque
     emission: float = 0.0  # radiance added to the diffuse color, in units of the albedo
+    metal: str = ""  # chemical symbol of the metal that it is of
+    coat: float = 0.0  # index of refraction of a clear coat; 0: none
 
 
 @dataclass(frozen=True)
@@ -73,10 +76,18 @@ class World:
         self._outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self.ior = np.array([part.ior for part in self.parts], dtype=np.float32)
         # the share of the light that is not the surface's own
-        self.specular = np.array([1 if part.ior else part.reflectance for part in self.parts], dtype=np.float32)
+        self.metal = np.array([bool(part.metal) for part in self.parts])
+        self.coated = np.array([part.coat > 0 for part in self.parts])
+        own = np.array([1 if part.ior else part.reflectance for part in self.parts], dtype=np.float32)
+        self.specular = np.where(self.metal | self.coated, np.float32(1), own)
         self.roughness = np.array([part.roughness for part in self.parts], dtype=np.float32)
         self.sky = self.sky.astype(np.float32)
         self.set_textures([np.zeros_like(part.albedo) for part in self.parts])
+
+    @property
+    def fresnel(self) -> bool:
+        """Whether there is a metal or a coat, which Mitsuba alone draws."""
+        return bool((self.metal | self.coated).any())
 
     def set_textures(self, textures: list[Array]) -> None:
         self.textures = textures

@@ -101,6 +101,14 @@ def test_a_rendered_scene_scores_test_views_against_normals_that_training_views_
     assert all(view.normal is not None for view in scene.train)
 
 
+def test_path_traced_scenes_are_made_at_their_size_whatever_the_data_root() -> None:
+    for name in ("path_traced/copper_table", "path_traced/brushed_patio"):
+        content = composed(f"dataset={name}")
+        found = content["dataset"]
+        assert (found["name"], found["kind"], found["scene"]) == (name, "toy", Path(name).name)
+        assert (found["width"], found["height"], found["views"], content["steps"]) == (200, 150, 57, 3_000)
+
+
 def test_the_papers_settings_reach_the_run() -> None:
     sedan, spheres = (composed(f"dataset=ref_real/{name}") for name in ("sedan", "spheres"))
     assert (sedan["steps"], spheres["steps"]) == (60_000, 40_000)

@@ -132,8 +132,8 @@ def test_light_falls_through_glass_when_it_is_baked() -> None:
 def test_glass_is_a_region_of_its_own() -> None:
     mirror = Part(Sphere((1.2, 0, 0), 0.5), GRAY, reflectance=0.5)
     glass = Part(Sphere((-1.2, 0, 0), 0.5), NO_PICTURE, ior=1.5)
-    found = geometry(World([mirror, glass], BLACK), camera_at((0, -4, 0)))
-    assert 20 < found.transmissive.sum() < found.reflective.sum()
-    assert not (found.transmissive & ~found.reflective).any()
-    x = np.arange(40)[found.transmissive.any(0)]
+    found = geometry(World([mirror, glass], BLACK), camera_at((0, -4, 0))).regions
+    assert 20 < found["transmissive"].sum() < found["reflective"].sum()
+    assert not (found["transmissive"] & ~found["reflective"]).any()
+    x = np.arange(40)[found["transmissive"].any(0)]
     assert x.max() < 20  # the left of the picture

@@ -118,7 +118,7 @@ def test_a_mirror_ball_shows_the_plane_that_analytic_rays_meet() -> None:
     assert (~on_floor).sum() > 100
     np.testing.assert_allclose(seen[~on_edge], expected[~on_edge], atol=2e-3)
 
-    near_field = geometry(world, camera).near_field.reshape(-1)[ball]
+    near_field = geometry(world, camera).regions["near_field"].reshape(-1)[ball]
     np.testing.assert_array_equal(near_field[~on_edge], on_floor[~on_edge])
 
 

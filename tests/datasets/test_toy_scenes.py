@@ -21,6 +21,11 @@ from envgs_bench.datasets.toy.points import sfm_points
 from envgs_bench.datasets.toy.scenes import SCENES
 
 SMALL = {"kind": "toy", "width": 64, "height": 48, "views": 17, "noise": 0.0, "supersampling": 1}
+MORE_REGIONS = {
+    "glass": {"transmissive"},
+    "copper_table": {"mirror", "coated", "matt"},
+    "brushed_patio": {"mirror", "coated", "matt"},
+}
 Load = Callable[..., Scene]
 
 
@@ -73,7 +78,7 @@ def test_views_are_complete_and_every_eighth_tests(load: Load, name: str) -> Non
         assert torch.allclose(length, hit.float(), atol=1e-5)
         assert ((view.normal * view.camera.rays()[1]).sum(-1)[hit] < 0).all()
         assert view.depth[hit].min() > 0.4  # clear of the rasterizer's near plane
-        assert set(view.masks) == {"reflective", "near_field"} | ({"transmissive"} if name == "glass" else set())
+        assert set(view.masks) == {"reflective", "near_field"} | MORE_REGIONS.get(name, set())
         assert not (view.masks["near_field"] & ~view.masks["reflective"]).any()
         assert not (view.masks["reflective"] & ~hit).any()
 

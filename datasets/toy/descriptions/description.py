@@ -42,3 +42,8 @@ class Description:
 def painted(shape: Shape, picture: Array) -> Part:
     """The matte surface with an sRGB picture [H, W, 3]."""
     return Part(shape, to_linear(picture))
+
+
+def metallic(shape: Shape, metal: str, roughness: float = 0.0) -> Part:
+    """The bare metal of this chemical symbol."""
+    return Part(shape, np.ones((1, 1, 3)), metal=metal, roughness=roughness)

@@ -28,27 +28,44 @@ BLOCKS: tuple[Block, ...] = (
 
 def walls(rng: np.random.Generator) -> list[Part]:
     """Floor, ceiling with lamps, and four walls, one with a window."""
-    side, w, h = 2 * HALF, HALF + OVERLAP, HEIGHT
-    x, y = tex.grid(side, side)
+    w, h = HALF + OVERLAP, HEIGHT
+    x, y = tex.grid(2 * HALF, 2 * HALF)
     floor = tex.weathered(tex.tiles(x, y, 1.0, rng), rng)
     ceiling = tex.weathered(tex.checker(x, y, 1.0, ((0.93, 0.92, 0.88), (0.80, 0.84, 0.86))), rng, 0.05)
-    x, y = tex.grid(side, HEIGHT)
-    walls = [_poster_wall(x, y, rng), tex.bookshelf(x, y, 0.6, rng), _window_wall(x, y, rng), _wave_wall(x, y, rng)]
-    north, east, south, west = (tex.weathered(wall, rng) for wall in walls)
     wide = 2 * w
     parts = [
         painted(Rectangle((-w, w, 0), (wide, 0, 0), (0, -wide, 0)), floor),
         painted(Rectangle((-w, -w, h), (wide, 0, 0), (0, wide, 0)), ceiling),
-        painted(Rectangle((-w, HALF, h + OVERLAP), (wide, 0, 0), (0, 0, -h - 2 * OVERLAP)), north),
-        painted(Rectangle((HALF, w, h + OVERLAP), (0, -wide, 0), (0, 0, -h - 2 * OVERLAP)), east),
-        painted(Rectangle((-HALF, -w, h + OVERLAP), (0, wide, 0), (0, 0, -h - 2 * OVERLAP)), west),
+        *_four_walls(rng),
     ]
-    parts += _with_window((HALF, -HALF, h), (-side, 0, 0), (0, 0, -h), south)
     for lamp_x in (-1.4, 1.4):
         for lamp_y in (-1.4, 1.4):
             lamp = Rectangle((lamp_x - 0.6, lamp_y - 0.6, h - 0.03), (1.2, 0, 0), (0, 1.2, 0))
             parts.append(Part(lamp, to_linear(np.full((8, 8, 3), (1.0, 0.96, 0.88))), emission=6.0))
     return parts
+
+
+def open_walls(rng: np.random.Generator) -> list[Part]:
+    """The floor, and the four walls, under open sky."""
+    w = HALF + OVERLAP
+    x, y = tex.grid(2 * HALF, 2 * HALF)
+    floor = tex.weathered(tex.tiles(x, y, 1.0, rng), rng)
+    return [painted(Rectangle((-w, w, 0), (2 * w, 0, 0), (0, -2 * w, 0)), floor), *_four_walls(rng)]
+
+
+def _four_walls(rng: np.random.Generator) -> list[Part]:
+    """The walls, from the north on; in the south one a window."""
+    side, w, h = 2 * HALF, HALF + OVERLAP, HEIGHT
+    x, y = tex.grid(side, HEIGHT)
+    walls = [_poster_wall(x, y, rng), tex.bookshelf(x, y, 0.6, rng), _window_wall(x, y, rng), _wave_wall(x, y, rng)]
+    north, east, south, west = (tex.weathered(wall, rng) for wall in walls)
+    wide = 2 * w
+    return [
+        painted(Rectangle((-w, HALF, h + OVERLAP), (wide, 0, 0), (0, 0, -h - 2 * OVERLAP)), north),
+        painted(Rectangle((HALF, w, h + OVERLAP), (0, -wide, 0), (0, 0, -h - 2 * OVERLAP)), east),
+        painted(Rectangle((-HALF, -w, h + OVERLAP), (0, wide, 0), (0, 0, -h - 2 * OVERLAP)), west),
+        *_with_window((HALF, -HALF, h), (-side, 0, 0), (0, 0, -h), south),
+    ]
 
 
 def _poster_wall(x: Array, y: Array, rng: np.random.Generator) -> Array:
