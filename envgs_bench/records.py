@@ -64,6 +64,7 @@ WarningKind = Literal[
     "points_unsupported",  # the points have not the colors of what the views show there
     "poses_off",  # most views agree with the points' colors only when turned
     "normals_mirrored",  # some views' agree with the others' only when mirrored
+    "normals_disagree",  # two views' at the same point
 ]
 
 

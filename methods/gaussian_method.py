@@ -65,6 +65,7 @@ class GaussianMethod(GaussianModel):
         super().__init__(settings, device, seed)
         check_words(settings, WORDS)
         self._on_white = False
+        self._normal_weight = 1.0
         self._maps: Mapping[str, Tensor] = {}
         self._gradients = RememberedGradients()
         self._views = ResidentViews(self.device, room=0)
@@ -88,7 +89,7 @@ class GaussianMethod(GaussianModel):
         found = Mended(scene)
         if s.mends_input:
             found = mended(scene, self.near, s.mono_weight > 0, self.generator, self.device)
-        self.started_from, self.mended = found.scene, list(found.notes)
+        self.started_from, self.mended, self._normal_weight = found.scene, list(found.notes), found.normal_weight
         self._start(found.scene)
         self._views = ResidentViews.of(self.device, found.turns, found.mirrored)
         self._steps = CapturedSteps(self._learn, self._learn_again)
@@ -313,7 +314,7 @@ class GaussianMethod(GaussianModel):
         return self._gradients.take_non_finite()
 
     def _loss(self) -> TrainingLoss:
-        return TrainingLoss(self.settings, self.schedule)
+        return TrainingLoss(self.settings, self.schedule, self._normal_weight)
 
     def _growth(self) -> BaseGrowth:
         return BaseGrowth(self.settings, self.schedule, self._on_white)

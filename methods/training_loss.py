@@ -22,6 +22,7 @@ class TrainingLoss:
 
     settings: GaussianSettings
     schedule: Schedule
+    normal_weight: float = 1.0  # × L_mono: what the views' normals are worth
 
     def began(self, step: int) -> tuple[bool, bool, bool]:
         """Whether L_norm, L_mono and L_perc may count as of a step."""
@@ -54,7 +55,7 @@ class TrainingLoss:
             confidence = trusted(rendering)
             if weight is not None:
                 confidence = weight if confidence is None else confidence * weight
-            mono_weight = s.mono_weight * self.schedule.rate_scale
+            mono_weight = s.mono_weight * self.normal_weight * self.schedule.rate_scale
             terms[MONO] = mono_weight * self._mono_error(rendering, view.normal, confidence)
         if perceives and perceptual:
             terms[PERCEPTUAL] = s.perceptual_weight * perceptual(rendering.color, target)

@@ -15,6 +15,7 @@ from envgs_bench.methods.start.mending import MISSING, UNSUPPORTED
 from envgs_bench.records import TrainingWarning, WarningKind
 
 SPARSE = 12.0  # degrees between the two nearest views of a point from which views are too few to agree on its depth
+DISAGREEING = 18.0  # degrees between two views' normals of a point from which EnvGS lost its lead over 2DGS
 POSES_OFF = 0.075  # share of its differences to the points' colors that the median view loses when it is turned
 
 
@@ -26,7 +27,8 @@ def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[Tra
     covered = empty_cells(scene, scene.free_space, device)[1]
     support, parallax = evidence.support(), evidence.parallax()
     aligned = alignment(evidence, device)
-    mirrored, views = len(evidence.mirrored_views()), len(scene.train)
+    mirrored, views = evidence.mirrored_views(), len(scene.train)
+    disagreement = evidence.mirroring(mirrored).normal_disagreement()
     found: list[tuple[WarningKind, bool, str]] = [
         (
             "views_sparse",
@@ -54,9 +56,15 @@ def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[Tra
         ),
         (
             "normals_mirrored",
-            mirrored > 0,
-            f"the normals of {mirrored} of {views} training views agree with the others' only when they are mirrored "
-            "from left to right: their axes may follow another convention",
+            bool(mirrored),
+            f"the normals of {len(mirrored)} of {views} training views agree with the others' only when they are "
+            "mirrored from left to right: their axes may follow another convention",
+        ),
+        (
+            "normals_disagree",
+            disagreement > DISAGREEING and support >= UNSUPPORTED,  # two views see wrong points at two places
+            f"the normals of neighboring training views usually differ by {disagreement:.0f}° at the same point: a "
+            "method that learns from them may end below one that does not; estimate them in another way",
         ),
     ]
     return [TrainingWarning(kind=kind, step=0, part="", message=text) for kind, wrong, text in found if wrong]

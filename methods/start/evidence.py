@@ -7,8 +7,8 @@ show something; what the estimators of normals saw from two sides is one surface
 from __future__ import annotations
 
 import statistics
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -25,6 +25,9 @@ LIKELY = 0.25  # quantile of the differences to a point's color over the views, 
 COLORLESS = 0.02  # mean difference of points' colors below which they come without: 3DGS's random points are all gray
 SAME_COLOR = 0.1  # mean difference of sRGB values up to which a view shows a point
 PARALLAX_POINTS = 300
+NORMAL_POINTS = 1_500
+NORMAL_PAIRS = 500  # pairs of a point's normals that must be there to be judged
+BESIDE = 12.0  # degrees up to which two views see a point from one side: hardly anything hides it from one alone
 MIRROR_PAIRS = 1_000  # points that a view must share with others, times these views, for its normals to be judged
 MIRROR_GAIN = 0.03  # by how much the mean cosine to others' normals must rise when a view's are mirrored
 MIRROR_ROUNDS = 10
@@ -102,17 +105,58 @@ class Evidence:
 
         The median over points and the views that show them; 180 where no other one does.
         """
-        rows = torch.linspace(0, len(self.points) - 1, min(len(self.points), PARALLAX_POINTS)).round().long()
+        rows = self._some(PARALLAX_POINTS)
         shown = self.shown[:, rows]
+        angles = torch.cat([nearest[0][own] for nearest, own in zip(self._nearest(rows, shown), shown, strict=True)])
+        return float(angles.median()) if len(angles) else 180.0
+
+    def normal_disagreement(self) -> float:
+        """By how many degrees two views' normals of a point usually differ; 0 where too few pairs can tell.
+
+        Of each view and point that it shows, the nearest other view counts that has a normal there, if it is within
+        `BESIDE` degrees; of the angles the median. Where views err independently it is about √2 times their error.
+        Points of one color do not tell which views show them.
+        """
+        if self.colorless:
+            return 0.0
+        rows = self._some(NORMAL_POINTS)
+        normals = self.seen_normals[:, rows]
+        differences = []
+        for own, (angles, other) in zip(normals, self._nearest(rows, normals.any(dim=-1)), strict=True):
+            both = own.any(dim=-1) & (angles < BESIDE)
+            cosines = (own * normals[other, torch.arange(len(rows))]).sum(dim=-1)[both]
+            differences.append(cosines.clamp(-1, 1).acos().rad2deg())
+        found = torch.cat(differences)
+        return float(found.median()) if len(found) >= NORMAL_PAIRS else 0.0
+
+    def _some(self, most: int) -> Tensor:
+        """Indices of at most so many of the points, evenly over their order."""
+        return torch.linspace(0, len(self.points) - 1, min(len(self.points), most)).round().long()
+
+    def _nearest(self, rows: Tensor, seen: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
+        """Of each view: by how many degrees beside the nearest other view sees each of the points `rows`, and which.
+
+        180 degrees where none does. `seen` is [V, len(rows)].
+        """
         centers = torch.stack([view.camera.center for view in self.views])
         directions = unit(self.points[rows] - centers[:, None])  # [V, P, 3]
-        least = []
         for index, own in enumerate(directions):
-            cosines = torch.where(shown, (directions * own).sum(-1), -1.0)
+            cosines = torch.where(seen, (directions * own).sum(-1), -1.0)
             cosines[index] = -1
-            least.append(cosines.amax(dim=0).clamp(-1, 1).acos().rad2deg()[shown[index]])
-        angles = torch.cat(least)
-        return float(angles.median()) if len(angles) else 180.0
+            nearest, other = cosines.max(dim=0)
+            yield nearest.clamp(-1, 1).acos().rad2deg(), other
+
+    @cached_property
+    def seen_normals(self) -> Tensor:
+        """The views' own normals where they show the points in their colors, [V, P, 3] world frame; elsewhere 0."""
+        found = []
+        for index, view in enumerate(self.views):
+            if view.normal is None:
+                found.append(torch.zeros(len(self.points), 3))
+                continue
+            same = (self.seen_colors[index] - self.colors).abs().mean(dim=-1) < SAME_COLOR
+            found.append(self._at(index, view.normal).nan_to_num(0.0) * same[:, None])
+        return torch.stack(found)
 
     def mirrored_views(self) -> list[str]:
         """Names of the views whose normals agree better with the others' once they are mirrored from left to right.
@@ -132,21 +176,25 @@ class Evidence:
             return []
         return [view.name for view, mirrored in zip(self.views, best.tolist(), strict=True) if mirrored]
 
+    def mirroring(self, names: Collection[str]) -> Evidence:
+        """The same once the normals of the views of these names are mirrored from left to right."""
+        if not names:
+            return self
+        views = [
+            replace(view, normal=mirrored_normals(view.normal, view))
+            if view.name in names and view.normal is not None
+            else view
+            for view in self.views
+        ]
+        return replace(self, views=views)
+
     def _agreement(self) -> tuple[Tensor, Tensor]:
         """Σ of cosines of two views' normals [V, 2, V, 2], as they are and mirrored, and of how many points [V, V]."""
-        sides, known = [], []
-        for index, view in enumerate(self.views):
-            if view.normal is None:
-                sides.append(torch.zeros(2, len(self.points), 3))
-                known.append(torch.zeros(len(self.points)))
-                continue
-            normal = self._at(index, view.normal).nan_to_num(0.0)
-            same = (self.seen_colors[index] - self.colors).abs().mean(dim=-1) < SAME_COLOR
-            normal = normal * same[:, None]
-            sides.append(torch.stack([normal, mirrored_normals(normal, view)]))
-            known.append(normal.any(dim=-1).float())
+        normals = self.seen_normals
+        mirrored = [mirrored_normals(normal, view) for normal, view in zip(normals, self.views, strict=True)]
+        sides, counted = torch.stack([normals, torch.stack(mirrored)], dim=1), normals.any(dim=-1).float()
         count = len(self.views)
-        flat, counted = torch.stack(sides).reshape(2 * count, -1), torch.stack(known)
+        flat = sides.reshape(2 * count, -1)
         agreement, pairs = (flat @ flat.T).reshape(count, 2, count, 2), counted @ counted.T
         each = torch.arange(count)
         agreement[each, :, each], pairs[each, each] = 0, 0

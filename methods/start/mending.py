@@ -22,6 +22,7 @@ from .plane_sweep import swept_points
 UNSUPPORTED = 0.04  # `Evidence.support` below which points are where chance put them
 MISSING = 0.7  # share of a view's cells with a point below which pictures show much that no point starts
 TURNED = 0.12  # share of its differences to the points' colors that the median view must lose when it is turned
+AGREEING = 14.0  # degrees between two views' normals of a point up to which normals count in full: each is off by 10
 PER_CELL = 3  # pixels of each empty cell of a view that are swept
 TRIED = 4  # × as many are drawn, and those with the strongest gradients are taken
 NEAREST, FARTHEST = 0.1, 20.0  # depths that are swept, × the scene radius
@@ -36,12 +37,14 @@ class Mended:
         scene: the scene itself where its points are in order, else one with others.
         turns: by the training views' names the rotations [3, 3] after their own, none where poses are in order.
         mirrored: names of the training views whose normals are to be mirrored from left to right.
+        normal_weight: how much the views' normals count, in (0, 1].
         notes: what is not as it was given, a sentence each.
     """
 
     scene: Scene
     turns: Mapping[str, Tensor] = field(default_factory=dict)
     mirrored: frozenset[str] = frozenset()
+    normal_weight: float = 1.0
     notes: Sequence[str] = ()
 
 
@@ -52,7 +55,7 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
         near: nearest depth that is drawn, world units: a point that is nearer to a camera is not where it should be.
         normals: whether the views' own normals are learned from.
     """
-    start, mirrored, notes = mended_points(scene, near, generator, device), frozenset[str](), []
+    start, mirrored, weight, notes = mended_points(scene, near, generator, device), frozenset[str](), 1.0, []
     # Points that were not in order say nothing of poses.
     turns = mended_poses(scene, near, device) if start is scene else {}
     if turns:
@@ -64,10 +67,18 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
         )
     if normals:
         views = [turned(view, turns[view.name]) if view.name in turns else view for view in scene.train]
-        mirrored = frozenset(Evidence.of(replace(start, train=views), near).mirrored_views())
+        evidence = Evidence.of(replace(start, train=views), near)
+        mirrored = frozenset(evidence.mirrored_views())
+        disagreement = evidence.mirroring(mirrored).normal_disagreement()
+        weight = min(1.0, (AGREEING / max(disagreement, AGREEING)) ** 2)  # as the inverse of their variance
     if mirrored:
         notes.append(f"mirrors the normals of {len(mirrored)} of {len(scene.train)} training views back")
-    return Mended(start, turns, mirrored, notes)
+    if weight < 1:
+        notes.append(
+            f"counts the training views' normals {weight:.2f} × as much: two views' differ by {disagreement:.0f}° at "
+            "the same point"
+        )
+    return Mended(start, turns, mirrored, weight, notes)
 
 
 @torch.no_grad()

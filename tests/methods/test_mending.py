@@ -97,6 +97,35 @@ def test_views_with_mirrored_normals_are_found_and_mirrored_back(room: Scene, sh
         torch.testing.assert_close(views.on_device(view).normal, exact.normal, atol=1e-5, rtol=0)
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_normals_count_less_the_less_views_agree_on_them(room: Scene, mirrored: bool) -> None:
+    """As the inverse of their variance, be they mirrored besides or not; in order they count in full."""
+    weights = []
+    for severity in (0, 2, 3):
+        scene = PERTURBATIONS["normals_turned"].applied(room, severity, "normals_turned", seed=0) if severity else room
+        if mirrored:
+            scene = PERTURBATIONS["normals_mirrored"].applied(scene, 3, "normals_mirrored", seed=0)
+        found = mended_scene(scene, NEAR, True, torch.Generator().manual_seed(0), CPU)
+        assert bool(found.mirrored) == mirrored
+        weights.append(found.normal_weight)
+        assert ("same point" in found.notes[-1]) if severity else (len(found.notes) == mirrored)
+    assert weights[0] == 1
+    assert 0.25 < weights[1] < 0.6
+    assert 0.08 < weights[2] < 0.25
+    assert mended_scene(scene, NEAR, False, torch.Generator().manual_seed(0), CPU).normal_weight == 1
+
+
+def test_l_mono_is_weighed_by_what_normals_are_worth(room: Scene) -> None:
+    broken = PERTURBATIONS["normals_turned"].applied(room, 3, "normals_turned", seed=0)
+    terms = []
+    for mends in (True, False):
+        method = create_method("envgs", {"env_grid": 2, "env_far_count": 10, "mends_input": mends})
+        method.initialize(broken, steps=10)
+        terms.append(float(method.training_step(broken.train[0], 1)["mono"]))
+    weight = mended_scene(broken, NEAR, True, torch.Generator().manual_seed(0), CPU).normal_weight
+    assert terms[0] == pytest.approx(weight * terms[1], rel=1e-4)
+
+
 def test_views_are_learned_from_as_they_are_turned_back(room: Scene) -> None:
     """Their normals, too, which had turned with them; those of mirrored ones are mirrored about the mended axes."""
     broken = worst(room, "pose_rotation")

@@ -21,6 +21,7 @@ SAYS = {  # kind of data -> what is said from which severity on
     "points_at_cameras": (3, ["points_missing", "points_unsupported"]),
     "points_near_cameras": (1, ["points_missing"]),
     "points_random": (1, ["points_unsupported"]),
+    "normals_turned": (2, ["normals_disagree"]),
     "normals_mirrored": (1, ["normals_mirrored"]),
 }
 SAYS_NOTHING = [kind for kind in PERTURBATIONS if kind not in SAYS and not kind.startswith(("masks", "background"))]
