@@ -29,7 +29,8 @@ class EnvGSSettings(TracedSettings):
     env_box: float = 0.0  # half the edge of a cube around the origin as the box; 0: the scene's bounds, or by quantile
     env_far: float = 4.0  # radius of a sphere around the box that primitives start on too, × half its diagonal
     env_far_count: int = 2_000  # primitives on that sphere; 0: none
-    env_initial_opacity: float = 0.05  # opacity that the environment's primitives start with
+    env_initial_opacity: float = 0.05  # opacity that these start with
+    env_from_points: bool = True  # primitives start at the scene's points too
     env_sh_from: int = 0  # step up to which the environment's color is the same from everywhere, SH degree 0
     env_position_scale: float = 5.0  # × the base set's position rate
     env_radius_power: int = 1  # its position rate grows with this power of the scene radius; released code: 2
@@ -73,7 +74,8 @@ class EnvGS(TracedReflection):
         return self._trial is not None and not self._trial.reflects
 
     def _tried(self, scene: Scene) -> TrialOutcome:
-        settings = replace(self.settings, reflection_trial=False, bootstrap=BOOTSTRAP)
+        # as what tells reflections apart was found: from random primitives alone
+        settings = replace(self.settings, reflection_trial=False, bootstrap=BOOTSTRAP, env_from_points=False)
         seed = self.generator.initial_seed()
         mirrored, control = (kind(settings, self.device, seed) for kind in (EnvGS, AlongNormals))
         if self._budget is not None:
@@ -82,13 +84,21 @@ class EnvGS(TracedReflection):
         return reflection_trial(scene, mirrored, control)
 
     def start_reflection(self) -> None:
-        """Fill the box with random primitives (Sec. 4.3), and a sphere around it: the sky, where no point lies."""
+        """Make the environment: random primitives fill the box (Sec. 4.3), others lie where something is known to be.
+
+        These are on a sphere around the box, the sky, where no point lies, and at the scene's points. If a few of these
+        lie far away, the box is large, and what is near a mirror smaller than its cells.
+        """
         s, (low, high) = self.settings, self._box
         inside = random_points_in_grid(low, high, s.env_grid, s.env_per_cell, self.generator)
         radius = s.env_far * 0.5 * float((high - low).norm())
         around = random_points_on_sphere((low + high) / 2, radius, s.env_far_count, self.generator)
         points = torch.cat([inside, around])
         colors = torch.rand(points.shape, generator=self.generator)
+        if s.env_from_points:
+            scene = self.started_from
+            points = torch.cat([points, scene.points.to(points)])
+            colors = torch.cat([colors, scene.point_colors.to(colors)])
         self.sets[ENV] = self.new_set(ENV, points, colors, s.env_initial_opacity, beta=None, orientation="random")
 
     def position_rate(self, name: str, step: int) -> float:

@@ -285,7 +285,8 @@ def test_a_long_run_stretches_the_schedule_unless_it_is_told_not_to(scene, stret
 
 
 def test_the_environment_starts_in_its_box_and_on_a_sphere_around_it(scene):
-    method = make_method("envgs", env_far=3.0, env_far_count=40, env_initial_opacity=0.07, bootstrap=0, env_box=2.0)
+    sphere = {"env_far": 3.0, "env_far_count": 40, "env_initial_opacity": 0.07}
+    method = make_method("envgs", **sphere, bootstrap=0, env_box=2.0, env_from_points=False)
     method.initialize(scene, STEPS)
     method.before_step(1)
     method.set_learning_rates(1)
@@ -299,6 +300,18 @@ def test_the_environment_starts_in_its_box_and_on_a_sphere_around_it(scene):
         for name in ("env", "base")
     ]
     assert rates[0] == pytest.approx(5 * rates[1])
+
+
+def test_the_environment_starts_at_the_points_too(scene):
+    method = make_method("envgs", env_far_count=40, bootstrap=0)
+    method.initialize(scene, STEPS)
+    method.before_step(1)
+    env, base = (method.sets[name].parameters.detached() for name in ("env", "base"))
+    count = len(method.started_from.points)
+    assert len(env["means"]) == 3**3 * 2 + 40 + count
+    assert torch.equal(env["means"][-count:], base["means"])
+    assert torch.equal(env["sh_dc"][-count:], base["sh_dc"])
+    assert not torch.equal(env["opacity_logits"][-count:], base["opacity_logits"])
 
 
 def test_unknown_settings_are_refused_with_the_known_ones():
