@@ -32,6 +32,7 @@ class PathTraced:
         self._mitsuba = _imported()
         shapes = {f"part{index}": self._shape(part) for index, part in enumerate(parts)}
         self._scene = self._mitsuba.load_dict({"type": "scene", **shapes, "sky": self._sky(sky)})
+        self._integrator = self._mitsuba.load_dict({"type": "path", "max_depth": DEPTH})
 
     def picture(self, camera: Camera, supersampling: int, rng: np.random.Generator) -> NDArray[np.uint8]:
         """The view [H, W, 3], sRGB: a pixel is its area's mean of linear light, over supersampling² paths."""
@@ -51,7 +52,7 @@ class PathTraced:
         light = mi.render(
             self._scene,
             sensor=mi.load_dict(sensor),
-            integrator=mi.load_dict({"type": "path", "max_depth": DEPTH}),
+            integrator=self._integrator,
             spp=supersampling**2,
             seed=int(rng.integers(2**31)),
         )

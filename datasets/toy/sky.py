@@ -37,6 +37,12 @@ def panorama(rng: np.random.Generator) -> Array:
     return sky
 
 
+def afternoon(rng: np.random.Generator) -> Array:
+    """The panorama with everything, the sun too, a quarter further round."""
+    sky = panorama(rng)
+    return np.roll(sky, sky.shape[1] // 4, axis=1)
+
+
 def _air(directions: Array, rng: np.random.Generator) -> Array:
     """Blue overhead, pale at the horizon, a sun with its glow, and a layer of clouds in perspective."""
     up = np.maximum(directions[..., 2], 0)

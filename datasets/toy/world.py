@@ -75,11 +75,11 @@ class World:
         corners = vertices[self._faces]
         self._outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self.ior = np.array([part.ior for part in self.parts], dtype=np.float32)
-        # the share of the light that is not the surface's own
         self.metal = np.array([bool(part.metal) for part in self.parts])
         self.coated = np.array([part.coat > 0 for part in self.parts])
-        own = np.array([1 if part.ior else part.reflectance for part in self.parts], dtype=np.float32)
-        self.specular = np.where(self.metal | self.coated, np.float32(1), own)
+        # the share of the light that is not the surface's own, or 1 where Fresnel's equations say how much it is
+        share = np.array([1 if part.ior else part.reflectance for part in self.parts], dtype=np.float32)
+        self.specular = np.where(self.metal | self.coated, np.float32(1), share)
         self.roughness = np.array([part.roughness for part in self.parts], dtype=np.float32)
         self.sky = self.sky.astype(np.float32)
         self.set_textures([np.zeros_like(part.albedo) for part in self.parts])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import torch
@@ -107,11 +107,14 @@ class Evidence:
         """
         rows = self._some(PARALLAX_POINTS)
         shown = self.shown[:, rows]
-        angles = torch.cat([nearest[0][own] for nearest, own in zip(self._nearest(rows, shown), shown, strict=True)])
+        nearest = self._nearest(rows, shown)
+        angles = torch.cat([beside[own] for (beside, _), own in zip(nearest, shown, strict=True)])
         return float(angles.median()) if len(angles) else 180.0
 
-    def normal_disagreement(self) -> float:
+    def normal_disagreement(self, mirrored: Collection[str] = ()) -> float:
         """By how many degrees two views' normals of a point usually differ; 0 where too few pairs can tell.
+
+        Those of the views named in `mirrored` are first mirrored from left to right.
 
         Of each view and point that it shows, the nearest other view counts that has a normal there, if it is within
         `BESIDE` degrees; of the angles the median. Where views err independently it is about √2 times their error.
@@ -120,7 +123,12 @@ class Evidence:
         if self.colorless:
             return 0.0
         rows = self._some(NORMAL_POINTS)
-        normals = self.seen_normals[:, rows]
+        normals = torch.stack(
+            [
+                mirrored_normals(own[rows], view) if view.name in mirrored else own[rows]
+                for own, view in zip(self.seen_normals, self.views, strict=True)
+            ]
+        )
         differences = []
         for own, (angles, other) in zip(normals, self._nearest(rows, normals.any(dim=-1)), strict=True):
             both = own.any(dim=-1) & (angles < BESIDE)
@@ -175,18 +183,6 @@ class Evidence:
         if _total(agreement, best) < _total(agreement, none) + MIRROR_GAIN * float(pairs.sum()):
             return []
         return [view.name for view, mirrored in zip(self.views, best.tolist(), strict=True) if mirrored]
-
-    def mirroring(self, names: Collection[str]) -> Evidence:
-        """The same once the normals of the views of these names are mirrored from left to right."""
-        if not names:
-            return self
-        views = [
-            replace(view, normal=mirrored_normals(view.normal, view))
-            if view.name in names and view.normal is not None
-            else view
-            for view in self.views
-        ]
-        return replace(self, views=views)
 
     def _agreement(self) -> tuple[Tensor, Tensor]:
         """Σ of cosines of two views' normals [V, 2, V, 2], as they are and mirrored, and of how many points [V, V]."""

@@ -69,8 +69,8 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
         views = [turned(view, turns[view.name]) if view.name in turns else view for view in scene.train]
         evidence = Evidence.of(replace(start, train=views), near)
         mirrored = frozenset(evidence.mirrored_views())
-        disagreement = evidence.mirroring(mirrored).normal_disagreement()
-        weight = min(1.0, (AGREEING / max(disagreement, AGREEING)) ** 2)  # as the inverse of their variance
+        disagreement = evidence.normal_disagreement(mirrored)
+        weight = (AGREEING / max(disagreement, AGREEING)) ** 2  # as the inverse of their variance
     if mirrored:
         notes.append(f"mirrors the normals of {len(mirrored)} of {len(scene.train)} training views back")
     if weight < 1:

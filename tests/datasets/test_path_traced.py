@@ -40,6 +40,10 @@ def shining(shape: Shape, radiance: np.ndarray) -> Part:
     return Part(shape, 1e-4 * radiance, emission=1e4)
 
 
+def shining_box() -> list[Part]:
+    return [shining(face, patches(4, 4, index)) for index, face in enumerate(box((0, 0, -0.5), (1, 1, 1), 25))]
+
+
 def both(parts: list[Part], sky: np.ndarray, camera: Camera, metals: tuple[Part, ...] = ()) -> tuple[np.ndarray, ...]:
     """The world's picture as our own tracer makes it, and as Mitsuba does, with `metals` in place of our mirrors."""
     world = World(parts, sky)
@@ -56,15 +60,14 @@ def psnr(ours: np.ndarray, theirs: np.ndarray) -> float:
 @pytest.mark.parametrize("center", CENTERS)
 def test_both_tracers_see_one_world(center: tuple[float, float, float]) -> None:
     """What shines by itself before a sky: all that a wrong axis or a texture upside down would move."""
-    parts = [shining(face, patches(4, 4, index)) for index, face in enumerate(box((0, 0, -0.5), (1, 1, 1), 25))]
-    ours, theirs = both(parts, patches(8, 16, 9), camera_of(center))
+    ours, theirs = both(shining_box(), patches(8, 16, 9), camera_of(center))
     assert psnr(ours, theirs) > 30
     assert psnr(ours, theirs[:, ::-1]) < 20
 
 
 @pytest.mark.parametrize("center", CENTERS)
 def test_silver_is_our_mirror_of_its_reflectance(center: tuple[float, float, float]) -> None:
-    parts = [shining(face, patches(4, 4, index)) for index, face in enumerate(box((0, 0, -0.5), (1, 1, 1), 25))]
+    parts = shining_box()
     ball, blank = Sphere((0.2, 0.9, 0.1), 0.6), np.zeros((1, 1, 3))
     mirror, silver = Part(ball, blank, reflectance=0.96), Part(ball, blank, metal="Ag")
     ours, theirs = both([*parts, mirror], patches(8, 16, 9), camera_of(center), (silver,))

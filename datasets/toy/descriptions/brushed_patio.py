@@ -8,7 +8,7 @@ from .. import textures as tex
 from ..lathe import Lathe
 from ..rod import Rod
 from ..shapes import Disc, Rectangle, Sphere, Torus, box
-from ..sky import panorama
+from ..sky import afternoon
 from ..world import Part
 from .description import Description, Orbit, metallic, painted
 from .room import BLOCKS, HALF, blocks, open_walls
@@ -21,9 +21,7 @@ def brushed_patio(rng: np.random.Generator) -> Description:
     floor, *others = open_walls(rng)
     varnished = Part(floor.shape, floor.albedo, coat=1.5, roughness=0.25)
     parts = [varnished, *others, *blocks(BLOCKS, rng), *_counter(rng), *_vessels(), *_mirror(rng)]
-    sky = panorama(rng)
-    afternoon = 1.7 * np.roll(sky, sky.shape[1] // 4, axis=1)  # the sun a quarter further round: onto the mirror's side
-    return Description(parts, afternoon, Orbit((0, 0, 0.8), 2.1, 0.15, 1.45, 0.35, 66), far_points=100)
+    return Description(parts, 1.7 * afternoon(rng), Orbit((0, 0, 0.8), 2.1, 0.15, 1.45, 0.35, 66), far_points=100)
 
 
 def _counter(rng: np.random.Generator) -> list[Part]:

@@ -8,7 +8,7 @@ from ...formats.srgb import to_linear
 from .. import textures as tex
 from ..lathe import Lathe
 from ..shapes import Rectangle, Shape, Sphere, Torus, box
-from ..sky import panorama
+from ..sky import afternoon
 from ..world import Part
 from .description import Array, Description, Orbit, metallic, painted
 
@@ -20,9 +20,7 @@ GROUND = 5.0  # from the middle to its edge
 def copper_table(rng: np.random.Generator) -> Description:
     """Half of a picture is glaze over a painted table, a tenth chrome and copper; the rest is matt."""
     parts = [*_ground(rng), *_table(rng), *_metal(), *_painted_things(rng)]
-    sky = panorama(rng)
-    afternoon = np.roll(sky, sky.shape[1] // 4, axis=1)  # the sun a quarter further round
-    return Description(parts, afternoon, Orbit((0, 0, TOP + 0.1), 2.3, 0.25, 1.7, 0.4, 50), far_points=300)
+    return Description(parts, afternoon(rng), Orbit((0, 0, TOP + 0.1), 2.3, 0.25, 1.7, 0.4, 50), far_points=300)
 
 
 def _ground(rng: np.random.Generator) -> list[Part]:

@@ -29,15 +29,10 @@ BLOCKS: tuple[Block, ...] = (
 def walls(rng: np.random.Generator) -> list[Part]:
     """Floor, ceiling with lamps, and four walls, one with a window."""
     w, h = HALF + OVERLAP, HEIGHT
+    floor = _floor(rng)
     x, y = tex.grid(2 * HALF, 2 * HALF)
-    floor = tex.weathered(tex.tiles(x, y, 1.0, rng), rng)
     ceiling = tex.weathered(tex.checker(x, y, 1.0, ((0.93, 0.92, 0.88), (0.80, 0.84, 0.86))), rng, 0.05)
-    wide = 2 * w
-    parts = [
-        painted(Rectangle((-w, w, 0), (wide, 0, 0), (0, -wide, 0)), floor),
-        painted(Rectangle((-w, -w, h), (wide, 0, 0), (0, wide, 0)), ceiling),
-        *_four_walls(rng),
-    ]
+    parts = [floor, painted(Rectangle((-w, -w, h), (2 * w, 0, 0), (0, 2 * w, 0)), ceiling), *_four_walls(rng)]
     for lamp_x in (-1.4, 1.4):
         for lamp_y in (-1.4, 1.4):
             lamp = Rectangle((lamp_x - 0.6, lamp_y - 0.6, h - 0.03), (1.2, 0, 0), (0, 1.2, 0))
@@ -47,10 +42,14 @@ def walls(rng: np.random.Generator) -> list[Part]:
 
 def open_walls(rng: np.random.Generator) -> list[Part]:
     """The floor, and the four walls, under open sky."""
+    return [_floor(rng), *_four_walls(rng)]
+
+
+def _floor(rng: np.random.Generator) -> Part:
     w = HALF + OVERLAP
     x, y = tex.grid(2 * HALF, 2 * HALF)
-    floor = tex.weathered(tex.tiles(x, y, 1.0, rng), rng)
-    return [painted(Rectangle((-w, w, 0), (2 * w, 0, 0), (0, -2 * w, 0)), floor), *_four_walls(rng)]
+    tiles = tex.weathered(tex.tiles(x, y, 1.0, rng), rng)
+    return painted(Rectangle((-w, w, 0), (2 * w, 0, 0), (0, -2 * w, 0)), tiles)
 
 
 def _four_walls(rng: np.random.Generator) -> list[Part]:
