@@ -91,7 +91,7 @@ class GaussianMethod(GaussianModel):
             found = mended(scene, self.near, s.mono_weight > 0, self.generator, self.device)
         self.started_from, self.mended, self._normal_weight = found.scene, list(found.notes), found.normal_weight
         self._start(found.scene)
-        self._views = ResidentViews.of(self.device, found.turns, found.mirrored)
+        self._views = ResidentViews.of(self.device, found.views)
         self._steps = CapturedSteps(self._learn, self._learn_again)
 
     def _start(self, scene: Scene) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
@@ -10,10 +10,11 @@ from torch import Tensor
 
 from envgs_bench.core import View
 
-from .start.alignment import turned
-from .start.evidence import mirrored_normals
-
 SHARE_OF_DEVICE = 0.25  # part of a GPU's memory that views may stay in
+
+
+def as_given(view: View) -> View:
+    return view
 
 
 class ResidentViews:
@@ -24,23 +25,18 @@ class ResidentViews:
     Args:
         device: where the views go.
         room: bytes that may stay there; views that come later are copied whenever they are asked for.
-        turns: by names the rotations [3, 3] that follow those of views, on their way.
-        mirrored: names of the views whose normals are then mirrored from left to right.
+        mended: what becomes of a view on its way, the same for the same view.
     """
 
-    def __init__(
-        self, device: torch.device, room: int, turns: Mapping[str, Tensor] | None = None, mirrored: Collection[str] = ()
-    ) -> None:
-        self.device, self._room, self._turns, self._mirrored = device, room, turns or {}, mirrored
+    def __init__(self, device: torch.device, room: int, mended: Callable[[View], View] = as_given) -> None:
+        self.device, self._room, self._mended = device, room, mended
         self._copies: dict[int, tuple[View, View]] = {}  # by id(view); the view is kept, so that no other gets it
 
     @classmethod
-    def of(
-        cls, device: torch.device, turns: Mapping[str, Tensor] | None = None, mirrored: Collection[str] = ()
-    ) -> ResidentViews:
+    def of(cls, device: torch.device, mended: Callable[[View], View] = as_given) -> ResidentViews:
         """With room for SHARE_OF_DEVICE of a GPU; views on the CPU are where they are already."""
         on_gpu = device.type == "cuda"
-        return cls(device, int(SHARE_OF_DEVICE * torch.cuda.mem_get_info(device)[1]) if on_gpu else 0, turns, mirrored)
+        return cls(device, int(SHARE_OF_DEVICE * torch.cuda.mem_get_info(device)[1]) if on_gpu else 0, mended)
 
     def on_device(self, view: View) -> View:
         """The view there, without masks and depth."""
@@ -49,13 +45,8 @@ class ResidentViews:
             return known[1]
         image = view.image.to(self.device)
         normal = None if view.normal is None else view.normal.to(self.device)
-        copy = replace(view, image=image, normal=normal, masks={}, depth=None)
-        if view.name in self._turns:
-            copy = turned(copy, self._turns[view.name])
-            normal = copy.normal
-        if normal is not None and view.name in self._mirrored:
-            normal = mirrored_normals(normal, copy)
-        copy = replace(copy, camera=copy.camera.to(self.device), normal=normal)
+        copy = self._mended(replace(view, image=image, normal=normal, masks={}, depth=None))
+        copy, normal = replace(copy, camera=copy.camera.to(self.device)), copy.normal
         size = image.nbytes + (0 if normal is None else normal.nbytes)
         if size <= self._room:
             self._room -= size

@@ -28,7 +28,7 @@ def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[Tra
     support, parallax = evidence.support(), evidence.parallax()
     aligned = alignment(evidence, device)
     mirrored, views = evidence.mirrored_views(), len(scene.train)
-    disagreement = evidence.normal_disagreement(mirrored)
+    disagreement = evidence.normal_disagreement(evidence.normals_unmirrored(mirrored))
     found: list[tuple[WarningKind, bool, str]] = [
         (
             "views_sparse",

@@ -111,10 +111,13 @@ class Evidence:
         angles = torch.cat([beside[own] for (beside, _), own in zip(nearest, shown, strict=True)])
         return float(angles.median()) if len(angles) else 180.0
 
-    def normal_disagreement(self, mirrored: Collection[str] = ()) -> float:
-        """By how many degrees two views' normals of a point usually differ; 0 where too few pairs can tell.
+    def normals_unmirrored(self, mirrored: Collection[str]) -> Tensor:
+        """`seen_normals`, those of the views named mirrored from left to right."""
+        normals = zip(self.seen_normals, self.views, strict=True)
+        return torch.stack([mirrored_normals(own, view) if view.name in mirrored else own for own, view in normals])
 
-        Those of the views named in `mirrored` are first mirrored from left to right.
+    def normal_disagreement(self, normals: Tensor) -> float:
+        """By how many degrees two views' normals [V, P, 3] of a point usually differ; 0 where too few pairs can tell.
 
         Of each view and point that it shows, the nearest other view counts that has a normal there, if it is within
         `BESIDE` degrees; of the angles the median. Where views err independently it is about √2 times their error.
@@ -123,12 +126,7 @@ class Evidence:
         if self.colorless:
             return 0.0
         rows = self._some(NORMAL_POINTS)
-        normals = torch.stack(
-            [
-                mirrored_normals(own[rows], view) if view.name in mirrored else own[rows]
-                for own, view in zip(self.seen_normals, self.views, strict=True)
-            ]
-        )
+        normals = normals[:, rows]
         differences = []
         for own, (angles, other) in zip(normals, self._nearest(rows, normals.any(dim=-1)), strict=True):
             both = own.any(dim=-1) & (angles < BESIDE)

@@ -15,18 +15,45 @@ from torch import Tensor
 
 from envgs_bench.core import Scene, View
 
+from .agreement import agreement, corrected
 from .alignment import alignment, turned
-from .evidence import CELLS, Evidence, empty_cells
+from .evidence import CELLS, Evidence, empty_cells, mirrored_normals
 from .plane_sweep import swept_points
 
 UNSUPPORTED = 0.04  # `Evidence.support` below which points are where chance put them
 MISSING = 0.7  # share of a view's cells with a point below which pictures show much that no point starts
 TURNED = 0.12  # share of its differences to the points' colors that the median view must lose when it is turned
 AGREEING = 14.0  # degrees between two views' normals of a point up to which normals count in full: each is off by 10
+CORRECTED = 1.4  # × what two corrected normals differ by at a point: mirrors, which have none, are corrected less
 PER_CELL = 3  # pixels of each empty cell of a view that are swept
 TRIED = 4  # × as many are drawn, and those with the strongest gradients are taken
 NEAREST, FARTHEST = 0.1, 20.0  # depths that are swept, × the scene radius
 MIN_POINTS = 8  # that a set can start from
+
+
+@dataclass(frozen=True)
+class MendedViews:
+    """Training views are turned where their poses are off, and then their normals mirrored or corrected.
+
+    Attributes:
+        turns: by views' names the rotations [3, 3] after their own, none where poses are in order.
+        mirrored: names of the views whose normals are to be mirrored from left to right.
+        corrections: by views' names what their normals are then `corrected` by.
+    """
+
+    turns: Mapping[str, Tensor] = field(default_factory=dict)
+    mirrored: frozenset[str] = frozenset()
+    corrections: Mapping[str, Tensor] = field(default_factory=dict)
+
+    def __call__(self, view: View) -> View:
+        """What to train on in the view's place; on the device that it is on."""
+        if view.name in self.turns:
+            view = turned(view, self.turns[view.name])
+        if view.normal is not None and view.name in self.mirrored:
+            view = replace(view, normal=mirrored_normals(view.normal, view))
+        if view.normal is not None and view.name in self.corrections:
+            view = replace(view, normal=corrected(view.normal, self.corrections[view.name]))
+        return view
 
 
 @dataclass(frozen=True)
@@ -35,15 +62,13 @@ class Mended:
 
     Attributes:
         scene: the scene itself where its points are in order, else one with others.
-        turns: by the training views' names the rotations [3, 3] after their own, none where poses are in order.
-        mirrored: names of the training views whose normals are to be mirrored from left to right.
+        views: what becomes of the training views.
         normal_weight: how much the views' normals count, in (0, 1].
         notes: what is not as it was given, a sentence each.
     """
 
     scene: Scene
-    turns: Mapping[str, Tensor] = field(default_factory=dict)
-    mirrored: frozenset[str] = frozenset()
+    views: MendedViews = MendedViews()
     normal_weight: float = 1.0
     notes: Sequence[str] = ()
 
@@ -55,30 +80,36 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
         near: nearest depth that is drawn, world units: a point that is nearer to a camera is not where it should be.
         normals: whether the views' own normals are learned from.
     """
-    start, mirrored, weight, notes = mended_points(scene, near, generator, device), frozenset[str](), 1.0, []
+    start, weight, notes = mended_points(scene, near, generator, device), 1.0, []
     # Points that were not in order say nothing of poses.
-    turns = mended_poses(scene, near, device) if start is scene else {}
-    if turns:
-        notes.append(f"turns {len(turns)} of {len(scene.train)} training views to where they show the points")
+    views = MendedViews(mended_poses(scene, near, device) if start is scene else {})
+    if views.turns:
+        notes.append(f"turns {len(views.turns)} of {len(scene.train)} training views to where they show the points")
     if start is not scene:
         notes.append(
             f"starts from {len(start.points):,} points in place of {len(scene.points):,}: "
             "those that the training views support, and others found by a plane sweep over them"
         )
     if normals:
-        views = [turned(view, turns[view.name]) if view.name in turns else view for view in scene.train]
-        evidence = Evidence.of(replace(start, train=views), near)
+        evidence = Evidence.of(replace(start, train=[views(view) for view in scene.train]), near)
         mirrored = frozenset(evidence.mirrored_views())
-        disagreement = evidence.normal_disagreement(mirrored)
-        weight = (AGREEING / max(disagreement, AGREEING)) ** 2  # as the inverse of their variance
-    if mirrored:
-        notes.append(f"mirrors the normals of {len(mirrored)} of {len(scene.train)} training views back")
-    if weight < 1:
-        notes.append(
-            f"counts the training views' normals {weight:.2f} × as much: two views' differ by {disagreement:.0f}° at "
-            "the same point"
-        )
-    return Mended(start, turns, mirrored, weight, notes)
+        given = evidence.normals_unmirrored(mirrored)
+        agreed = agreement(evidence, given)
+        views = replace(views, mirrored=mirrored, corrections=agreed.corrections)
+        disagreement = evidence.normal_disagreement(agreed.normals)
+        remaining = disagreement * (CORRECTED if views.corrections else 1)
+        weight = (AGREEING / max(remaining, AGREEING)) ** 2  # as the inverse of their variance
+        if mirrored:
+            notes.append(f"mirrors the normals of {len(mirrored)} of {len(scene.train)} training views back")
+        if views.corrections:
+            notes.append(
+                f"turns the normals of {len(views.corrections)} of {len(scene.train)} training views, smoothly over "
+                f"each picture, to agree: two views' differ by {disagreement:.1f}° at the same point, as given by "
+                f"{evidence.normal_disagreement(given):.1f}°"
+            )
+        if weight < 1:
+            notes.append(f"counts the training views' normals {weight:.2f} × as much, since these still differ so much")
+    return Mended(start, views, weight, notes)
 
 
 @torch.no_grad()

@@ -16,8 +16,8 @@ from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.resident_views import ResidentViews
 from envgs_bench.methods.start.evidence import Evidence
+from envgs_bench.methods.start.mending import MendedViews, mended_points, mended_poses
 from envgs_bench.methods.start.mending import mended as mended_scene
-from envgs_bench.methods.start.mending import mended_points, mended_poses
 from envgs_bench.methods.start.plane_sweep import swept_points
 
 NEAR = 0.2
@@ -92,44 +92,45 @@ def test_views_with_mirrored_normals_are_found_and_mirrored_back(room: Scene, sh
     changed = [b.name for a, b in zip(room.train, broken.train, strict=True) if a is not b]
     assert len(changed) == round(share * len(room.train))
     assert Evidence.of(broken, NEAR).mirrored_views() == changed
-    views = ResidentViews(CPU, room=0, mirrored=changed)
+    views = ResidentViews(CPU, room=0, mended=MendedViews(mirrored=frozenset(changed)))
     for exact, view in zip(room.train, broken.train, strict=True):
         torch.testing.assert_close(views.on_device(view).normal, exact.normal, atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_normals_count_less_the_less_views_agree_on_them(room: Scene, mirrored: bool) -> None:
-    """As the inverse of their variance, be they mirrored besides or not; in order they count in full."""
+    """As the inverse of the variance that is left once they are corrected, be they mirrored besides or not."""
     weights = []
     for severity in (0, 2, 3):
         scene = PERTURBATIONS["normals_turned"].applied(room, severity, "normals_turned", seed=0) if severity else room
         if mirrored:
             scene = PERTURBATIONS["normals_mirrored"].applied(scene, 3, "normals_mirrored", seed=0)
         found = mended_scene(scene, NEAR, True, torch.Generator().manual_seed(0), CPU)
-        assert bool(found.mirrored) == mirrored
+        assert bool(found.views.mirrored) == mirrored
         weights.append(found.normal_weight)
-        assert ("same point" in found.notes[-1]) if severity else (len(found.notes) == mirrored)
+        assert ("as much" in found.notes[-1]) == bool(severity)
     assert weights[0] == 1
-    assert 0.25 < weights[1] < 0.6
-    assert 0.08 < weights[2] < 0.25
+    assert 0.4 < weights[1] < 0.8
+    assert 0.1 < weights[2] < 0.3
     assert mended_scene(scene, NEAR, False, torch.Generator().manual_seed(0), CPU).normal_weight == 1
 
 
 def test_l_mono_is_weighed_by_what_normals_are_worth(room: Scene) -> None:
     broken = PERTURBATIONS["normals_turned"].applied(room, 3, "normals_turned", seed=0)
+    found = mended_scene(broken, NEAR, True, torch.Generator().manual_seed(0), CPU)
+    corrected = replace(broken, train=[found.views(view) for view in broken.train])
     terms = []
-    for mends in (True, False):
+    for mends, scene in ((True, broken), (False, corrected)):
         method = create_method("envgs", {"env_grid": 2, "env_far_count": 10, "mends_input": mends})
-        method.initialize(broken, steps=10)
-        terms.append(float(method.training_step(broken.train[0], 1)["mono"]))
-    weight = mended_scene(broken, NEAR, True, torch.Generator().manual_seed(0), CPU).normal_weight
-    assert terms[0] == pytest.approx(weight * terms[1], rel=1e-4)
+        method.initialize(scene, steps=10)
+        terms.append(float(method.training_step(scene.train[0], 1)["mono"]))
+    assert terms[0] == pytest.approx(found.normal_weight * terms[1], rel=1e-4)
 
 
 def test_views_are_learned_from_as_they_are_turned_back(room: Scene) -> None:
     """Their normals, too, which had turned with them; those of mirrored ones are mirrored about the mended axes."""
     broken = worst(room, "pose_rotation")
-    views = ResidentViews(CPU, room=0, turns=mended_poses(broken, NEAR, CPU))
+    views = ResidentViews(CPU, room=0, mended=MendedViews(mended_poses(broken, NEAR, CPU)))
     off = {"given": [], "mended": []}
     for exact, view in zip(room.train, broken.train, strict=True):
         for kind, each in (("given", view), ("mended", views.on_device(view))):
@@ -142,7 +143,7 @@ def test_points_that_are_missing_or_of_one_color_turn_no_view(room: Scene) -> No
     broken = worst(room, "pose_rotation")
     assert mended_poses(replace(broken, point_colors=torch.full_like(room.point_colors, 0.5)), NEAR, CPU) == {}
     few = replace(broken, points=broken.points[::12], point_colors=broken.point_colors[::12])
-    assert mended_scene(few, NEAR, False, torch.Generator().manual_seed(0), CPU).turns == {}
+    assert mended_scene(few, NEAR, False, torch.Generator().manual_seed(0), CPU).views.turns == {}
 
 
 def test_published_recipes_take_points_and_normals_as_they_are_given() -> None:
@@ -155,7 +156,7 @@ def test_a_method_says_what_it_mended_and_starts_from_it(room: Scene) -> None:
     mirrored = PERTURBATIONS["normals_mirrored"].applied(few, 1, "normals_mirrored", seed=0)
     method = create_method("envgs", {"env_grid": 2, "env_far_count": 10})
     method.initialize(mirrored, steps=10)
-    points, normals = method.mended
+    points, normals, _ = method.mended
     assert f"{method.primitives()['base']:,} points in place of {len(few.points):,}" in points
     assert normals == f"mirrors the normals of 7 of {len(room.train)} training views back"
     as_given = create_method("envgs", {"env_grid": 2, "env_far_count": 10, "mends_input": False})

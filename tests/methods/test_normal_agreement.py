@@ -1,0 +1,125 @@
+"""Estimated normals brought into agreement, against the exact ones that the toys know."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+from toy_scenes import coarse_toys
+
+from envgs_bench.core import Scene
+from envgs_bench.core.vectors import rotated, unit
+from envgs_bench.datasets import load_scene
+from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
+from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.start.agreement import LEAST_POINTS, Agreement, agreement, corrected
+from envgs_bench.methods.start.evidence import Evidence
+from envgs_bench.methods.start.mending import MendedViews, mended
+
+NEAR = 0.2
+CPU = torch.device("cpu")
+AS_GIVEN = Agreement(torch.zeros(0))
+TOY = {"kind": "toy", "scene": "chrome_room", "width": 40, "height": 30, "views": 33, "supersampling": 1}
+
+
+@pytest.fixture(scope="module")
+def exact(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    with coarse_toys():
+        return load_scene(TOY | {"normal_noise": 0.0}, tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture(scope="module")
+def estimated(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    with coarse_toys():
+        return load_scene(TOY | {"normal_noise": 5.0}, tmp_path_factory.mktemp("cache"))
+
+
+def agreed(scene: Scene) -> Agreement:
+    evidence = Evidence.of(scene, NEAR)
+    return agreement(evidence, evidence.seen_normals)
+
+
+def degrees(scene: Scene, found: Agreement, exact: Scene, region: str | None = None) -> float:
+    """By how much the corrected normals of the training views are off on average, there."""
+    views = MendedViews(corrections=found.corrections)
+    angles = []
+    for view, truth in zip(scene.train, exact.train, strict=True):
+        assert truth.normal is not None
+        given = views(view).normal
+        known = truth.normal.any(dim=-1) & (truth.masks[region] if region else True)
+        angles.append((given * truth.normal).sum(dim=-1)[known].clamp(-1, 1).acos().rad2deg())
+    return float(torch.cat(angles).mean())
+
+
+def test_what_views_say_together_is_nearer_to_the_truth_on_mirrors_too(estimated: Scene, exact: Scene) -> None:
+    found = agreed(estimated)
+    assert degrees(estimated, AS_GIVEN, exact) == pytest.approx(5, abs=0.3)
+    assert degrees(estimated, found, exact) < 3.6
+    assert degrees(estimated, found, exact, "reflective") < 0.8 * degrees(estimated, AS_GIVEN, exact, "reflective")
+    assert found.corrections.keys() == {view.name for view in estimated.train}
+
+
+def test_so_it_is_where_estimates_are_far_off(estimated: Scene, exact: Scene) -> None:
+    worse = PERTURBATIONS["normals_turned"].applied(estimated, 2, "normals_turned", seed=0)  # by 15° more
+    before, after = (degrees(worse, found, exact) for found in (AS_GIVEN, agreed(worse)))
+    assert before > 14
+    assert after < 0.75 * before
+
+
+def test_normals_that_agree_stay_to_the_last_bit(exact: Scene) -> None:
+    assert agreed(exact).corrections == {}
+    found = mended(exact, NEAR, True, torch.Generator().manual_seed(0), CPU)
+    assert (found.views, found.normal_weight, list(found.notes)) == (MendedViews(), 1.0, [])
+
+
+def test_views_that_are_turned_are_turned_back(exact: Scene) -> None:
+    """By what varies over their pictures; and the others, which were right, not at all."""
+    height, width = exact.train[3].normal.shape[:2]
+    x = torch.linspace(0, 1, width).expand(height, width)
+    y = torch.linspace(0, 1, height)[:, None].expand(height, width)
+    field = torch.stack([0.5 * x - 0.2, 0.4 * y, 0.3 - 0.5 * x * y], dim=-1)
+    views = list(exact.train)
+    for index in range(0, len(views), 7):
+        views[index] = replace(views[index], normal=rotated(views[index].normal, field))
+    turned = replace(exact, train=views)
+    found = agreed(turned)
+    assert list(found.corrections) == [view.name for view in views[::7]]
+    few, truth = replace(turned, train=views[::7]), replace(exact, train=exact.train[::7])
+    assert degrees(few, found, truth) < degrees(few, AS_GIVEN, truth) / 4
+
+
+def test_corrections_are_bilinear_between_the_corners_of_cells() -> None:
+    """As SciPy interpolates, and turns."""
+    generator = torch.Generator().manual_seed(0)
+    corners = torch.randn(4, 7, 3, generator=generator)
+    normals = unit(torch.randn(9, 14, 3, generator=generator))
+    normals[2, 5] = 0
+    rows, columns = (np.arange(9) + 0.5) / 9 * 3, (np.arange(14) + 0.5) / 14 * 6
+    interpolated = RegularGridInterpolator((np.arange(4), np.arange(7)), corners.double().numpy())
+    vectors = interpolated(np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)).reshape(-1, 3)
+    expected = Rotation.from_rotvec(vectors).apply(normals.reshape(-1, 3).double().numpy()).reshape(9, 14, 3)
+    torch.testing.assert_close(corrected(normals, corners).double(), torch.from_numpy(expected), atol=2e-6, rtol=0)
+    torch.testing.assert_close(corrected(normals, torch.zeros(4, 7, 3)), normals, atol=0, rtol=0)
+
+
+def test_views_that_show_too_few_points_stay(estimated: Scene) -> None:
+    few = replace(estimated, points=estimated.points[:LEAST_POINTS], point_colors=estimated.point_colors[:LEAST_POINTS])
+    assert agreed(few).corrections == {}
+    two = replace(estimated, train=estimated.train[:2])
+    assert agreed(two).corrections == {}
+
+
+def test_a_method_learns_from_what_agrees_and_says_so(estimated: Scene) -> None:
+    small = {"env_grid": 2, "env_far_count": 10}
+    terms: dict[bool, Tensor] = {}
+    for mends in (True, False):
+        method = create_method("envgs", small | {"mends_input": mends})
+        method.initialize(estimated, steps=10)
+        terms[mends] = method.training_step(estimated.train[0], 1)["mono"]
+        assert any("to agree" in note for note in method.mended) == mends
+    assert not torch.isclose(terms[True], terms[False], rtol=1e-3)
