@@ -1,16 +1,17 @@
-"""Training views on the method's device: copied once, as long as there is room, and not again at every step."""
+"""Training views as they are learned from, on the method's device: made once, as long as there is room for them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 
+import psutil
 import torch
 from torch import Tensor
 
 from envgs_bench.core import View
 
-SHARE_OF_DEVICE = 0.25  # part of a GPU's memory that views may stay in
+SHARE_OF_MEMORY = 0.25  # of the device's, that views may stay in
 
 
 def as_given(view: View) -> View:
@@ -20,11 +21,12 @@ def as_given(view: View) -> View:
 class ResidentViews:
     """Views with what training reads of them, camera, image and normals, on one device.
 
-    A step waits for every copy from the CPU's memory: at 800×800 pixels, image and normals are 10 MB.
+    A GPU's step waits for every copy from the CPU's memory: at 800×800 pixels, image and normals are 10 MB. To mend the
+    normals of as large a view takes a CPU 0.1 s.
 
     Args:
         device: where the views go.
-        room: bytes that may stay there; views that come later are copied whenever they are asked for.
+        room: bytes that may stay there besides the views as given; those that come later are made whenever asked for.
         mended: what becomes of a view on its way, the same for the same view.
     """
 
@@ -34,9 +36,9 @@ class ResidentViews:
 
     @classmethod
     def of(cls, device: torch.device, mended: Callable[[View], View] = as_given) -> ResidentViews:
-        """With room for SHARE_OF_DEVICE of a GPU; views on the CPU are where they are already."""
-        on_gpu = device.type == "cuda"
-        return cls(device, int(SHARE_OF_DEVICE * torch.cuda.mem_get_info(device)[1]) if on_gpu else 0, mended)
+        """With room for SHARE_OF_MEMORY of the device's."""
+        memory = torch.cuda.mem_get_info(device)[1] if device.type == "cuda" else psutil.virtual_memory().total
+        return cls(device, int(SHARE_OF_MEMORY * memory), mended)
 
     def on_device(self, view: View) -> View:
         """The view there, without masks and depth."""
@@ -46,13 +48,19 @@ class ResidentViews:
         image = view.image.to(self.device)
         normal = None if view.normal is None else view.normal.to(self.device)
         copy = self._mended(replace(view, image=image, normal=normal, masks={}, depth=None))
-        copy, normal = replace(copy, camera=copy.camera.to(self.device)), copy.normal
-        size = image.nbytes + (0 if normal is None else normal.nbytes)
-        if size <= self._room:
-            self._room -= size
-            copy = replace(copy, image=_by_planes(image), normal=None if normal is None else _by_planes(normal))
+        copy = replace(copy, camera=copy.camera.to(self.device))
+        made = _bytes_made(copy.image, view.image) + _bytes_made(copy.normal, view.normal)
+        if made <= self._room:
+            self._room -= made
+            if self.device.type == "cuda":
+                normal = None if copy.normal is None else _by_planes(copy.normal)
+                copy = replace(copy, image=_by_planes(copy.image), normal=normal)
             self._copies[id(view)] = view, copy
         return copy
+
+
+def _bytes_made(pixels: Tensor | None, given: Tensor | None) -> int:
+    return 0 if pixels is None or pixels is given else pixels.nbytes
 
 
 def _by_planes(pixels: Tensor) -> Tensor:
