@@ -58,6 +58,7 @@ WarningKind = Literal[
     "beta_vanishes",  # nothing reflects any more, after something did
     "set_shrinks",  # in one step: the base to less than a half, the environment to less than a tenth
     "set_doubles",  # to more than twice in one step
+    "needles",  # a set's primitives run away along one axis
     "budget",  # of primitives or memory
     "views_sparse",  # of the scene, before any step: neighboring views are too far apart
     "points_missing",  # the views show much where no point is

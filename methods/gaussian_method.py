@@ -309,6 +309,9 @@ class GaussianMethod(GaussianModel):
     def last_maps(self) -> Mapping[str, Tensor]:
         return self._maps
 
+    def needles(self) -> Mapping[str, Tensor]:
+        return {name: trained.parameters.needles() for name, trained in self.sets.items() if len(trained.parameters)}
+
     def non_finite_gradients(self) -> list[str]:
         self.settle()
         return self._gradients.take_non_finite()

@@ -94,6 +94,13 @@ class Method(ABC):
         """
         return {}
 
+    def needles(self) -> Mapping[str, float | Tensor]:
+        """The share of each set's primitives, in [0, 1] by the set's name, that have run away along one axis.
+
+        The harness looks now and then. Empty for a method that has no such primitives.
+        """
+        return {}
+
     def non_finite_gradients(self) -> list[str]:
         """Parameters whose gradients were not finite in any of the last steps, by name, each call's since the last.
 

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from envgs_bench.core import View
 from envgs_bench.methods.method import Method
+from envgs_bench.methods.parameters import NEEDLE
 from envgs_bench.parts import ALPHA, BASE, BETA, ENV, REFLECTIVE
 from envgs_bench.records import TrainingWarning, WarningKind
 
@@ -35,6 +36,7 @@ SATURATED, ABSENT = 0.8, 0.005  # mean β where nothing reflects that is too muc
 # The share of a set that must outlive a step. An environment starts as primitives at random: the first densification
 # prunes more than half of them.
 KEPT = {BASE: 0.5, ENV: 0.1}
+NEEDLES = 0.01  # share of a set's primitives that is too many: sound sets have a tenth of it at most
 MIN_SET = 100  # primitives of a set below which its changes say nothing
 MEMORY_SHARE = 0.95  # of the machine's memory that a run may take before it ends by itself
 
@@ -143,7 +145,7 @@ class Health:
         return step % LOOK_EVERY == 0
 
     def look(self, step: int, view: View) -> None:
-        """Look at what the last step drew, of `view`, at how well the method does, and at the memory.
+        """Look at what the last step drew, of `view`, how well the method does, its primitives' shapes and the memory.
 
         Raises:
             Diverged: the pictures have been empty, or far worse than they were, for HOPELESS looks.
@@ -155,6 +157,7 @@ class Health:
             self._look_at_alpha(step, float(maps[ALPHA].float().mean()))
         if BETA in maps:
             self._look_at_beta(step, maps[BETA], view)
+        self._look_at_needles(step)
         self._look_at_memory(step)
 
     def _look_at_psnr(self, step: int, view: View) -> None:
@@ -185,6 +188,11 @@ class Health:
             mean = float(beta[mirrors.to(beta.device)].mean())
             self._lasts("beta_vanishes", mean < ABSENT, step, f"a mean β of {mean:.4f} on what reflects")
 
+    def _look_at_needles(self, step: int) -> None:
+        for name, share in self._method.needles().items():
+            text = f"{float(share):.1%} of the primitives are needles, {NEEDLE:g} times as long as wide and more"
+            self._lasts("needles", float(share) > NEEDLES, step, text, part=name)
+
     def _look_at_memory(self, step: int) -> None:
         used = process_memory()
         if used > self._memory:
@@ -200,10 +208,11 @@ class Health:
         if self._lasting[kind] >= HOPELESS and step < self._steps:
             raise Diverged(f"{text}; it has been so for {HOPELESS * LOOK_EVERY} steps, up to step {step}")
 
-    def _lasts(self, kind: WarningKind, wrong: bool, step: int, text: str) -> None:
-        self._lasting[kind] = self._lasting.get(kind, 0) + 1 if wrong else 0
-        if self._lasting[kind] == self._enough:
-            self._warn(kind, step, "", f"{text}, for {self._enough * LOOK_EVERY} steps")
+    def _lasts(self, kind: WarningKind, wrong: bool, step: int, text: str, part: str = "") -> None:
+        what = f"{kind} {part}".rstrip()
+        self._lasting[what] = self._lasting.get(what, 0) + 1 if wrong else 0
+        if self._lasting[what] == self._enough:
+            self._warn(kind, step, part, f"{text}, for {self._enough * LOOK_EVERY} steps")
 
     def _warn(self, kind: WarningKind, step: int, part: str, message: str) -> None:
         for index, warning in enumerate(self.warnings):

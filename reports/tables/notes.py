@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from math import log10
 
 from envgs_bench.parts import LOSSES
@@ -31,7 +32,7 @@ def caption(section: Section, table: Table) -> str:
 
 
 def notes(section: Section, table: Table) -> list[str]:
-    """What was trained without, why cells are empty, how large the regions are, and what the paper's columns mean."""
+    """What was trained without, mended or warned of, why cells are empty, how large regions are, what the paper has."""
     if table.told:
         return list(table.remarks)
     found = dropped_losses(table)
@@ -40,7 +41,8 @@ def notes(section: Section, table: Table) -> list[str]:
             for metric, reasons in section.not_computed(dataset).items():
                 found.append(f"n/c: {metric.upper()} was not computed: {'; '.join(reasons)}.")
     found += _shares(section, table)
-    found += _parts(table) if table.kind == "subject" else []
+    if table.kind == "subject":
+        found += _parts(table) + _noticed(section, table)
     if any(column.metric == "frame_ms" for column in table.columns):
         found += _company(section, table)
     if any(column.against and not column.with_interval for column in table.columns):
@@ -94,6 +96,35 @@ def _parts(table: Table) -> list[str]:
         f"{', '.join(titles[count])}: over the {count} of {len(table.datasets)} data sets that have the region."
         for count in counts
     ]
+
+
+def _noticed(section: Section, table: Table) -> list[str]:
+    """What runs on a data set of their own table mended of it, found by trial or warned of, naming the methods.
+
+    Of warnings that differ in their numbers alone the first is told.
+    """
+    if len(table.datasets) > 1:
+        return []
+    finished: Counter[str] = Counter()
+    told: dict[object, tuple[str, Counter[str]]] = {}
+    for item in section.of(table.datasets[0]):
+        if not item.run.ok:
+            continue
+        finished[item.method] += 1
+        sentences: dict[object, str] = {note: note for note in item.run.record.notes}
+        for warning in item.run.record.warnings:
+            words = f"{warning.kind} {warning.part}".rstrip().replace("_", " ")
+            sentences.setdefault((warning.kind, warning.part), f"warning: {words}: {warning.message}")
+        for key, sentence in sentences.items():
+            told.setdefault(key, (sentence, Counter()))[1][item.method] += 1
+    return [
+        f"{', '.join(_how_many(method, count, finished[method]) for method, count in methods.items())}: {sentence}."
+        for sentence, methods in told.values()
+    ]
+
+
+def _how_many(method: str, count: int, of: int) -> str:
+    return method if count == of else f"{method} ({count} of {of} runs)"
 
 
 def _company(section: Section, table: Table) -> list[str]:

@@ -1,5 +1,6 @@
 """Rows of a trained set and Adam's moments belong together."""
 
+import pytest
 import torch
 
 from envgs_bench.methods.parameters import SH_DC, GaussianParameters, LearningRates, primitive_bytes, sh_from_rgb
@@ -52,6 +53,19 @@ def test_activated_values():
     torch.testing.assert_close(gaussians.scales.log(), parameters.tensors["log_scales"])
     assert gaussians.sh.shape == (6, 9, 3)
     assert parameters.gaussians(sh_degree=1).sh.shape == (6, 4, 3)
+
+
+@pytest.mark.parametrize(
+    "scales",
+    [
+        [[4e-4, 0.5], [0.2, 0.2], [7e-3, 6e-6], [0.9, 1e-3]],  # the second is round, the last 900 times as long as wide
+        [[1e-4, 0.5, 4e-4], [0.2, 1e-6, 0.2], [1e-8, 7e-3, 6e-6], [0.9, 1e-3, 1e-3]],  # the second is a disk
+    ],
+)
+def test_needles_are_long_against_their_second_axis(scales: list[list[float]]) -> None:
+    axes = torch.tensor(scales)
+    tensors = make_parameters(len(axes)).tensors | {"log_scales": axes.log()}
+    assert float(GaussianParameters(tensors, LearningRates(), radius=2.0).needles()) == 0.5
 
 
 def test_constant_sh_shows_its_color():

@@ -389,6 +389,23 @@ def test_times_on_a_busy_machine_are_noted(tmp_path: Path) -> None:
     assert "Others kept up to 1.5 processor cores busy" in " ".join(notes(section, section.tables[0]))
 
 
+def test_what_runs_mended_and_warned_of_stands_below_the_table_of_their_data_set(tmp_path: Path) -> None:
+    turned = "turns the normals of 42 of 42 training views"
+    write_runs(tmp_path, (ROOM, "toy/sky_ball"), ("2dgs", "envmap"), pictures=False)
+    write_runs(tmp_path, (ROOM,), ("envmap",), pictures=False, notes=[turned])
+    for seed, step in ((0, 400), (2, 350)):
+        warning = {"kind": "beta_vanishes", "step": step, "part": "", "message": f"a mean β of 0 since {step}"}
+        write_runs(tmp_path, (ROOM,), ("envgs",), (seed,), pictures=False, notes=[turned], warnings=[warning])
+    write_runs(tmp_path, (ROOM,), ("envgs",), (1,), pictures=False, notes=[turned])
+    (section,) = sections_of(tmp_path)
+    assert notes(section, titled(section, ROOM))[-2:] == [
+        f"envmap, envgs: {turned}.",
+        "envgs (2 of 3 runs): warning: beta vanishes: a mean β of 0 since 400.",
+    ]
+    for title in ("toy/sky_ball", "toy", f"{ROOM}: inside the regions"):
+        assert not any(turned in note or "warning" in note for note in notes(section, titled(section, title)))
+
+
 def test_markdown_marks_failures_and_reasons(mixed: Section) -> None:
     text = markdown([mixed], [])
     assert "2/3: 1 diverged" in text

@@ -50,6 +50,9 @@ class Scripted(MeanColor):
     def last_maps(self) -> Mapping[str, Tensor]:
         return {name: torch.full((4, 4), self.now[name]) for name in ("alpha", "beta") if name in self.now}
 
+    def needles(self) -> Mapping[str, float]:
+        return {"base": self.now.get("needles", 0.0)}
+
 
 def scripted(script: Callable[[int], Mapping[str, Any]], tmp_path: Path, steps: int = 3000) -> list[TrainingWarning]:
     method = Scripted(Settings())
@@ -175,6 +178,17 @@ def test_beta_is_held_against_what_reflects_where_that_is_known(
     for step in range(50, 1500, 50):
         watched.look(step, view)
     assert [w.kind for w in watched.warnings] == ([kind] if kind else [])
+
+
+def test_needles_are_noticed_once_they_last(tmp_path: Path) -> None:
+    (warning,) = scripted(lambda step: {"needles": 0.12 if step > 500 or 100 < step < 300 else 0.0}, tmp_path, 1500)
+    assert (warning.kind, warning.part, warning.step) == ("needles", "base", 900)
+    assert "12.0%" in warning.message
+
+
+def test_scales_that_run_away_make_needles(room: Scene, tmp_path: Path) -> None:
+    warned = warnings_of(create_method("2dgs", {"scale_lr": 0.3}), room, 200, tmp_path)
+    assert [(warning.kind, warning.part) for warning in warned] == [("needles", "base")]
 
 
 @pytest.mark.parametrize("kind", KINDS)
