@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import psutil
 import torch
 from torch import Tensor
 
 from envgs_bench.core import View
+from envgs_bench.memory import machine_memory
 
-SHARE_OF_MEMORY = 0.25  # of the device's, that views may stay in
+SHARE_OF_MEMORY = 0.25  # of a GPU's, or of what this process may take, that views may stay in
 
 
 def as_given(view: View) -> View:
@@ -36,8 +36,8 @@ class ResidentViews:
 
     @classmethod
     def of(cls, device: torch.device, mended: Callable[[View], View] = as_given) -> ResidentViews:
-        """With room for SHARE_OF_MEMORY of the device's."""
-        memory = torch.cuda.mem_get_info(device)[1] if device.type == "cuda" else psutil.virtual_memory().total
+        """With room for SHARE_OF_MEMORY."""
+        memory = torch.cuda.mem_get_info(device)[1] if device.type == "cuda" else machine_memory()
         return cls(device, int(SHARE_OF_MEMORY * memory), mended)
 
     def on_device(self, view: View) -> View:

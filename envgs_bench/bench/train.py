@@ -14,7 +14,7 @@ import torch
 from rich.table import Table
 
 from envgs_bench.core import Scene, View
-from envgs_bench.stages.memory import peak_device_bytes
+from envgs_bench.memory import peak_device_bytes
 
 from .course import Stops, Trainee, course, mean_psnr, warm_up
 

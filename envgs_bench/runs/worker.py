@@ -19,12 +19,12 @@ from typing import NoReturn
 import torch
 
 from envgs_bench.loggers.opening import logging_of
+from envgs_bench.memory import lift_limit, limit_memory
 from envgs_bench.records import Failure, Status
 from envgs_bench.settings import read_settings
 from envgs_bench.stages.events import Event, EventListener
 from envgs_bench.stages.execution import execute
 from envgs_bench.stages.health import Diverged
-from envgs_bench.stages.memory import lift_limit, limit_memory
 from envgs_bench.stages.stop import Stop
 
 from .draft import Draft

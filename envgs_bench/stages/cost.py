@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from envgs_bench.memory import peak_device_bytes, peak_host_bytes
 from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.storage import compact
 from envgs_bench.records import Cost
 
-from .memory import peak_device_bytes, peak_host_bytes
 from .training import Training
 
 

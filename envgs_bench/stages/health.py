@@ -16,12 +16,11 @@ from typing import Any
 from torch import Tensor
 
 from envgs_bench.core import View
+from envgs_bench.memory import machine_memory, process_memory
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.parameters import NEEDLE
 from envgs_bench.parts import ALPHA, BASE, BETA, ENV, REFLECTIVE
 from envgs_bench.records import TrainingWarning, WarningKind
-
-from .memory import machine_memory, process_memory
 
 NON_FINITE_STEPS = 20  # in a row without a finite loss, or skipped, and the run has diverged
 LOOK_EVERY = 50  # steps between two looks at pictures and memory

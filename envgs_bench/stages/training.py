@@ -15,11 +15,11 @@ import torch
 from torch import Tensor
 
 from envgs_bench.core import Scene, View
+from envgs_bench.memory import peak_host_bytes
 from envgs_bench.methods.method import Method
 
 from .events import EventListener
 from .health import Health
-from .memory import peak_host_bytes
 from .snapshots import Snapshots, State, random_state, set_random_state
 from .training_log import TrainingLog
 
