@@ -63,6 +63,7 @@ WarningKind = Literal[
     "views_sparse",  # of the scene, before any step: neighboring views are too far apart
     "points_missing",  # the views show much where no point is
     "points_unsupported",  # the points have not the colors of what the views show there
+    "exposures_differ",  # what the views show at the points is brighter in some, or of another tint
     "poses_off",  # most views agree with the points' colors only when turned
     "normals_mirrored",  # some views' agree with the others' only when mirrored
     "normals_disagree",  # two views' at the same point

@@ -11,6 +11,7 @@ import torch
 from envgs_bench.core import Scene
 from envgs_bench.methods.start.alignment import alignment
 from envgs_bench.methods.start.evidence import Evidence, empty_cells
+from envgs_bench.methods.start.exposures import UNEQUAL, exposures
 from envgs_bench.methods.start.mending import MISSING, UNSUPPORTED
 from envgs_bench.records import TrainingWarning, WarningKind
 
@@ -26,7 +27,7 @@ def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[Tra
     evidence = Evidence.of(scene, scene.free_space)
     covered = empty_cells(scene, scene.free_space, device)[1]
     support, parallax = evidence.support(), evidence.parallax()
-    aligned = alignment(evidence, device)
+    aligned, bright = alignment(evidence, device), exposures(evidence)
     mirrored, views = evidence.mirrored_views(), len(scene.train)
     disagreement = evidence.normal_disagreement(evidence.normals_unmirrored(mirrored))
     found: list[tuple[WarningKind, bool, str]] = [
@@ -46,6 +47,12 @@ def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[Tra
             support < UNSUPPORTED,
             f"the points' colors are only {support:.0%} nearer to what the views show there than other points' are: "
             "the points, or the poses, are not those of the pictures",
+        ),
+        (
+            "exposures_differ",
+            bright.deviation > UNEQUAL and support >= UNSUPPORTED,  # wrong points have no colors to compare
+            f"the training views are not equally bright, or not of one tint: the median view is off by "
+            f"{bright.stops:.1f} stops in some channel, which a method without a term for it blends",
         ),
         (
             "poses_off",

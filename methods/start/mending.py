@@ -1,7 +1,8 @@
-"""Points, poses and normals that a method would not survive as given, judged by the photographs alone, and mended.
+"""Points, poses, exposures and normals that a method would not survive as given, judged by the photographs, and mended.
 
 Where structure from motion failed (points that the pictures do not support, none where the pictures show something, at
-the cameras' centers), a plane sweep finds others. Views that show the points elsewhere than their poses say are turned.
+the cameras' centers), a plane sweep finds others. Views that show the points elsewhere than their poses say are turned,
+and those that show them brighter or darker than the others made equal.
 A scene in order is left as it is, to the last bit.
 """
 
@@ -18,6 +19,7 @@ from envgs_bench.core import Scene, View
 from .agreement import agreement, corrected
 from .alignment import alignment, turned
 from .evidence import CELLS, Evidence, empty_cells, mirrored_normals
+from .exposures import equalized, exposures
 from .plane_sweep import swept_points
 
 UNSUPPORTED = 0.04  # `Evidence.support` below which points are where chance put them
@@ -33,20 +35,24 @@ MIN_POINTS = 8  # that a set can start from
 
 @dataclass(frozen=True)
 class MendedViews:
-    """Training views are turned where their poses are off, and then their normals mirrored or corrected.
+    """Training views are made as bright as all, turned where poses are off, and then normals mirrored or corrected.
 
     Attributes:
+        light: by views' names the factors [3] that their pictures' linear light is divided by; none where it is equal.
         turns: by views' names the rotations [3, 3] after their own, none where poses are in order.
         mirrored: names of the views whose normals are to be mirrored from left to right.
         corrections: by views' names what their normals are then `corrected` by.
     """
 
+    light: Mapping[str, Tensor] = field(default_factory=dict)
     turns: Mapping[str, Tensor] = field(default_factory=dict)
     mirrored: frozenset[str] = frozenset()
     corrections: Mapping[str, Tensor] = field(default_factory=dict)
 
     def __call__(self, view: View) -> View:
         """What to train on in the view's place; on the device that it is on."""
+        if view.name in self.light:
+            view = replace(view, image=equalized(view.image, self.light[view.name]))
         if view.name in self.turns:
             view = turned(view, self.turns[view.name])
         if view.normal is not None and view.name in self.mirrored:
@@ -81,8 +87,15 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
         normals: whether the views' own normals are learned from.
     """
     start, weight, notes = mended_points(scene, near, generator, device), 1.0, []
-    # Points that were not in order say nothing of poses.
-    views = MendedViews(mended_poses(scene, near, device) if start is scene else {})
+    views = MendedViews()
+    if start is scene:  # points that were not in order say nothing of poses and colors
+        bright = exposures(Evidence.of(scene, near))
+        views = MendedViews(bright.factors, mended_poses(scene, near, device))
+        if views.light:
+            notes.append(
+                f"makes {len(views.light)} of {len(scene.train)} training views equally bright, in each channel: what "
+                f"they show at the points is off by {bright.stops:.1f} stops, the median view's"
+            )
     if views.turns:
         notes.append(f"turns {len(views.turns)} of {len(scene.train)} training views to where they show the points")
     if start is not scene:

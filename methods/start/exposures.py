@@ -1,0 +1,123 @@
+"""Exposure and white balance that change from view to view, told by the scene's points and taken back.
+
+A point has one color, but for what view and light change. So of what a view shows at the points, in the logarithm of
+linear light, an offset that all of them share is the view's own: its exposure and, channel by channel, its white
+balance. Such are a camera's automatics; a method without a term for them blends views that contradict each other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from .evidence import Evidence
+
+DARKEST, BRIGHTEST = 10 / 255, 245 / 255  # sRGB values beyond which a factor of light is cut off or lost in rounding
+LEAST_POINTS = 30  # that a view must show for its exposure to be judged
+LEAST_VIEWS = 4  # that must show a point for its color to be theirs
+UNEQUAL = 0.22  # how far the median view's light is off, as a logarithm, from which views are made equal
+WIDEST, TRIED = 3.0, 25  # offsets, as logarithms, that each view is first tried with
+OTHER = 0.2  # difference of sRGB values from which a view shows something else
+ROUNDS = 10
+SPREAD = 1.5  # × the median difference: Geman and McClure's scale
+LEAST_SCALE = 0.05  # of logarithms of light
+LEAST_DEVIATION = 0.01  # of a point's: no point counts more than one of this
+SURE = 0.25  # share of the points, those whose views agree best, that say how bright all views should be
+
+
+@dataclass(frozen=True)
+class Exposures:
+    """How brightly training views were taken, each channel.
+
+    Attributes:
+        deviation: by how much the median view's linear light is off that of all, as a logarithm; 0 where unknown.
+        factors: by views' names the factors [3] by which their light is off; none where views are about equal.
+    """
+
+    deviation: float = 0.0
+    factors: Mapping[str, Tensor] = field(default_factory=dict)
+
+    @property
+    def stops(self) -> float:
+        return self.deviation / math.log(2)
+
+
+@torch.no_grad()
+def exposures(evidence: Evidence) -> Exposures:
+    """Those of the evidence's views, as far as its points tell.
+
+    In turn the views' offsets are found from the points' colors and the points' colors from the views, as weighted
+    means of logarithms. Weights fall with the difference that is left, since something may lie before a point, and with
+    the variance of what a point's views show, since some lie on fine texture or shine. How bright all views should be
+    is said by the colors that came with the points.
+    """
+    if evidence.colorless:
+        return Exposures()
+    valid = ((evidence.seen_colors > DARKEST) & (evidence.seen_colors < BRIGHTEST)).all(dim=-1)  # not where NaN
+    judged, known = valid.sum(dim=1) >= LEAST_POINTS, valid.sum(dim=0) >= LEAST_VIEWS
+    if not judged.any() or not known.any():
+        return Exposures()
+    seen = _light(torch.where(valid[..., None], evidence.seen_colors, 0.5)).log()
+    given = common = _light(evidence.colors[None].clamp(DARKEST, BRIGHTEST))[0].log()
+    offsets = _first(evidence, common)
+    for _ in range(ROUNDS):
+        distance = (seen - offsets[:, None] - common).norm(dim=-1)
+        scale = max(SPREAD * float(distance[valid].median()), LEAST_SCALE)
+        weights = (valid / (1 + (distance / scale).square()).square())[..., None]
+        variance = _mean((seen - offsets[:, None] - common).square(), weights, dim=0).sum(dim=-1, keepdim=True)
+        offsets = _mean(seen - common, weights / variance.clamp_min(LEAST_DEVIATION**2), dim=1)
+        common = torch.where(known[:, None], _mean(seen - offsets[:, None], weights, dim=0), common)
+    differences = torch.where(valid, (seen - offsets[:, None] - common).norm(dim=-1), torch.nan)
+    of_points = torch.where(known, differences.nanmedian(dim=0).values, torch.inf)
+    sure = of_points <= of_points[known].quantile(SURE)
+    offsets = offsets + (common - given)[sure].median(dim=0).values
+    middle = offsets[judged].median(dim=0).values
+    deviation = float((offsets - middle)[judged].abs().amax(dim=1).median())
+    if deviation < UNEQUAL:
+        return Exposures(deviation)
+    as_given = _differences(evidence, common.expand(len(judged), -1, -1))
+    off = judged & (_differences(evidence, common + offsets[:, None]) < as_given)
+    named = zip(evidence.views, offsets, off.tolist(), strict=True)
+    return Exposures(deviation, {view.name: offset.exp() for view, offset, is_off in named if is_off})
+
+
+def equalized(image: Tensor, factors: Tensor) -> Tensor:
+    """A view's picture, [H, W, 3] bytes, with the linear light of its channels divided by the factors [3]."""
+    from kornia.color import linear_rgb_to_rgb
+
+    light = _light(image.float() / 255) / factors.to(image.device)
+    encoded: Tensor = linear_rgb_to_rgb(light.clamp(0, 1).movedim(-1, -3)).movedim(-3, -1)
+    return (255 * encoded).round().byte().contiguous()
+
+
+def _first(evidence: Evidence, logs: Tensor) -> Tensor:
+    """Of each view the offset, of all channels alike, at which it shows most points in their colors: [V, 3]."""
+    tried = torch.linspace(-WIDEST, WIDEST, TRIED)
+    differences = [_differences(evidence, (logs + offset).expand(len(evidence.views), -1, -1)) for offset in tried]
+    return tried[torch.stack(differences).argmin(dim=0)][:, None].expand(-1, 3)
+
+
+def _differences(evidence: Evidence, logs: Tensor) -> Tensor:
+    """How far what the views show at the points is from these logarithms of light [V, P, 3], cut off as it is: [V]."""
+    from kornia.color import linear_rgb_to_rgb
+
+    expected = linear_rgb_to_rgb(logs.exp().clamp(0, 1).movedim(-1, -3)).movedim(-3, -1)
+    difference = (expected - evidence.seen_colors).abs().mean(dim=-1).clamp_max(OTHER)
+    mean: Tensor = difference.nanmean(dim=1)
+    return mean
+
+
+def _mean(values: Tensor, weights: Tensor, dim: int) -> Tensor:
+    return (weights * values).sum(dim=dim) / weights.sum(dim=dim).clamp_min(1e-6)
+
+
+def _light(colors: Tensor) -> Tensor:
+    """Linear light of sRGB colors [A, B, 3] in [0, 1]."""
+    from kornia.color import rgb_to_linear_rgb
+
+    light: Tensor = rgb_to_linear_rgb(colors.movedim(-1, -3)).movedim(-3, -1)
+    return light
