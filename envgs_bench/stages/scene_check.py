@@ -50,13 +50,13 @@ def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[Tra
         ),
         (
             "exposures_differ",
-            bright.deviation > UNEQUAL and support >= UNSUPPORTED,  # wrong points have no colors to compare
-            f"the training views are not equally bright, or not of one tint: the median view is off by "
+            # Points that are wrong or missing, or have no colors, say nothing of pictures or poses.
+            bright.deviation > UNEQUAL and support >= UNSUPPORTED and covered >= MISSING,
+            "the training views are not equally bright, or not of one tint: the median view is off by "
             f"{bright.stops:.1f} stops in some channel, which a method without a term for it blends",
         ),
         (
             "poses_off",
-            # Points that are wrong or missing, or have no colors, say nothing of poses.
             aligned.gain > POSES_OFF and support >= UNSUPPORTED and covered >= MISSING and not evidence.colorless,
             f"the training views agree {aligned.gain:.0%} better with the points' colors once they are turned, the "
             f"median view by {aligned.degrees:.1f}°: their poses may be off",

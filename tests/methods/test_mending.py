@@ -130,7 +130,7 @@ def test_l_mono_is_weighed_by_what_normals_are_worth(room: Scene) -> None:
 def test_views_are_learned_from_as_they_are_turned_back(room: Scene) -> None:
     """Their normals, too, which had turned with them; those of mirrored ones are mirrored about the mended axes."""
     broken = worst(room, "pose_rotation")
-    views = ResidentViews(CPU, room=0, mended=MendedViews(mended_poses(broken, NEAR, CPU)))
+    views = ResidentViews(CPU, room=0, mended=MendedViews(turns=mended_poses(broken, NEAR, CPU)))
     off = {"given": [], "mended": []}
     for exact, view in zip(room.train, broken.train, strict=True):
         for kind, each in (("given", view), ("mended", views.on_device(view))):

@@ -1,0 +1,116 @@
+"""Views that are brighter or darker than the others, or of another tint, are found by the points and made equal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from toy_scenes import coarse_toys
+
+from envgs_bench.core import Scene
+from envgs_bench.datasets import load_scene
+from envgs_bench.datasets.formats.srgb import to_linear, to_srgb
+from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
+from envgs_bench.methods.start.evidence import Evidence
+from envgs_bench.methods.start.exposures import Exposures, equalized, exposures
+from envgs_bench.methods.start.mending import MendedViews, mended
+
+NEAR = 0.2
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    toy = {"kind": "toy", "scene": "chrome_room", "width": 40, "height": 30, "views": 48, "supersampling": 1}
+    with coarse_toys():
+        return load_scene(toy | {"normal_noise": 0.0}, tmp_path_factory.mktemp("cache"))
+
+
+def worst(scene: Scene, kind: str) -> Scene:
+    return PERTURBATIONS[kind].applied(scene, len(PERTURBATIONS[kind].levels), kind, seed=0)
+
+
+def found_in(scene: Scene) -> Exposures:
+    return exposures(Evidence.of(scene, NEAR))
+
+
+def brightened(scene: Scene, factors: np.ndarray) -> Scene:
+    """The scene with the linear light of its training views times `factors` [V, 3]."""
+    views = []
+    for view, own in zip(scene.train, factors, strict=True):
+        light = to_linear(view.image.numpy() / 255) * own
+        views.append(replace(view, image=torch.from_numpy(np.round(255 * to_srgb(light.clip(0, 1)))).byte()))
+    return replace(scene, train=views)
+
+
+def off_by(scene: Scene, true: Scene) -> float:
+    """Mean difference of the scene's training pictures to the true ones, in steps of 1/255."""
+    pairs = zip(scene.train, true.train, strict=True)
+    return float(np.mean([(own.image.float() - other.image.float()).abs().mean() for own, other in pairs]))
+
+
+@pytest.mark.parametrize("stops", [0.8, 1.5])
+def test_factors_of_light_are_found(room: Scene, stops: float) -> None:
+    drawn = 2 ** (stops * np.random.default_rng(0).normal(size=(len(room.train), 1)).repeat(3, axis=1))
+    found = found_in(brightened(room, drawn))
+    logs = [
+        np.log(found.factors[view.name].numpy() / own)
+        for view, own in zip(room.train, drawn, strict=True)
+        if view.name in found.factors
+    ]
+    assert len(logs) > 0.9 * len(room.train)
+    assert np.median(np.abs(logs)) < 0.15  # a fifth of a stop
+    assert np.median(np.log(drawn)) != pytest.approx(0, abs=0.03)  # so that how bright all should be was found as well
+    assert found.stops == pytest.approx(stops * 0.67, rel=0.35)  # the median of a normal distribution's deviations
+
+
+def test_tints_are_found_channel_by_channel(room: Scene) -> None:
+    drawn = np.exp(0.45 * np.random.default_rng(1).normal(size=(len(room.train), 3)))
+    found = found_in(brightened(room, drawn))
+    errors = [
+        np.log(found.factors[view.name].numpy() / own)
+        for view, own in zip(room.train, drawn, strict=True)
+        if view.name in found.factors
+    ]
+    assert len(errors) > 0.9 * len(room.train)
+    assert np.median(np.abs(errors)) < 0.1
+
+
+@pytest.mark.parametrize("kind", ["exposure", "white_balance"])
+def test_what_is_learned_from_is_nearer_to_the_truth(room: Scene, kind: str) -> None:
+    broken = worst(room, kind)
+    start = mended(broken, NEAR, False, torch.Generator().manual_seed(0), CPU)
+    assert start.scene is broken
+    assert "equally bright" in start.notes[0]
+    learned = replace(broken, train=[start.views(view) for view in broken.train])
+    assert off_by(learned, room) < 0.5 * off_by(broken, room)
+    assert torch.equal(learned.test[0].image, room.test[0].image)
+
+
+def test_views_that_are_equally_bright_stay_as_they_are(room: Scene) -> None:
+    start = mended(room, NEAR, True, torch.Generator().manual_seed(0), CPU)
+    assert (start.views, list(start.notes)) == (MendedViews(), [])
+    assert 0 < found_in(room).deviation < 0.1
+
+
+@pytest.mark.parametrize("kind", ["noise", "blur", "pose_rotation", "pose_translation", "points_noisy"])
+def test_nothing_else_passes_for_an_exposure(room: Scene, kind: str) -> None:
+    assert found_in(worst(room, kind)).factors == {}
+
+
+def test_points_of_one_color_say_nothing(room: Scene) -> None:
+    gray = replace(worst(room, "exposure"), point_colors=torch.full_like(room.point_colors, 0.5))
+    assert found_in(gray) == Exposures()
+
+
+def test_no_points_in_any_view_say_nothing(room: Scene) -> None:
+    assert found_in(replace(room, points=room.points + 1e4)) == Exposures()
+
+
+def test_a_picture_made_equal_is_as_it_would_have_been() -> None:
+    dark = torch.arange(0, 120, dtype=torch.uint8).reshape(5, 8, 3)
+    factors = np.array([2.0, 3.0, 1.5])
+    bright = torch.from_numpy(np.round(255 * to_srgb(to_linear(dark.numpy() / 255) * factors))).byte()
+    assert (equalized(bright, torch.from_numpy(factors).float()).int() - dark.int()).abs().max() <= 1
