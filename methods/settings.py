@@ -34,7 +34,7 @@ class GaussianSettings:
     rotation_lr: float = 1e-3  # learning rate of the quaternions at the start; log-linear to rotation_lr_final
     rotation_lr_final: float = 1e-3  # learning rate of the quaternions at the end
 
-    mends_input: bool = True  # mend points, poses and normals that the training views contradict, at the start
+    mends_input: bool = True  # mend points, poses, exposures and normals that views contradict, at the start
 
     initial_opacity: float = 0.1  # opacity that all primitives start with
     initial_orientation: str = "surface"  # of the base set: along the surface of the points, random, or world (axes)

@@ -53,7 +53,7 @@ def _opaque(view: View, scene: str) -> Tensor:
         return view.masks[FOREGROUND]
     raise DatasetError(
         f"{scene}: view {view.name} has neither depths nor a mask of the region {FOREGROUND}, so that its background "
-        "is unknown and cannot be replaced"
+        "is unknown and cannot be replaced; scenes of transparent pictures are laid on another by dataset.background"
     )
 
 

@@ -19,7 +19,7 @@ from .evidence import Evidence
 DARKEST, BRIGHTEST = 10 / 255, 245 / 255  # sRGB values beyond which a factor of light is cut off or lost in rounding
 LEAST_POINTS = 30  # that a view must show for its exposure to be judged
 LEAST_VIEWS = 4  # that must show a point for its color to be theirs
-UNEQUAL = 0.22  # how far the median view's light is off, as a logarithm, from which views are made equal
+UNEQUAL = 0.19  # how far the median view's light is off, as a logarithm, from which views are made equal
 WIDEST, TRIED = 3.0, 25  # offsets, as logarithms, that each view is first tried with
 OTHER = 0.2  # difference of sRGB values from which a view shows something else
 ROUNDS = 10

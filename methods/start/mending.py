@@ -19,7 +19,7 @@ from envgs_bench.core import Scene, View
 from .agreement import agreement, corrected
 from .alignment import alignment, turned
 from .evidence import CELLS, Evidence, empty_cells, mirrored_normals
-from .exposures import equalized, exposures
+from .exposures import Exposures, equalized, exposures
 from .plane_sweep import swept_points
 
 UNSUPPORTED = 0.04  # `Evidence.support` below which points are where chance put them
@@ -89,7 +89,7 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
     start, weight, notes = mended_points(scene, near, generator, device), 1.0, []
     views = MendedViews()
     if start is scene:  # points that were not in order say nothing of poses and colors
-        bright = exposures(Evidence.of(scene, near))
+        bright = mended_exposures(scene, near)
         views = MendedViews(bright.factors, mended_poses(scene, near, device))
         if views.light:
             notes.append(
@@ -152,6 +152,12 @@ def mended_poses(scene: Scene, near: float, device: torch.device) -> dict[str, T
     if found.gain < TURNED:
         return {}
     return {view.name: turn for view, turn, gain in zip(scene.train, found.turns, found.gains, strict=True) if gain > 0}
+
+
+def mended_exposures(scene: Scene, near: float) -> Exposures:
+    """How bright the training views are, with factors to divide their light by; none where exposures are in order."""
+    evidence = Evidence.of(scene, near)
+    return exposures(evidence) if evidence.support() >= UNSUPPORTED else Exposures()
 
 
 def without_points_at_cameras(scene: Scene, near: float) -> Scene:
