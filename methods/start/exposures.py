@@ -74,7 +74,8 @@ def exposures(evidence: Evidence) -> Exposures:
     differences = torch.where(valid, (seen - offsets[:, None] - common).norm(dim=-1), torch.nan)
     of_points = torch.where(known, differences.nanmedian(dim=0).values, torch.inf)
     sure = of_points <= of_points[known].quantile(SURE)
-    offsets = offsets + (common - given)[sure].median(dim=0).values
+    brighter = (common - given)[sure].median(dim=0).values
+    offsets, common = offsets + brighter, common - brighter
     middle = offsets[judged].median(dim=0).values
     deviation = float((offsets - middle)[judged].abs().amax(dim=1).median())
     if deviation < UNEQUAL:
