@@ -27,6 +27,8 @@ def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[Tra
     evidence = Evidence.of(scene, scene.free_space)
     covered = empty_cells(scene, scene.free_space, device)[1]
     support, parallax = evidence.support(), evidence.parallax()
+    # Points that are wrong or missing say nothing of exposures or poses, nor do those without colors.
+    in_order = support >= UNSUPPORTED and covered >= MISSING
     aligned, bright = alignment(evidence, device), exposures(evidence)
     mirrored, views = evidence.mirrored_views(), len(scene.train)
     disagreement = evidence.normal_disagreement(evidence.normals_unmirrored(mirrored))
@@ -50,14 +52,13 @@ def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[Tra
         ),
         (
             "exposures_differ",
-            # Points that are wrong or missing, or have no colors, say nothing of pictures or poses.
-            bright.deviation > UNEQUAL and support >= UNSUPPORTED and covered >= MISSING,
+            bright.deviation > UNEQUAL and in_order,
             "the training views are not equally bright, or not of one tint: the median view is off by "
             f"{bright.stops:.1f} stops in some channel, which a method without a term for it blends",
         ),
         (
             "poses_off",
-            aligned.gain > POSES_OFF and support >= UNSUPPORTED and covered >= MISSING and not evidence.colorless,
+            aligned.gain > POSES_OFF and in_order and not evidence.colorless,
             f"the training views agree {aligned.gain:.0%} better with the points' colors once they are turned, the "
             f"median view by {aligned.degrees:.1f}°: their poses may be off",
         ),

@@ -80,7 +80,7 @@ def exposures(evidence: Evidence) -> Exposures:
     deviation = float((offsets - middle)[judged].abs().amax(dim=1).median())
     if deviation < UNEQUAL:
         return Exposures(deviation)
-    as_given = _differences(evidence, common.expand(len(judged), -1, -1))
+    as_given = _differences(evidence, common[None])
     off = judged & (_differences(evidence, common + offsets[:, None]) < as_given)
     named = zip(evidence.views, offsets, off.tolist(), strict=True)
     return Exposures(deviation, {view.name: offset.exp() for view, offset, is_off in named if is_off})
@@ -98,12 +98,15 @@ def equalized(image: Tensor, factors: Tensor) -> Tensor:
 def _first(evidence: Evidence, logs: Tensor) -> Tensor:
     """Of each view the offset, of all channels alike, at which it shows most points in their colors: [V, 3]."""
     tried = torch.linspace(-WIDEST, WIDEST, TRIED)
-    differences = [_differences(evidence, (logs + offset).expand(len(evidence.views), -1, -1)) for offset in tried]
+    differences = [_differences(evidence, (logs + offset)[None]) for offset in tried]
     return tried[torch.stack(differences).argmin(dim=0)][:, None].expand(-1, 3)
 
 
 def _differences(evidence: Evidence, logs: Tensor) -> Tensor:
-    """How far what the views show at the points is from these logarithms of light [V, P, 3], cut off as it is: [V]."""
+    """How far what the views show at the points is from these logarithms of light, cut off as it is: [V].
+
+    The logarithms are [V, P, 3], or [1, P, 3] for all views alike.
+    """
     from kornia.color import linear_rgb_to_rgb
 
     expected = linear_rgb_to_rgb(logs.exp().clamp(0, 1).movedim(-1, -3)).movedim(-3, -1)

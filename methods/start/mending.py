@@ -89,8 +89,9 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
     start, weight, notes = mended_points(scene, near, generator, device), 1.0, []
     views = MendedViews()
     if start is scene:  # points that were not in order say nothing of poses and colors
-        bright = mended_exposures(scene, near)
-        views = MendedViews(bright.factors, mended_poses(scene, near, device))
+        evidence = Evidence.of(scene, near)
+        bright = mended_exposures(evidence)
+        views = MendedViews(bright.factors, mended_poses(evidence, device))
         if views.light:
             notes.append(
                 f"makes {len(views.light)} of {len(scene.train)} training views equally bright, in each channel: what "
@@ -143,20 +144,19 @@ def mended_points(scene: Scene, near: float, generator: torch.Generator, device:
     return replace(scene, points=points, point_colors=colors)
 
 
-def mended_poses(scene: Scene, near: float, device: torch.device) -> dict[str, Tensor]:
+def mended_poses(evidence: Evidence, device: torch.device) -> dict[str, Tensor]:
     """Rotations [3, 3] to follow those of the training views, by name; none where poses are in order."""
-    evidence = Evidence.of(scene, near)
     if evidence.colorless or evidence.support() < UNSUPPORTED:
         return {}
     found = alignment(evidence, device)
     if found.gain < TURNED:
         return {}
-    return {view.name: turn for view, turn, gain in zip(scene.train, found.turns, found.gains, strict=True) if gain > 0}
+    each = zip(evidence.views, found.turns, found.gains, strict=True)
+    return {view.name: turn for view, turn, gain in each if gain > 0}
 
 
-def mended_exposures(scene: Scene, near: float) -> Exposures:
+def mended_exposures(evidence: Evidence) -> Exposures:
     """How bright the training views are, with factors to divide their light by; none where exposures are in order."""
-    evidence = Evidence.of(scene, near)
     return exposures(evidence) if evidence.support() >= UNSUPPORTED else Exposures()
 
 

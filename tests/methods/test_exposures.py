@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from toy_scenes import coarse_toys
+from toy_scenes import coarse_toys, worst
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.formats.srgb import to_linear, to_srgb
-from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
 from envgs_bench.methods.start.evidence import Evidence
 from envgs_bench.methods.start.exposures import Exposures, equalized, exposures
 from envgs_bench.methods.start.mending import MendedViews, mended, mended_exposures
@@ -26,10 +25,6 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     toy = {"kind": "toy", "scene": "chrome_room", "width": 40, "height": 30, "views": 48, "supersampling": 1}
     with coarse_toys():
         return load_scene(toy | {"normal_noise": 0.0}, tmp_path_factory.mktemp("cache"))
-
-
-def worst(scene: Scene, kind: str) -> Scene:
-    return PERTURBATIONS[kind].applied(scene, len(PERTURBATIONS[kind].levels), kind, seed=0)
 
 
 def found_in(scene: Scene) -> Exposures:
@@ -107,7 +102,7 @@ def test_points_in_no_view_say_nothing(room: Scene) -> None:
 def test_points_that_the_views_contradict_say_nothing(room: Scene) -> None:
     """Of pictures that differ, but not by what they show at the points."""
     other = replace(worst(room, "exposure"), points=room.points.roll(1, dims=0))
-    assert mended_exposures(other, NEAR) == Exposures()
+    assert mended_exposures(Evidence.of(other, NEAR)) == Exposures()
 
 
 def test_a_picture_made_equal_is_as_it_would_have_been() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial import cKDTree
-from toy_scenes import coarse_toys
+from toy_scenes import coarse_toys, worst
 
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.datasets import load_scene
@@ -31,10 +31,6 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
         return load_scene(toy | {"normal_noise": 5.0}, tmp_path_factory.mktemp("cache"))
 
 
-def worst(scene: Scene, kind: str) -> Scene:
-    return PERTURBATIONS[kind].applied(scene, len(PERTURBATIONS[kind].levels), kind, seed=0)
-
-
 def mended(scene: Scene) -> Scene:
     return mended_points(scene, NEAR, torch.Generator().manual_seed(0), CPU)
 
@@ -51,7 +47,7 @@ def off_surfaces(points: torch.Tensor, scene: Scene) -> np.ndarray:
 
 def test_what_is_in_order_stays_as_it_is(room: Scene) -> None:
     assert mended(room) is room
-    assert mended_poses(room, NEAR, CPU) == {}
+    assert mended_poses(Evidence.of(room, NEAR), CPU) == {}
     assert Evidence.of(room, NEAR).mirrored_views() == []
 
 
@@ -130,7 +126,7 @@ def test_l_mono_is_weighed_by_what_normals_are_worth(room: Scene) -> None:
 def test_views_are_learned_from_as_they_are_turned_back(room: Scene) -> None:
     """Their normals, too, which had turned with them; those of mirrored ones are mirrored about the mended axes."""
     broken = worst(room, "pose_rotation")
-    views = ResidentViews(CPU, room=0, mended=MendedViews(turns=mended_poses(broken, NEAR, CPU)))
+    views = ResidentViews(CPU, room=0, mended=MendedViews(turns=mended_poses(Evidence.of(broken, NEAR), CPU)))
     off = {"given": [], "mended": []}
     for exact, view in zip(room.train, broken.train, strict=True):
         for kind, each in (("given", view), ("mended", views.on_device(view))):
@@ -141,7 +137,8 @@ def test_views_are_learned_from_as_they_are_turned_back(room: Scene) -> None:
 
 def test_points_that_are_missing_or_of_one_color_turn_no_view(room: Scene) -> None:
     broken = worst(room, "pose_rotation")
-    assert mended_poses(replace(broken, point_colors=torch.full_like(room.point_colors, 0.5)), NEAR, CPU) == {}
+    gray = replace(broken, point_colors=torch.full_like(room.point_colors, 0.5))
+    assert mended_poses(Evidence.of(gray, NEAR), CPU) == {}
     few = replace(broken, points=broken.points[::12], point_colors=broken.point_colors[::12])
     assert mended_scene(few, NEAR, False, torch.Generator().manual_seed(0), CPU).views.turns == {}
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from toy_scenes import coarse_toys
+from toy_scenes import coarse_toys, worst
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
@@ -71,11 +71,6 @@ def gain(kind: str, scene: Scene, folder: Path, warnings: Sequence[str] = (), **
     assert [warning.kind for warning in training.health.warnings] == list(warnings)
     assert int(method.skipped_steps) == 0
     return psnr_on_test_views(method, scene) - of_one_color(scene)
-
-
-def worst(scene: Scene, kind: str) -> Scene:
-    perturbation = PERTURBATIONS[kind]
-    return perturbation.applied(scene, len(perturbation.levels), kind, seed=0)
 
 
 @pytest.mark.parametrize("name", cases(SCENES))

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from envgs_bench.core import Camera
+from envgs_bench.core import Camera, Scene
+from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
 from envgs_bench.datasets.toy import lighting, sky, textures
 from envgs_bench.datasets.toy.cameras import look_at
 
@@ -26,6 +27,12 @@ def coarse_toys() -> Iterator[None]:
         patch.setattr(sky, "ROWS", 256)
         patch.setattr(sky, "COLUMNS", 512)
         yield
+
+
+def worst(scene: Scene, kind: str) -> Scene:
+    """The scene with the worst severity of what is wrong with its data."""
+    perturbation = PERTURBATIONS[kind]
+    return perturbation.applied(scene, len(perturbation.levels), kind, seed=0)
 
 
 def camera_at(
