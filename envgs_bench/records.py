@@ -59,8 +59,12 @@ WarningKind = Literal[
     "set_shrinks",  # in one step: the base to less than a half, the environment to less than a tenth
     "set_doubles",  # to more than twice in one step
     "needles",  # a set's primitives run away along one axis
-    "budget",  # of primitives or memory
+    "budget",  # of memory
+    "capped",  # a set is as large as settings let it be
     "views_sparse",  # of the scene, before any step: neighboring views are too far apart
+    "views_noisy",
+    "views_blurred",  # nothing fine is in them
+    "views_blocky",  # blocks of JPEG
     "points_missing",  # the views show much where no point is
     "points_unsupported",  # the points have not the colors of what the views show there
     "exposures_differ",  # what the views show at the points is brighter in some, or of another tint

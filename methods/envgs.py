@@ -157,8 +157,11 @@ class EnvGS(TracedReflection):
             return super().primitive_bytes()
         return super().primitive_bytes() | {ENV: primitive_bytes(self.axes, self.settings.sh_degree, has_beta=False)}
 
+    def cap(self, name: str) -> int:
+        return self.settings.env_max_primitives if name == ENV else super().cap(name)
+
     def own_bound(self, name: str) -> int:
-        return self.settings.env_max_primitives if name == ENV else super().own_bound(name)
+        return self.cap(ENV) if name == ENV else super().own_bound(name)
 
     def phase(self, step: int) -> Hashable:
         return super().phase(step), self._young(step)

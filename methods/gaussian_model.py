@@ -22,6 +22,8 @@ from .settings import GaussianSettings
 from .start.initialization import Orientation, evenly_thinned, initial_orientation, initial_tensors
 from .trained_set import TrainedSet
 
+FULL = 0.95  # share of its cap from which a set is held back by it: some are pruned between two densifications
+
 
 class GaussianModel(Method):
     """Trained sets of Gaussians, drawn by the core. What a subclass may override or call is public:
@@ -29,7 +31,7 @@ class GaussianModel(Method):
     | when | what is called |
     |---|---|
     | an image is drawn, or a training step draws | draw, rasterize_base, base_seen_from, gaussians, sh_from |
-    | a budget is kept | primitive_bytes, other_bytes, own_bound |
+    | a budget or cap is kept | primitive_bytes, other_bytes, own_bound, cap |
     | a set is new or loaded | initial_learning_rates, initial_beta, initial_materials |
     | a checkpoint is written or read | state, restore |
 
@@ -147,6 +149,14 @@ class GaussianModel(Method):
     def own_bound(self, name: str) -> int:
         """The most primitives that the settings give the set `name`; 0: any number."""
         return self.max_base
+
+    def cap(self, name: str) -> int:
+        """The most primitives of the set `name` that the settings name, whatever else bounds it; 0: any number."""
+        return self.settings.max_primitives
+
+    def capped(self) -> dict[str, int]:
+        caps = {name: self.cap(name) for name in self.sets}
+        return {name: cap for name, cap in caps.items() if 0 < FULL * cap <= len(self.sets[name].parameters)}
 
     def bound(self, name: str) -> int:
         """The most primitives that the set `name` may have now, by settings and budget; 0: any number."""

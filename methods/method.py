@@ -101,6 +101,13 @@ class Method(ABC):
         """
         return {}
 
+    def capped(self) -> Mapping[str, int]:
+        """The sets that are about as large as the method's settings let them be, and how large that is.
+
+        The harness looks now and then. Not what a budget asks for, nor what the method finds a scene to need.
+        """
+        return {}
+
     def non_finite_gradients(self) -> list[str]:
         """Parameters whose gradients were not finite in any of the last steps, by name, each call's since the last.
 

@@ -156,6 +156,7 @@ class Health:
             self._look_at_alpha(step, float(maps[ALPHA].float().mean()))
         if BETA in maps:
             self._look_at_beta(step, maps[BETA], view)
+        self._look_at_sizes(step)
         self._look_at_needles(step)
         self._look_at_memory(step)
 
@@ -186,6 +187,12 @@ class Health:
         if mirrors is not None and mirrors.any():
             mean = float(beta[mirrors.to(beta.device)].mean())
             self._lasts("beta_vanishes", mean < ABSENT, step, f"a mean β of {mean:.4f} on what reflects")
+
+    def _look_at_sizes(self, step: int) -> None:
+        caps = self._method.capped()
+        for name in self._method.primitives():
+            text = f"settings let it have {caps.get(name, 0):,} primitives and it has no fewer"
+            self._lasts("capped", name in caps, step, text, part=name)
 
     def _look_at_needles(self, step: int) -> None:
         for name, share in self._method.needles().items():

@@ -1,7 +1,7 @@
 """What is wrong with a scene before anything is trained on it, and would not show in a training that fits what it sees.
 
-A run with too few views, or with points or normals that contradict the pictures, learns the training views and fails
-on all others. Its losses know nothing of that; the scene does (`envgs_bench.methods.start.evidence`).
+A run with too few or bad views, or with points or normals that contradict the pictures, learns the training views and
+fails on all others. Its losses know nothing of that; the scene does (`envgs_bench.methods.start`).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from envgs_bench.methods.start.alignment import alignment
 from envgs_bench.methods.start.evidence import Evidence, empty_cells
 from envgs_bench.methods.start.exposures import UNEQUAL, exposures
 from envgs_bench.methods.start.mending import MISSING, UNSUPPORTED
+from envgs_bench.methods.start.photographs import BLOCK, BLOCKY, BLURRED, NOISY, Photographs
 from envgs_bench.records import TrainingWarning, WarningKind
 
 SPARSE = 12.0  # degrees between the two nearest views of a point from which views are too few to agree on its depth
@@ -31,6 +32,7 @@ def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[Tra
     in_order = support >= UNSUPPORTED and covered >= MISSING
     aligned, bright = alignment(evidence, device), exposures(evidence)
     mirrored, views = evidence.mirrored_views(), len(scene.train)
+    taken = Photographs.of(scene.train)
     disagreement = evidence.normal_disagreement(evidence.normals_unmirrored(mirrored))
     found: list[tuple[WarningKind, bool, str]] = [
         (
@@ -38,6 +40,22 @@ def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[Tra
             parallax > SPARSE and support >= UNSUPPORTED,  # else points say nothing of views
             f"a point is usually seen from {parallax:.0f}° beside in the nearest other of {views} training views: "
             "what is not seen from there may be wrong in test views",
+        ),
+        (
+            "views_noisy",
+            taken.noise > NOISY,
+            f"noise of about {taken.noise:.0%} of the range is in the training views, and a method learns it",
+        ),
+        (
+            "views_blurred",
+            taken.detail < BLURRED,
+            "the training views show hardly any fine detail: they are blurred, and so will be what is learned",
+        ),
+        (
+            "views_blocky",
+            taken.blockiness > BLOCKY,
+            f"the training views change {taken.blockiness:.0%} more where blocks of {BLOCK} pixels meet: they were "
+            "compressed hard, each in a way of its own",
         ),
         (
             "points_missing",

@@ -133,8 +133,11 @@ class Trial:
 
     @property
     def silent(self) -> bool:
-        """Whether it failed and neither its status nor a warning says so."""
-        return self.failed and self.run.ok and not self.record.warnings
+        """Whether it failed and nothing says so: its status, a warning, or a loss dropped that its partner has."""
+        dropped = set(self.record.dropped_losses.items())
+        if self.partner is not None:
+            dropped -= set(self.partner.record.dropped_losses.items())
+        return self.failed and self.run.ok and not self.record.warnings and not dropped
 
     @property
     def behind(self) -> bool | None:

@@ -186,6 +186,15 @@ def test_failures_that_nothing_tells_are_silent(tmp_path: Path) -> None:
     assert cell.warnings == {"learns_nothing": 1}
 
 
+def test_a_loss_that_the_partner_has_and_the_run_dropped_is_no_silence(tmp_path: Path) -> None:
+    everywhere = {"perceptual": "no weights"}
+    for seed, dropped in enumerate([everywhere | {"mono": "no normals"}, everywhere]):
+        write(tmp_path, "envgs", seed, 0, 30.0, dropped_losses=everywhere)
+        write(tmp_path, "envgs", seed, 1, 20.0, dropped_losses=dropped)
+    cell = stability_of(tmp_path).cell(BLUR, 1, "envgs")
+    assert (cell.failures, cell.silent) == (2, 1)
+
+
 def test_the_share_of_failures_is_not_certain_after_five_runs(tmp_path: Path) -> None:
     for seed in range(5):
         write(tmp_path, "envgs", seed, 0, 30.0)

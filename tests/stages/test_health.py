@@ -53,6 +53,9 @@ class Scripted(MeanColor):
     def needles(self) -> Mapping[str, float]:
         return {"base": self.now.get("needles", 0.0)}
 
+    def capped(self) -> Mapping[str, int]:
+        return self.now.get("capped", {})
+
 
 def scripted(script: Callable[[int], Mapping[str, Any]], tmp_path: Path, steps: int = 3000) -> list[TrainingWarning]:
     method = Scripted(Settings())
@@ -189,6 +192,28 @@ def test_needles_are_noticed_once_they_last(tmp_path: Path) -> None:
 def test_scales_that_run_away_make_needles(room: Scene, tmp_path: Path) -> None:
     warned = warnings_of(create_method("2dgs", {"scale_lr": 0.3}), room, 200, tmp_path)
     assert [(warning.kind, warning.part) for warning in warned] == [("needles", "base")]
+
+
+def test_a_set_held_back_by_its_cap_is_noticed_once_it_lasts(tmp_path: Path) -> None:
+    script = lambda step: {"capped": {"env": 7_000} if step > 500 or 100 < step < 300 else {}}  # noqa: E731
+    (warning,) = scripted(script, tmp_path, 1500)
+    assert (warning.kind, warning.part, warning.step) == ("capped", "env", 900)
+    assert "7,000 primitives" in warning.message
+
+
+@pytest.mark.parametrize(
+    ("cap", "capped"),
+    [
+        ({"max_primitives": 500}, ["base"]),
+        ({"env_max_primitives": 400}, ["env"]),
+        ({"max_primitives": 0, "env_max_primitives": 0}, []),  # any number
+    ],
+)
+def test_caps_hold_the_sets_that_they_name_back(
+    cap: dict[str, int], capped: list[str], room: Scene, tmp_path: Path
+) -> None:
+    warned = warnings_of(create_method("envgs", {**SMALL, **cap}), room, 300, tmp_path)
+    assert [warning.part for warning in warned if warning.kind == "capped"] == capped
 
 
 @pytest.mark.parametrize("kind", KINDS)

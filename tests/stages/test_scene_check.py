@@ -16,7 +16,7 @@ from envgs_bench.stages.scene_check import scene_warnings
 SAYS = {  # kind of data -> what is said from which severity on
     "exposure": (2, ["exposures_differ"]),
     "white_balance": (3, ["exposures_differ"]),
-    "jpeg": (3, ["exposures_differ"]),  # of quality 5: so small a picture keeps one tint, and not the right one
+    "jpeg": (3, ["views_blocky", "exposures_differ"]),  # of quality 5: so small a picture keeps one tint, a wrong one
     "views": (2, ["views_sparse"]),
     "pose_rotation": (3, ["poses_off"]),
     "pose_translation": (3, ["poses_off"]),

@@ -1,0 +1,94 @@
+"""How well the training photographs were taken: noise, lost detail and compression, told from pictures alone.
+
+A method fits whatever it is shown, so that none of these shows in its losses. Test views, of the same camera, may not
+tell of them either.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from envgs_bench.core import View
+
+VIEWS = 12  # that are looked at, evenly over their order
+NOISY = 0.06  # standard deviation of a pixel's noise, of the range of sRGB
+BLURRED = 0.015  # the finest detail's power, as a share of that of detail three times as coarse
+BLOCKY = 0.2  # how much larger steps between JPEG's blocks are than within, as a share of the mean step
+WINDOW = 7  # pixels along a window that noise is told in
+FLATTEST = 0.1  # share of the windows that show hardly anything but noise
+DARKEST, BRIGHTEST = 0.1, 0.9  # a window's mean beyond which noise is cut off
+LEAST_WINDOWS = 100  # below which texture is not told from noise
+WIDTH = 160  # pixels, about, at which detail is judged: many photographs have none as fine as their pixels
+FINEST, COARSER = (0.3, 0.5), (0.1, 0.2)  # cycles a pixel
+BLOCK = 8  # pixels along a block of JPEG
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """Of the median view.
+
+    Attributes:
+        noise: standard deviation of a pixel, in [0, 1].
+        detail: power of what is two or three pixels long as a share of what is five to ten, in pictures of about
+            `WIDTH` pixels; 1 where nothing is shown.
+        blockiness: by how much steps at blocks' borders exceed their neighbors', as a share of the mean step.
+    """
+
+    noise: float
+    detail: float
+    blockiness: float
+
+    @classmethod
+    @torch.no_grad()
+    def of(cls, views: Sequence[View]) -> Photographs:
+        rows = torch.linspace(0, len(views) - 1, min(len(views), VIEWS)).round().long().tolist()
+        greens = [views[row].image[..., 1].cpu().float() / 255 for row in rows]
+        return cls(*(statistics.median(map(judge, greens)) for judge in (noise, detail, blockiness)))
+
+
+def noise(green: Tensor) -> float:
+    """The standard deviation of a picture [H, W] where it is flattest; 0 where too little is there to tell by.
+
+    By the difference of two Laplacians, which leaves little of edges (Immerkær 1996).
+    """
+    if min(green.shape) < WINDOW + 2:
+        return 0.0
+    mask = torch.tensor([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]]) / 6
+    differences = functional.conv2d(green[None, None], mask[None, None])[0]
+    variance, mean = (
+        functional.avg_pool2d(values, WINDOW, stride=WINDOW // 2)
+        for values in (differences.square(), green[None, 1:-1, 1:-1])
+    )
+    told = variance[(mean > DARKEST) & (mean < BRIGHTEST)]
+    return float(told.quantile(FLATTEST)) ** 0.5 if len(told) >= LEAST_WINDOWS else 0.0
+
+
+def detail(green: Tensor) -> float:
+    """See `Photographs.detail`, of a picture [H, W]."""
+    shrink = max(1, round(green.shape[1] / WIDTH))
+    small = functional.avg_pool2d(green[None], shrink)[0] if min(green.shape) >= shrink else green
+    height, width = small.shape
+    fading = torch.hann_window(height)[:, None] * torch.hann_window(width)
+    power = torch.fft.fft2((small - small.mean()) * fading).abs().square()
+    cycles = torch.hypot(torch.fft.fftfreq(height)[:, None], torch.fft.fftfreq(width))
+    fine, coarse = (power[(low < cycles) & (cycles < high)].mean() for low, high in (FINEST, COARSER))
+    return float(fine / coarse) if coarse > 0 else 1.0
+
+
+def blockiness(green: Tensor) -> float:
+    """See `Photographs.blockiness`, of a picture [H, W] that JPEG cut into blocks from its upper left corner on."""
+    if min(green.shape) < 2 * BLOCK + 2:
+        return 0.0
+    return 0.5 * (_blockiness_along(green) + _blockiness_along(green.T))
+
+
+def _blockiness_along(green: Tensor) -> float:
+    steps = (green[:, 1:] - green[:, :-1]).abs().mean(dim=0)  # [k]: from column k to the next
+    excess = steps[1:-1] - 0.5 * (steps[:-2] + steps[2:])
+    return float(excess[BLOCK - 2 :: BLOCK].mean() / steps.mean().clamp_min(1e-6))
