@@ -19,7 +19,7 @@ from envgs_bench.core import View
 VIEWS = 12  # that are looked at, evenly over their order
 NOISY = 0.06  # standard deviation of a pixel's noise, of the range of sRGB
 BLURRED = 0.015  # the finest detail's power, as a share of that of detail three times as coarse
-BLOCKY = 0.2  # how much larger steps between JPEG's blocks are than within, as a share of the mean step
+BLOCKY = 0.11  # how much larger steps between JPEG's blocks are than within, as a share of the mean step
 WINDOW = 7  # pixels along a window that noise is told in
 FLATTEST = 0.1  # share of the windows that show hardly anything but noise
 DARKEST, BRIGHTEST = 0.1, 0.9  # a window's mean beyond which noise is cut off
