@@ -25,6 +25,7 @@ FLATTEST = 0.1  # share of the windows that show hardly anything but noise
 DARKEST, BRIGHTEST = 0.1, 0.9  # a window's mean beyond which noise is cut off
 LEAST_WINDOWS = 100  # below which texture is not told from noise
 WIDTH = 160  # pixels, about, at which detail is judged: many photographs have none as fine as their pixels
+LEAST_EDGE = 40  # pixels of a picture in which detail is judged
 FINEST, COARSER = (0.3, 0.5), (0.1, 0.2)  # cycles a pixel
 BLOCK = 8  # pixels along a block of JPEG
 
@@ -36,7 +37,7 @@ class Photographs:
     Attributes:
         noise: standard deviation of a pixel, in [0, 1].
         detail: power of what is two or three pixels long as a share of what is five to ten, in pictures of about
-            `WIDTH` pixels; 1 where nothing is shown.
+            `WIDTH` pixels; 1 where nothing is shown, or in few pixels.
         blockiness: by how much steps at blocks' borders exceed their neighbors', as a share of the mean step.
     """
 
@@ -71,8 +72,10 @@ def noise(green: Tensor) -> float:
 
 def detail(green: Tensor) -> float:
     """See `Photographs.detail`, of a picture [H, W]."""
-    shrink = max(1, round(green.shape[1] / WIDTH))
-    small = functional.avg_pool2d(green[None], shrink)[0] if min(green.shape) >= shrink else green
+    if min(green.shape) < LEAST_EDGE:
+        return 1.0
+    shrink = max(1, round(min(green.shape[1] / WIDTH, green.shape[0] / LEAST_EDGE)))
+    small = functional.avg_pool2d(green[None], shrink)[0]
     height, width = small.shape
     fading = torch.hann_window(height)[:, None] * torch.hann_window(width)
     power = torch.fft.fft2((small - small.mean()) * fading).abs().square()
