@@ -6,6 +6,7 @@ other tests on emulated kernels too.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -152,6 +153,42 @@ def test_a_refitted_tree_finds_what_a_new_one_does(backend):
     refitted, rebuilt = backend.trace(moved, *rays, bvh=bvh), backend.trace(moved, *rays)
     assert torch.equal(refitted.hits, rebuilt.hits)
     assert torch.equal(refitted.color, rebuilt.color)
+
+
+@pytest.mark.parametrize("exponent", [-40, -20, 20, 40])
+def test_a_scene_of_any_size_is_drawn_alike(backend, exponent):
+    """Lengths times a power of two lose nothing. Surfels are packed as 1/scale and a ratio of scales."""
+    surfels, (origins, directions), size = random_set(200), random_rays(100), 2.0**exponent
+    results = []
+    for factor in (1.0, size):
+        resized = replace(surfels, means=factor * surfels.means, scales=factor * surfels.scales)
+        leaves, own = backend.take(resized), [backend.take(x) for x in (factor * origins, directions)]
+        drawn = backend.trace(leaves, *own)
+        drawn = replace(drawn, depth=drawn.depth / factor)
+        loss_of(drawn).backward()
+        results.append((drawn, gradients_of(leaves, origins=own[0], directions=own[1])))
+    (one, gradients), (other, other_gradients) = results
+    for name in (*FIELDS, "hits"):
+        assert torch.equal(getattr(one, name), getattr(other, name)), name
+    for name in ("means", "scales", "origins"):
+        other_gradients[name] *= size
+    for name, gradient in gradients.items():
+        assert gradient.any(), name
+        assert relative_error(other_gradients[name], gradient) < 1e-5, name
+
+
+@pytest.mark.parametrize("scales", [(1e-6, 1e6), (1e6, 1e-6), (1e-6, 1.0), (1e6, 1.0)])
+def test_needles_are_hit_where_they_are(backend, scales):
+    surfels = dressed(facing_surfels(torch.tensor([[0.0, 0.0, 3.0]])))
+    surfels = replace(surfels, scales=torch.tensor([scales]))
+    origins = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 6.0]])
+    drawn = backend.trace(surfels, origins, torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, -2.0]]))
+    torch.testing.assert_close(drawn.normal, torch.tensor([[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]]))
+    assert drawn.depth.tolist() == [1.5, 1.5]
+    wide = torch.tensor(scales) == max(scales)
+    aside = torch.cat([wide * max(scales), torch.zeros(1)])
+    far = backend.trace(surfels, aside + origins, torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, -2.0]]))
+    torch.testing.assert_close(far.alpha, torch.full((2,), 0.5 * math.exp(-0.5)))
 
 
 @pytest.mark.parametrize("hide", ["opacity", "scale"])

@@ -68,13 +68,13 @@ ENVGS_FN Aabb empty_box() {
 
 // Around the supporting disc: along each axis r·√((s_u·t_u)² + (s_v·t_v)²), and a hair for the rounding of this and of
 // the shafts that it is tested against.
-ENVGS_FN Aabb box_of(const TracedSurfel& s, Vec3<float> axis_u, Vec3<float> axis_v) {
+ENVGS_FN Aabb box_of(Vec3<float> center, float support, Vec3<float> axis_u, Vec3<float> axis_v) {
     float u[3] = {axis_u.x, axis_u.y, axis_u.z}, v[3] = {axis_v.x, axis_v.y, axis_v.z};
-    float mean[3] = {s.mean.x, s.mean.y, s.mean.z};
+    float mean[3] = {center.x, center.y, center.z};
     Aabb box;
-    bool finite = s.support > 0.0f;
+    bool finite = support > 0.0f;
     for (int k = 0; k < 3; ++k) {
-        float half = square_root(s.support * (u[k] * u[k] + v[k] * v[k]));
+        float half = square_root(support * (u[k] * u[k] + v[k] * v[k]));
         half += 8e-6f * (absolute(mean[k]) + half);
         box.low[k] = mean[k] - half, box.high[k] = mean[k] + half;
         finite = finite && box.low[k] > -kInfinity && box.high[k] < kInfinity;
@@ -155,23 +155,25 @@ extern "C" __global__ void __launch_bounds__(256) pack_surfels(
     int count,  // N
     bool arrange,  // whether 32 neighbors in `order` are reordered into good leaves; else `order` is kept
     u32* order,  // [N] indices of surfels along the curve; reordered where `arrange` is set
-    float4* packed_surfels,  // [leaves, 4, kLeaf] see PackedSurfels
+    float4* packed_surfels,  // [leaves, 3, kLeaf] see PackedSurfels
     float2* boxes  // [3, boxes] (low, high) of each box and axis, world units: see Levels
 ) {
     Levels levels = Levels::of(count);
     int stride = levels.total(), slot = blockIdx.x * blockDim.x + threadIdx.x, leaf = slot / kLeaf;
     Aabb box = empty_box();
     TracedSurfel s = {};
-    s.support = -1.0f, s.index = -1;
+    s.index = -1;
+    float scale_u_over_v = 0.0f;
     if (slot < count) {
         Gaussians g = {means, quaternions, scales, opacities, nullptr, nullptr, count};
         int i = order[slot];
         float inverse_norm;
         float2 scale = reinterpret_cast<const float2*>(scales)[i];
         Axes<float> axes = axes_of(normalized(quaternion_at(g, i), inverse_norm));
-        s = {surfel_frame(axes, scale.x, scale.y), mean_at(g, i), support_of(opacities[i]), opacities[i], i};
-        box = box_of(s, scale.x * axes.u, scale.y * axes.v);
-        if (!(box.low[0] <= box.high[0])) s.support = -1.0f;  // no ray hits it, whatever its leaf's box
+        s = {surfel_frame(axes, scale.x, scale.y), mean_at(g, i), opacities[i], i};
+        scale_u_over_v = scale.x / scale.y;
+        box = box_of(s.mean, support_of(s.opacity), scale.x * axes.u, scale.y * axes.v);
+        if (!(box.low[0] <= box.high[0])) s.opacity = 0.0f;  // no ray hits it, whatever its leaf's box
     }
     int own_slot = slot;
     if (arrange) {
@@ -187,7 +189,7 @@ extern "C" __global__ void __launch_bounds__(256) pack_surfels(
         own_slot += scratch.threads[lane_id()] - lane_id();
         if (own_slot < count) order[own_slot] = s.index;
     }
-    if (leaf < levels.offset[1]) PackedSurfels{packed_surfels}.store(own_slot, s);
+    if (leaf < levels.offset[1]) PackedSurfels{packed_surfels}.store(own_slot, s, scale_u_over_v);
     box = merged<kLeaf>(box);
     __shared__ Aabb leaves[256 / kLeaf];
     if (slot % kLeaf == 0) {

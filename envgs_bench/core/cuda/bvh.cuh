@@ -13,31 +13,33 @@ constexpr int kMaxLevels = 5;  // enough for 2²⁴ surfels
 struct TracedSurfel {
     SurfelFrame<float> frame;
     Vec3<float> mean;
-    float support, opacity;  // support < 0 where never visible
-    int index;               // in the set; −1: none
+    float opacity;  // 0 where never visible
+    int index;      // in the set; −1: none
 };
 
 // Surfels by slot, their place in the BVH. A leaf keeps the first 16 bytes of all its surfels, then the next: threads
-// that read a surfel each of one leaf read side by side.
+// that read a surfel each of one leaf read side by side. What is left out takes fewer instructions to compute than to
+// read: v, which is n × u times s_u/s_v, and the support. The normal is kept, or surfels in one plane would not all be
+// hit at the same t.
 struct PackedSurfels {
-    static_assert(4 * sizeof(float4) == 4 * SURFEL_FLOATS, "store() writes four float4s a surfel");
+    static_assert(3 * sizeof(float4) == 4 * SURFEL_FLOATS, "store() writes three float4s a surfel");
     float4* packed;
 
-    ENVGS_FN float4* first(u32 slot) const { return packed + (slot / kLeaf * (4 * kLeaf) + slot % kLeaf); }
+    ENVGS_FN float4* first(u32 slot) const { return packed + (slot / kLeaf * (3 * kLeaf) + slot % kLeaf); }
 
     __device__ __forceinline__ TracedSurfel load(u32 slot) const {
         const float4* at = first(slot);
-        float4 a = at[0], b = at[kLeaf], c = at[2 * kLeaf], d = at[3 * kLeaf];
-        return {{{a.x, a.y, a.z}, {a.w, b.x, b.y}, {b.z, b.w, c.x}}, {c.y, c.z, c.w}, d.x, d.y, __float_as_int(d.z)};
+        float4 a = at[0], b = at[kLeaf], c = at[2 * kLeaf];
+        Vec3<float> n = {a.x, a.y, a.z}, u = {b.x, b.y, b.z};
+        return {{u, a.w * cross(n, u), n}, {c.x, c.y, c.z}, b.w, __float_as_int(c.w)};
     }
-    __device__ __forceinline__ void store(u32 slot, const TracedSurfel& s) const {
+    __device__ __forceinline__ void store(u32 slot, const TracedSurfel& s, float scale_u_over_v) const {
         float4* at = first(slot);
-        const SurfelFrame<float>& f = s.frame;
-        at[0] = make_float4(f.u.x, f.u.y, f.u.z, f.v.x), at[kLeaf] = make_float4(f.v.y, f.v.z, f.n.x, f.n.y);
-        at[2 * kLeaf] = make_float4(f.n.z, s.mean.x, s.mean.y, s.mean.z);
-        at[3 * kLeaf] = make_float4(s.support, s.opacity, __int_as_float(s.index), 0.0f);
+        Vec3<float> n = s.frame.n, u = s.frame.u;
+        at[0] = make_float4(n.x, n.y, n.z, scale_u_over_v), at[kLeaf] = make_float4(u.x, u.y, u.z, s.opacity);
+        at[2 * kLeaf] = make_float4(s.mean.x, s.mean.y, s.mean.z, __int_as_float(s.index));
     }
-    __device__ __forceinline__ int index(u32 slot) const { return __float_as_int(first(slot)[3 * kLeaf].z); }
+    __device__ __forceinline__ int index(u32 slot) const { return __float_as_int(first(slot)[2 * kLeaf].w); }
 };
 
 // Level 0 holds a box a leaf, level l + 1 a box for 32 of level l; each level is padded to whole groups of 32 with

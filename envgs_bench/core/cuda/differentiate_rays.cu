@@ -55,7 +55,7 @@ extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
     const float* directions,  // [R, 3] world frame, any length; zero hits nothing
     const u32* order,  // [R] indices of rays; packets take eight in this order
     int rays,  // R
-    float4* packed_surfels,  // [leaves, 4, kLeaf] see PackedSurfels
+    float4* packed_surfels,  // [leaves, 3, kLeaf] see PackedSurfels
     const Appearance* appearances,  // [N] by slot
     const float* background,  // [3] in [0, 1]
     const float* color,  // [3, R] blended color, 1 is white

@@ -16,7 +16,7 @@ CONSTANTS = {
     "COUNTER_INTS": 4,
     # tracer
     "LEAF_SURFELS": 4,
-    "SURFEL_FLOATS": 16,
+    "SURFEL_FLOATS": 12,
     "CENTER_STATISTIC_INTS": 13,
     "PACKET_RAYS": 8,
     "PAGE_ROWS": 32,  # hits a ray that a page holds

@@ -271,11 +271,11 @@ private:
         __syncwarp();
         PlaneHit<float> hit = intersect(surfel.frame, origin - surfel.mean, direction);
         float rho = hit.u * hit.u + hit.v * hit.v, t = hit.t;
-        intersected = intersected & (rho <= surfel.support) & (t >= from_t) & (t <= far_t) &
-            (absolute(hit.d_z) > kDirectionEpsilon);
+        float alpha = response_alpha(surfel.opacity, rho);
+        intersected = intersected & within_support(rho, alpha) & (t >= from_t) & (t <= far_t) &
+                      (absolute(hit.d_z) > kDirectionEpsilon);
         if (ties_matter_) intersected = intersected && within_interval(ray, t, slot);
         if (!__any_sync(kFullWarp, intersected)) return;
-        float alpha = response_alpha(surfel.opacity, rho);
         u32 tag = slot << 8 | u32(alpha * 256.0f);
         bool overflowed = false;
         if (intersected) {

@@ -53,7 +53,7 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
     const float* directions,  // [R, 3] world frame, any length; zero hits nothing
     const u32* order,  // [R] indices of rays; packets take eight in this order
     int rays,  // R
-    float4* packed_surfels,  // [leaves, 4, kLeaf] see PackedSurfels
+    float4* packed_surfels,  // [leaves, 3, kLeaf] see PackedSurfels
     const Appearance* appearances,  // [N] by slot
     const float2* boxes,  // [3, boxes] (low, high) of each box and axis, world units: see Levels
     int surfel_count,  // N

@@ -23,6 +23,9 @@ ENVGS_FN float support_of(float opacity) {
     return opacity > 0.0f ? minimum(kMaxSupport, 2.0f * logf(255.0f * opacity)) : -1.0f;
 }
 
+// Whether ρ lies within the support, asked of the alpha there instead of a logarithm.
+ENVGS_FN bool within_support(float rho, float alpha) { return rho <= kMaxSupport && alpha >= 1.0f / 255.0f; }
+
 template <class R>
 struct PlaneHit {
     R t, u, v;
