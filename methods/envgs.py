@@ -110,12 +110,6 @@ class EnvGS(TracedReflection):
     def sh_from(self, name: str) -> int:
         return self.settings.env_sh_from if name == ENV else super().sh_from(name)
 
-    def reflected_color(
-        self, origins: Tensor, directions: Tensor, step: int | None
-    ) -> tuple[Tensor, dict[str, Statistics]]:
-        rendering = self.trace_reflection(origins, directions, step)
-        return rendering.color, {ENV: rendering.statistics}
-
     def densification_criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
         if name == ENV:
             return spatial_criterion(statistics)

@@ -86,7 +86,7 @@ class GaussianModel(Method):
         return self.captured and self.device.type == "cuda"
 
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
-        """The picture [H, W, …], and the statistics of each set's passes.
+        """The picture [H, W, …], and the statistics of each set's passes: of a training step all of them.
 
         Args:
             camera: on the method's device.

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Bvh, Camera, GaussianSet, Rendering, Scene, Statistics, View, build_bvh, trace
+from envgs_bench.core import Bvh, Camera, GaussianSet, Rendering, Scene, Statistics, View, build_bvh, trace_color
 from envgs_bench.core.torch.sh import sh_basis
 from envgs_bench.core.vectors import unit
 from envgs_bench.parts import BASE, BETA, REFLECTION
@@ -194,14 +194,14 @@ class RefGaussian(EnvMap):
     @torch.no_grad()
     def _hidden(self, origins: Tensor, directions: Tensor, step: int | None) -> Tensor:
         """How much of the map the base set hides from each ray, [H, W] from 0 to 1."""
-        return trace(
+        return trace_color(
             self._near_set(step),
             origins.detach(),
             directions.detach(),
             t_min=OWN_SURFACE * self.radius,
             bvh=self._bvh if step is None else None,
             backend=self.settings.backend,
-        ).alpha
+        )[1]
 
     def _near_set(self, step: int | None) -> GaussianSet:
         """The surfels that may hide the map, which is what lies beyond them: a far sky among them would hide it all."""

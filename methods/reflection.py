@@ -99,7 +99,9 @@ class ReflectiveMethod(GaussianMethod):
     def reflected_color(
         self, origins: Tensor, directions: Tensor, step: int | None
     ) -> tuple[Tensor, dict[str, Statistics]]:
-        """The color that reflected rays see, and each traced set's statistics; `draw` calls it after bootstrapping.
+        """The color that reflected rays see, and of a training step each traced set's statistics.
+
+        `draw` calls it after bootstrapping.
 
         Args:
             origins, directions: [H, W, 3] of `reflect`, world frame; the direction is 0 where nothing reflects.

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Bvh, Camera, GaussianSet, rasterize, reflect, trace
+from envgs_bench.core import Bvh, Camera, GaussianSet, rasterize, reflect, trace_color
 
 MIN_ALPHA = 0.5  # alpha above which a pixel or a ray counts as a hit
 OWN_SURFACE = 0.01  # hits nearer than this are of the reflecting surface itself, × scene radius
@@ -86,5 +86,5 @@ def near_field_mask(
     shown = rasterize(base, camera, near=near)
     offset = OWN_SURFACE * radius
     origins, directions, _ = reflect(shown, camera)
-    alpha = trace(surroundings, origins, directions, t_min=offset, bvh=bvh).alpha
+    alpha = trace_color(surroundings, origins, directions, t_min=offset, bvh=bvh)[1]
     return alpha > MIN_ALPHA

@@ -28,4 +28,4 @@ class SingleSet(TracedReflection):
     def reflected_color(
         self, origins: Tensor, directions: Tensor, step: int | None
     ) -> tuple[Tensor, dict[str, Statistics]]:
-        return self.trace_reflection(origins, directions, step).color, {}
+        return super().reflected_color(origins, directions, step)[0], {}

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Bvh, Rendering, build_bvh, trace
+from envgs_bench.core import Bvh, Statistics, build_bvh, trace, trace_color
 from envgs_bench.core.trace import SH_DIRECTIONS
 
 from .reflection import ReflectionSettings, ReflectiveMethod
@@ -39,15 +39,19 @@ class TracedReflection(ReflectiveMethod):
         gaussians = self.prepared.get(self.traced)
         self._bvh = None if gaussians is None else build_bvh(gaussians, backend=self.settings.backend)
 
-    def trace_reflection(self, origins: Tensor, directions: Tensor, step: int | None) -> Rendering:
-        """What the rays see of the set `traced`, with `reflected_color`'s arguments, [H, W, …]."""
-        return trace(
-            self.gaussians(self.traced, step),
-            origins,
-            directions,
-            background=self.background if self.settings.traced_background == "scene" else None,
-            t_min=self.settings.traced_near,
-            sh_direction=self.settings.traced_sh_direction,
-            bvh=self._bvh if step is None else None,
-            backend=self.settings.backend,
-        )
+    def reflected_color(
+        self, origins: Tensor, directions: Tensor, step: int | None
+    ) -> tuple[Tensor, dict[str, Statistics]]:
+        """What the rays see of the set `traced`; without statistics of an image for which no gradients are recorded."""
+        arguments: dict[str, Any] = {
+            "background": self.background if self.settings.traced_background == "scene" else None,
+            "t_min": self.settings.traced_near,
+            "sh_direction": self.settings.traced_sh_direction,
+            "bvh": self._bvh if step is None else None,
+            "backend": self.settings.backend,
+        }
+        gaussians = self.gaussians(self.traced, step)
+        if step is None and not torch.is_grad_enabled():
+            return trace_color(gaussians, origins, directions, **arguments)[0], {}
+        rendering = trace(gaussians, origins, directions, **arguments)
+        return rendering.color, {self.traced: rendering.statistics}

@@ -14,14 +14,16 @@ RASTERIZED = ("rasterize_2d", "rasterize_3d")
 DRAWN = ("trace", *RASTERIZED)
 LOOKUPS = ("cubemap", "prefiltered")
 METHODS = ("2dgs", "3dgs", "envmap", "envgs")  # forward: an image; forward_backward: a training step
-OPERATIONS = (*DRAWN, "build", "refit", "adam", "ssim", *LOOKUPS, *METHODS)
+OPERATIONS = ("trace", "trace_color", *RASTERIZED, "build", "refit", "adam", "ssim", *LOOKUPS, *METHODS)
+OF_GPUS = ("refit", "trace_color")
 WITHOUT_SET = ("ssim", *LOOKUPS)
 WITHOUT_PICTURE = ("build", "refit", "adam")
+WITHOUT_GRADIENTS = (*WITHOUT_PICTURE, "trace_color")
 OF_THE_CORE = (*DRAWN, "build")  # what is timed where sizes are given and no operation is named
 OFFERED = {  # by each backend
     "torch": DRAWN,
     "embree": ("trace",),
-    "cpu": tuple(op for op in OPERATIONS if op != "refit"),
+    "cpu": tuple(op for op in OPERATIONS if op not in OF_GPUS),
     "cuda": OPERATIONS,
 }
 DEFAULTS = OFFERED | {"cpu": tuple(op for op in OFFERED["cpu"] if op not in METHODS)}  # the others take seconds a call
@@ -105,9 +107,13 @@ def _cases(
         if op in WITHOUT_PICTURE:
             cases += [Case(op, "forward", backend, count, None, None) for count in counts]
         else:
-            each = product(counts, sizes or DEFAULT_SIZES.get(op, OTHER_SIZES), DIRECTIONS)
+            each = product(counts, sizes or DEFAULT_SIZES.get(op, OTHER_SIZES), directions_of(op))
             cases += [Case(op, direction, backend, count, *size) for count, size, direction in each]
     return cases
+
+
+def directions_of(op: str) -> Sequence[str]:
+    return DIRECTIONS[:1] if op in WITHOUT_GRADIENTS else DIRECTIONS
 
 
 def _own_primitives(backend: str, op: str) -> Sequence[int]:

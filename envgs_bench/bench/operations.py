@@ -9,7 +9,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from envgs_bench.core import GaussianSet, Rendering, build_bvh, rasterize, trace
+from envgs_bench.core import GaussianSet, Rendering, build_bvh, rasterize, trace, trace_color
 from envgs_bench.core.differentiable import SetTensors
 from envgs_bench.core.ssim import ssim
 from envgs_bench.methods.lighting.cubemap import CubemapLayout, layout_of, sample_cubemap
@@ -44,7 +44,7 @@ def work_of(case: Case, workload: Workload) -> Work:
     if case.op in LOOKUPS:
         return _looking_up(case, workload)
     match case.op:
-        case "trace":
+        case "trace" | "trace_color":
             return _tracing(case, workload)
         case "build":
             gaussians = workload.traced()
@@ -85,7 +85,8 @@ def _rasterizing(case: Case, workload: Workload) -> Work:
 def _tracing(case: Case, workload: Workload) -> Work:
     leaves = _leaves(workload.traced())
     bvh = build_bvh(leaves, backend=case.backend)
-    calls, hits, alphas = [], [], []
+    hits, alphas = [], []
+    calls: list[Call] = []
     for view in workload.views:
         rays = [x.requires_grad_() for x in workload.rays(view)]
         draw = partial(trace, leaves, *rays, bvh=bvh, backend=case.backend)
@@ -93,7 +94,10 @@ def _tracing(case: Case, workload: Workload) -> Work:
             drawn = draw()
         hits.append(drawn.hits.reshape(-1))
         alphas.append(drawn.alpha)
-        calls.append(_timed(case, partial(_outputs, draw), [*_fields(leaves), *rays]))
+        if case.op == "trace_color":
+            calls.append(torch.no_grad()(partial(trace_color, leaves, *rays, bvh=bvh, backend=case.backend)))
+        else:
+            calls.append(_timed(case, partial(_outputs, draw), [*_fields(leaves), *rays]))
     return Work(calls, len(leaves), torch.cat(hits), _mean(alphas))
 
 

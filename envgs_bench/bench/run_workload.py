@@ -22,7 +22,7 @@ from envgs_bench.stages.perturbations import load_run_scene
 from envgs_bench.stages.training_log import spread
 from envgs_bench.stored.reopening import reopen
 
-from .cases import DIRECTIONS, LOOKUPS, METHODS, OFFERED, WITHOUT_PICTURE, WITHOUT_SET, Case
+from .cases import LOOKUPS, METHODS, OFFERED, WITHOUT_PICTURE, WITHOUT_SET, Case, directions_of
 from .workload import Model, Workload
 
 RAY_OFFSET = 1e-3  # where the method has none: a reflected ray starts this far above its surface, × scene radius
@@ -73,8 +73,7 @@ class TimedRun:
                 plain = op in WITHOUT_PICTURE
                 width, height = (None, None) if plain else (camera.width, camera.height)
                 found += [
-                    Case(op, way, backend, self.counts[op], width, height, self.name)
-                    for way in (DIRECTIONS[:1] if plain else DIRECTIONS)
+                    Case(op, way, backend, self.counts[op], width, height, self.name) for way in directions_of(op)
                 ]
         return found
 
@@ -83,7 +82,7 @@ def _counts(method: GaussianMethod, name: str) -> dict[str, int]:
     base, everything = method.primitives()[BASE], sum(method.primitives().values())
     counts = {"rasterize_2d" if method.axes == 2 else "rasterize_3d": base}
     if method.axes == 2:
-        counts |= dict.fromkeys(("trace", "build", "refit"), method.primitives()[_traced_set(method)])
+        counts |= dict.fromkeys(("trace", "trace_color", "build", "refit"), method.primitives()[_traced_set(method)])
     counts |= {"adam": everything, **dict.fromkeys(WITHOUT_SET, 0), name: everything}
     if not isinstance(method, MapMethod):
         counts = {op: count for op, count in counts.items() if op not in LOOKUPS}

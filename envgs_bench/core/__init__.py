@@ -1,4 +1,4 @@
-"""The shared core: `rasterize`, `depth_normals`, `reflect` and `trace`, and the plain types they take and return."""
+"""The shared core: `rasterize`, `depth_normals`, `reflect`, `trace`, `trace_color`, and the plain types around them."""
 
 from .backends import available_backends
 from .camera import Camera
@@ -8,7 +8,7 @@ from .rasterize import rasterize
 from .reflect import reflect
 from .rendering import Rendering, Statistics
 from .scene import Scene, View
-from .trace import Bvh, build_bvh, trace
+from .trace import Bvh, build_bvh, trace, trace_color
 
 __all__ = [
     "Bvh",
@@ -24,4 +24,5 @@ __all__ = [
     "rasterize",
     "reflect",
     "trace",
+    "trace_color",
 ]

@@ -1,6 +1,7 @@
 """Which code draws: one folder a backend, chosen by device, the same results from each.
 
-A backend is a module with the functions of `Backend`, and of `Rasterizer` and `ImageKernels` where it offers those.
+A backend is a module with the functions of `Backend`, and of `Rasterizer`, `ColorTracer` and `ImageKernels` where it
+offers those.
 
 | backend | draws | on |
 |---|---|---|
@@ -68,6 +69,16 @@ class Rasterizer(Protocol):
 
 
 @runtime_checkable
+class ColorTracer(Protocol):
+    """A backend that traces faster what nobody differentiates; elsewhere `trace` serves."""
+
+    def trace_color(
+        self, gaussians: GaussianSet, origins: Tensor, directions: Tensor, bvh: Bvh | None, options: TraceOptions
+    ) -> tuple[Tensor, Tensor]:
+        """Color [R, 3] and alpha [R] of rays [R, 3]."""
+
+
+@runtime_checkable
 class ImageKernels(Protocol):
     """A backend with its own code for what is computed from drawn images; elsewhere torch's formulas serve."""
 
@@ -88,6 +99,7 @@ class ImageKernels(Protocol):
 if TYPE_CHECKING:  # each module is held to what it is to offer
     _TRACERS: tuple[Backend, ...] = (cpu, cuda, oracle, embree)
     _RASTERIZERS: tuple[Rasterizer, ...] = (cpu, cuda, oracle)
+    _COLOR_TRACER: ColorTracer = cuda
     _IMAGE_KERNELS: ImageKernels = cuda
 
 

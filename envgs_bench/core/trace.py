@@ -1,4 +1,4 @@
-"""trace(): surfels along arbitrary rays."""
+"""trace() and trace_color(): surfels along arbitrary rays."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .backends import TraceOptions, load_backend
+from .backends import Backend, ColorTracer, TraceOptions, load_backend
 from .gaussians import GaussianSet
 from .rasterize import checked_background
 from .rendering import Rendering
@@ -70,6 +70,62 @@ def trace(
             `sh_direction`.
         RuntimeError: the backend does not work on this machine.
     """
+    module, options = _checked(
+        gaussians, origins, directions, background, t_min, transmittance_min, sh_direction, bvh, backend
+    )
+    flat = module.trace(gaussians, origins.reshape(-1, 3), directions.reshape(-1, 3), bvh, options)
+    return _reshaped(flat, origins.shape[:-1])
+
+
+def trace_color(
+    gaussians: GaussianSet,
+    origins: Tensor,  # [..., 3]
+    directions: Tensor,  # [..., 3]
+    *,
+    background: Tensor | None = None,
+    t_min: float = 0.0,
+    transmittance_min: float = 1e-4,
+    sh_direction: str = "center",
+    bvh: Bvh | None = None,
+    backend: str = "auto",
+) -> tuple[Tensor, Tensor]:
+    """`trace`'s color [..., 3] and alpha [...] alone: for pictures that are looked at or scored, not learned from.
+
+    With the arguments of `trace`, and no gradients. A GPU draws it faster, from spherical harmonics in half precision:
+    a coefficient is off by 1/2048 of itself at most, and those beyond ±65,504 become that. Where coefficients are below
+    0.7, that changes colors by 3e-5 on average and 2.3e-4 at most (tests' scenes against float64; one step of 8 bits
+    is 4e-3). Alpha is `trace`'s, to rounding.
+
+    Raises:
+        ValueError: as `trace`; or gradients are recorded and an argument requires one.
+        RuntimeError: the backend does not work on this machine.
+    """
+    module, options = _checked(
+        gaussians, origins, directions, background, t_min, transmittance_min, sh_direction, bvh, backend
+    )
+    inputs = (*vars(gaussians).values(), origins, directions)
+    if torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in inputs):
+        raise ValueError("trace_color has no gradients: call it within torch.no_grad(), or call trace")
+    shape, rays = origins.shape[:-1], (origins.reshape(-1, 3), directions.reshape(-1, 3))
+    if isinstance(module, ColorTracer):
+        color, alpha = module.trace_color(gaussians, *rays, bvh, options)
+    else:
+        drawn = module.trace(gaussians, *rays, bvh, options)
+        color, alpha = drawn.color, drawn.alpha
+    return color.reshape(*shape, 3), alpha.reshape(shape)
+
+
+def _checked(
+    gaussians: GaussianSet,
+    origins: Tensor,
+    directions: Tensor,
+    background: Tensor | None,
+    t_min: float,
+    transmittance_min: float,
+    sh_direction: str,
+    bvh: Bvh | None,
+    backend: str,
+) -> tuple[Backend, TraceOptions]:
     _check_surfels(gaussians)
     if origins.shape != directions.shape or origins.shape[-1:] != (3,):
         raise ValueError(
@@ -87,9 +143,8 @@ def trace(
         raise ValueError(
             f"the BVH was built over {bvh.primitives} primitives, the set has {len(gaussians)}: rebuild it"
         )
-    options = TraceOptions(checked_background(background, gaussians), t_min, transmittance_min, sh_direction == "ray")
-    flat = module.trace(gaussians, origins.reshape(-1, 3), directions.reshape(-1, 3), bvh, options)
-    return _reshaped(flat, origins.shape[:-1])
+    background = checked_background(background, gaussians)
+    return module, TraceOptions(background, t_min, transmittance_min, sh_direction == "ray")
 
 
 def _check_surfels(gaussians: GaussianSet) -> None:

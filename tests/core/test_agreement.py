@@ -29,6 +29,7 @@ from oracle import (
     SINGLE,
     TOLERANCE,
     compare,
+    compare_color,
     drawn_with,
     image,
     oracle_image,
@@ -60,6 +61,12 @@ def test_ray_batches(single, scene, sh_direction):
     gaussians, rays, expected = oracle_ray_batch(scene, sh_direction)
     keep = torch.ones(len(rays[0])) > 0
     compare(drawn_with(single, gaussians, ray_batch(sh_direction), keep, rays), expected, keep)
+
+
+@pytest.mark.parametrize("sh_direction", ["center", "ray"])
+@pytest.mark.parametrize("scene", list(SCENES))
+def test_colors_of_rays_alone(single, scene, sh_direction):
+    compare_color(single, scene, sh_direction)
 
 
 @pytest.mark.parametrize("scene", list(SCENES))

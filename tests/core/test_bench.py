@@ -193,6 +193,14 @@ def test_the_rows_of_envgs_belong_to_the_gpu():
     assert not [c for c in chosen_cases(["cpu"], None, None) + chosen_cases(["cuda"], [10], None) if c.op == "envgs"]
 
 
+def test_color_alone_is_timed_without_gradients_and_on_a_gpu():
+    row = time_case(Case("trace_color", "forward", "cpu", 100, 20, 14), repeats=3)
+    assert row["median_ms"] > 0
+    assert row["hits_per_ray"] > 1
+    assert {c.direction for c in chosen_cases(["cuda"], None, None) if c.op == "trace_color"} == {"forward"}
+    assert not [c for c in chosen_cases(["cpu", "torch"], None, None) if c.op == "trace_color"]
+
+
 @pytest.mark.parametrize("op", ["adam", "ssim", "cubemap", "2dgs", "3dgs", "envmap"])
 def test_what_a_training_step_takes_is_timed_alone(op):
     width, height = (None, None) if op == "adam" else (20, 14)

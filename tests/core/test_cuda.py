@@ -22,7 +22,7 @@ from core_scenes import (
     tilted_camera,
 )
 
-from envgs_bench.core import GaussianSet, build_bvh, rasterize, trace
+from envgs_bench.core import GaussianSet, build_bvh, rasterize, trace, trace_color
 from envgs_bench.core import cuda as backend
 from envgs_bench.core.cuda.layout import CONSTANTS
 from envgs_bench.core.ssim import ssim_map
@@ -104,17 +104,20 @@ def test_drawing_can_be_captured_in_a_graph(surfels, rays):
     camera = plain_camera(97, 65).to("cuda")
     surfels, rays = surfels.map(torch.Tensor.detach), [x.detach() for x in rays]
     image, ray_batch = rasterize(surfels, camera), trace(surfels, *rays)  # compiles, and learns how much room is needed
+    color = trace_color(surfels, *rays)[0]
     torch.cuda.synchronize()
     graph = torch.cuda.CUDAGraph()
     with torch.cuda.graph(graph):
         captured_image, captured_ray_batch = rasterize(surfels, camera), trace(surfels, *rays)
-    captured_image.color.zero_()
+        captured_color = trace_color(surfels, *rays)[0]
+    captured_image.color.zero_(), captured_color.zero_()
     for _ in range(2):
         graph.replay()
     torch.cuda.synchronize()
     for drawn, expected in ((captured_image, image), (captured_ray_batch, ray_batch)):
         for name in (*FIELDS, "hits"):
             assert torch.equal(getattr(drawn, name), getattr(expected, name)), name
+    assert torch.equal(captured_color, color)
 
 
 def test_rows_that_begin_anywhere_are_read_right(surfels, rays):

@@ -33,6 +33,7 @@ from cuda_emulator.emulator import ORDERS, EmulatedKernels
 from oracle import (
     TOLERANCE,
     compare,
+    compare_color,
     drawn_with,
     image,
     oracle_image,
@@ -109,6 +110,11 @@ def test_ray_batches(backend, scene, sh_direction):
     compare(drawn_with(backend, gaussians, ray_batch(sh_direction), keep, rays), expected, keep)
 
 
+@pytest.mark.parametrize(("scene", "sh_direction"), [("many", "center"), ("opaque", "center"), ("many", "ray")])
+def test_colors_of_rays_alone(backend, scene, sh_direction):
+    compare_color(backend, scene, sh_direction)
+
+
 @pytest.mark.parametrize("kind", ["surfels", "gaussians_3d", "rays"])
 def test_the_order_of_the_threads_changes_no_bit_of_what_is_drawn(emulate, kind):
     def draw(backend: Backend, leaves: GaussianSet) -> Rendering:
@@ -142,6 +148,25 @@ def test_a_tree_of_any_size_finds_every_hit(backend, count):
     assert expected.hits.any()
     for name in FIELDS:
         assert relative_error(getattr(drawn, name)[same], getattr(expected, name)[same]) < 1e-4, name
+
+
+def test_the_order_of_the_threads_changes_no_bit_of_color_alone(emulate):
+    inputs = random_set(300), *random_rays(201)
+    drawn = [emulate(order).trace_color(*inputs) for order in ORDERS]
+    for color, alpha in drawn[1:]:
+        assert torch.equal(color, drawn[0][0])
+        assert torch.equal(alpha, drawn[0][1])
+
+
+def test_color_alone_is_that_of_more_hits_than_a_list_holds(backend):
+    count = 130
+    depths = torch.stack([torch.zeros(count), torch.zeros(count), 3 + 2.0**-22 * torch.arange(count)], 1)
+    surfels = dressed(facing_surfels(depths, 2.0, 0.03))
+    rays = torch.zeros(9, 3), torch.tensor([0.0, 0.0, 1.0]) + 0.05 * random_rays(9)[1] * torch.tensor([1.0, 1.0, 0.0])
+    color, alpha = backend.trace_color(surfels, *rays)
+    expected = backend.trace(surfels, *rays)
+    assert torch.equal(alpha, expected.alpha)
+    torch.testing.assert_close(color, expected.color, atol=5e-4, rtol=0)
 
 
 def test_a_refitted_tree_finds_what_a_new_one_does(backend):
@@ -354,6 +379,32 @@ def faulty(emulate, tmp_path) -> Callable[[str], EmulatedKernels]:
     return lambda order: EmulatedKernels(
         (str(tmp_path / "faulty.cu"),), torch.device("cpu"), builds=tmp_path, order=order
     )
+
+
+HALVES = """
+#include "half.cuh"
+using namespace envgs;
+extern "C" __global__ void halved(const float* values, float* out) {
+    float2 pair = floats_of(halves_of(values[2 * threadIdx.x], values[2 * threadIdx.x + 1]));
+    out[2 * threadIdx.x] = pair.x, out[2 * threadIdx.x + 1] = pair.y;
+}
+"""
+
+
+@pytest.mark.usefixtures("emulate")
+def test_halves_are_rounded_as_elsewhere(tmp_path):
+    """Every half, and what lies on either side of the middle between two."""
+    (tmp_path / "halves.cu").write_text(HALVES)
+    source, device = str(tmp_path / "halves.cu"), torch.device("cpu")
+    launch = EmulatedKernels((source,), device, builds=tmp_path, order="ascending")
+    halves = torch.arange(1 << 16, dtype=torch.int32).to(torch.int16).view(torch.float16).float()
+    halves = halves[halves.isfinite()]
+    between = (halves[:-1] + halves[1:]) / 2
+    for values in (halves, between, between.nextafter(halves[1:]), between.nextafter(halves[:-1])):
+        for some in values[: len(values) // 512 * 512].reshape(-1, 512).contiguous():
+            out = torch.empty(512)
+            launch("halved", 1, 256, some, out)
+            assert torch.equal(out, some.half().float())
 
 
 def test_mistakes_in_a_kernel_are_noticed(faulty):

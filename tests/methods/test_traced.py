@@ -3,16 +3,20 @@
 import pytest
 import torch
 from reflection_scenes import HEIGHT, WIDTH, make_camera
+from torch import Tensor
 
 from envgs_bench.core import Scene, View
+from envgs_bench.methods import traced
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.start.initialization import initial_tensors
 from envgs_bench.methods.traced import TracedReflection
 
 
-def facing_a_wall(z: float = 3.0, background: tuple[float, ...] = (0.0, 0.0, 0.0), **settings) -> TracedReflection:
+def facing_a_wall(
+    z: float = 3.0, background: tuple[float, ...] = (0.0, 0.0, 0.0), kind: str = "envgs", **settings
+) -> TracedReflection:
     """A method whose environment is one wide surfel in the plane of that z, nearly opaque, red from below."""
-    method = create_method("envgs", {"backend": "cpu", "sh_degree": 1, **settings})
+    method = create_method(kind, {"backend": "cpu", "sh_degree": 1, **settings})
     assert isinstance(method, TracedReflection)
     view = View("view", make_camera(), torch.zeros(HEIGHT, WIDTH, 3, dtype=torch.uint8))
     scene = Scene("wall", [view], [], torch.rand(8, 3), torch.rand(8, 3), background=torch.tensor(background))
@@ -29,9 +33,16 @@ def facing_a_wall(z: float = 3.0, background: tuple[float, ...] = (0.0, 0.0, 0.0
     )
     tensors["log_scales"] = torch.full((1, 2), 2.0)
     tensors["sh_rest"][0, 0, 0] = 0.5
-    method.restore({**method.state(), "sets": {**method.state()["sets"], "env": tensors}})
+    if method.traced == "base":
+        tensors["beta_logits"] = torch.zeros(1, 1)
+    method.restore({**method.state(), "reflects": True, "sets": {**method.state()["sets"], method.traced: tensors}})
     method.prepare()
     return method
+
+
+def seen(method: TracedReflection, origins: Tensor, directions: Tensor, step: int | None) -> Tensor:
+    with torch.set_grad_enabled(step is not None):
+        return method.reflected_color(origins, directions, step)[0]
 
 
 @pytest.mark.parametrize("step", [None, 50])
@@ -40,8 +51,7 @@ def test_parallel_rays_see_one_color_along_the_ray_and_two_toward_the_center(sh_
     method = facing_a_wall(traced_sh_direction=sh_direction)
     origins = torch.tensor([[[0.0, -2.0, 0.0], [0.0, 2.0, 0.0]]])
     directions = torch.tensor([[[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]])
-    drawn = method.trace_reflection(origins, directions, step)
-    below, above = (drawn.color / drawn.alpha[..., None])[0]
+    below, above = seen(method, origins, directions, step)[0]
     difference = (below - above).abs()
     if sh_direction == "ray":
         assert difference.max() < 1e-6
@@ -54,17 +64,36 @@ def test_parallel_rays_see_one_color_along_the_ray_and_two_toward_the_center(sh_
 @pytest.mark.parametrize(("behind", "expected"), [("scene", (0.2, 0.4, 0.8)), ("black", (0.0, 0.0, 0.0))])
 def test_what_is_behind_the_environment(behind, expected, step):
     method = facing_a_wall(background=(0.2, 0.4, 0.8), traced_background=behind)
-    away = method.trace_reflection(torch.zeros(1, 1, 3), torch.tensor([[[0.0, 0.0, -1.0]]]), step)
-    assert not away.hits.any()
-    assert away.color[0, 0].tolist() == pytest.approx(expected)
+    away = seen(method, torch.zeros(1, 1, 3), torch.tensor([[[0.0, 0.0, -1.0]]]), step)
+    assert away[0, 0].tolist() == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("step", [None, 50])
 def test_hits_nearer_than_the_setting_are_not_drawn(step):
     method = facing_a_wall(traced_near=0.06)
     origins = torch.tensor([[[0.0, 0.0, 3 - 0.059], [0.0, 0.0, 3 - 0.061]]])
-    drawn = method.trace_reflection(origins, torch.tensor([[[0.0, 0.0, 1.0]] * 2]), step)
-    assert drawn.hits[0].tolist() == [0, 1]
+    drawn = seen(method, origins, torch.tensor([[[0.0, 0.0, 1.0]] * 2]), step)
+    assert drawn.any(dim=-1).tolist() == [[False, True]]
+
+
+@pytest.mark.parametrize("kind", ["envgs", "envgs_single_set"])
+def test_only_what_nobody_differentiates_is_traced_for_color_alone(kind, monkeypatch):
+    method, called = facing_a_wall(kind=kind), []
+    for name in ("trace", "trace_color"):
+        draw = getattr(traced, name)
+        monkeypatch.setattr(traced, name, lambda *a, n=name, d=draw, **k: called.append(n) or d(*a, **k))
+    rays = torch.zeros(1, 1, 3), torch.tensor([[[0.0, 0.0, 1.0]]])
+    image = method.reflected(rays[0][0], rays[1][0])
+    with torch.no_grad():
+        picture, statistics = method.reflected_color(*rays, None)
+    assert called == ["trace_color"] * 2
+    assert statistics == {}
+    recorded, _ = method.reflected_color(*rays, None)  # as pruning draws it
+    learned, statistics = method.reflected_color(*rays, 50)
+    assert called[2:] == ["trace"] * 2
+    assert statistics.keys() == ({"env"} if kind == "envgs" else set())
+    for color in (image[None], picture, recorded, learned):
+        torch.testing.assert_close(color, picture)
 
 
 def test_an_unknown_background_is_refused():

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, GaussianSet, Rendering, depth_normals, rasterize, reflect, trace
+from envgs_bench.core import Camera, GaussianSet, Rendering, depth_normals, rasterize, reflect, trace, trace_color
 from envgs_bench.core.ssim import K1, K2, TAPS, ssim_map
 from envgs_bench.core.torch.gaussians_3d import RasterizedGaussians3D
 from envgs_bench.core.torch.intersections import MAX_ALPHA, Intersector, alphas
@@ -55,6 +55,12 @@ class Backend:
 
     def trace(self, gaussians: GaussianSet, origins: Tensor, directions: Tensor, **options) -> Rendering:
         return trace(gaussians, origins, directions, backend=self.name, **options)
+
+    @torch.no_grad()
+    def trace_color(
+        self, gaussians: GaussianSet, origins: Tensor, directions: Tensor, **options
+    ) -> tuple[Tensor, Tensor]:
+        return trace_color(gaussians, origins, directions, backend=self.name, **options)
 
 
 ORACLE = Backend.named("torch")

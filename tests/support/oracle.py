@@ -80,6 +80,17 @@ def compare(one: Drawn, other: Drawn, keep: Tensor) -> None:
         assert relative_error(drawn.statistics.weights, expected.statistics.weights) < TOLERANCE
 
 
+def compare_color(backend: Backend, scene: str, sh_direction: str) -> None:
+    """Hold what `trace_color` draws beside the oracle, with room for coefficients in half precision."""
+    gaussians, rays, (expected, _) = oracle_ray_batch(scene, sh_direction)
+    inputs = [backend.take(x) for x in (gaussians, *rays)]
+    color, alpha = backend.trace_color(*inputs, t_min=0.5, background=BACKGROUND, sh_direction=sh_direction)
+    difference = (color.double().cpu() - expected.color.detach()).abs()
+    assert difference.max() < 5e-4
+    assert difference.mean() < 5e-5
+    assert relative_error(alpha, expected.alpha) < TOLERANCE / 10
+
+
 def image(low_pass: bool = True) -> Draw:
     return lambda backend, leaves, rays: backend.rasterize(
         leaves, backend.take(CAMERA), low_pass=low_pass, background=BACKGROUND

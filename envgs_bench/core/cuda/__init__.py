@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -20,7 +22,17 @@ from .reflect import reflect
 from .ssim import ssim_map
 from .trace_pass import TracePass
 
-__all__ = ["adam_step", "build_bvh", "depth_normals", "rasterize", "reflect", "ssim_map", "trace", "why_unavailable"]
+__all__ = [
+    "adam_step",
+    "build_bvh",
+    "depth_normals",
+    "rasterize",
+    "reflect",
+    "ssim_map",
+    "trace",
+    "trace_color",
+    "why_unavailable",
+]
 
 
 def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> Rendering:
@@ -37,8 +49,23 @@ def build_bvh(gaussians: GaussianSet) -> Bvh:
 def trace(
     gaussians: GaussianSet, origins: Tensor, directions: Tensor, bvh: Bvh | None, options: TraceOptions
 ) -> Rendering:
-    if bvh is not None and bvh.backend != "cuda":
-        raise ValueError(f"the BVH was built by backend {bvh.backend!r}, this is 'cuda': build it with backend='cuda'")
     with torch.cuda.device(gaussians.device):
-        tree = SurfelBvh(SetTensors.of(gaussians)) if bvh is None else bvh.handle
+        tree = _tree(gaussians, bvh)
         return draw(TracePass(gaussians, origins, directions, tree, options), gaussians, origins, directions)
+
+
+def trace_color(
+    gaussians: GaussianSet, origins: Tensor, directions: Tensor, bvh: Bvh | None, options: TraceOptions
+) -> tuple[Tensor, Tensor]:
+    with torch.cuda.device(gaussians.device):
+        tree = _tree(gaussians, bvh)
+        return TracePass(replace(gaussians, extras=None), origins, directions, tree, options, color_alone=True).color()
+
+
+def _tree(gaussians: GaussianSet, bvh: Bvh | None) -> SurfelBvh:
+    if bvh is None:
+        return SurfelBvh(SetTensors.of(gaussians))
+    if bvh.backend != "cuda":
+        raise ValueError(f"the BVH was built by backend {bvh.backend!r}, this is 'cuda': build it with backend='cuda'")
+    tree: SurfelBvh = bvh.handle
+    return tree

@@ -56,7 +56,7 @@ extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
     const u32* order,  // [R] indices of rays; packets take eight in this order
     int rays,  // R
     float4* packed_surfels,  // [leaves, 3, kLeaf] see PackedSurfels
-    const Appearance* appearances,  // [N] by slot
+    const PackedAppearance* appearances,  // [N] by slot
     const float* background,  // [3] in [0, 1]
     const float* color,  // [3, R] blended color, 1 is white
     const float* alpha,  // [R] in [0, 1]
@@ -107,13 +107,13 @@ extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
         int index = -1;
         if (slot != kNoHit) {
             TracedSurfel s = surfels.load(slot);
-            Appearance appearance = appearances[slot];
+            Appearance appearance(appearances[slot]);
             PlaneHit<float> hit = intersect(s.frame, ray.origin - s.mean, ray.direction);
             float a = response_alpha(s.opacity, hit.u * hit.u + hit.v * hit.v);
             float side = hit.d_z < 0.0f ? 1.0f : -1.0f;
             Vec3<float> v = kShAlongRay ? ray.direction : s.mean - ray.origin;
-            Vec3<float> c = sh_color<kShDegree>(appearance.values, v);
-            auto [weight, g_a] = g.hit(a, c, hit.t, side, s.frame.n, appearance.values + kShFloats);
+            Vec3<float> c = sh_color<kShDegree>(appearance.sh, v);
+            auto [weight, g_a] = g.hit(a, c, hit.t, side, s.frame.n, appearance.extras);
             AlphaGradient<float> own = alpha_backward(s.opacity, a, g_a);
             Vec3<float> local = intersect_backward(hit, dot(s.frame.u, ray.direction), dot(s.frame.v, ray.direction),
                                                    weight * g.sum.depth, 2.0f * own.rho * hit.u,
@@ -125,8 +125,7 @@ extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
             store3(sum + 9, moments.g_t);
             store3(sum + kNormalSum, (side * weight) * g.sum.normal);
             sum[kOpacitySum] = own.opacity;
-            Vec3<float> g_v = sh_color_backward<kShDegree>(appearance.values, v, c, weight * g.sum.color,
-                                                           sum + kShSums);
+            Vec3<float> g_v = sh_color_backward<kShDegree>(appearance.sh, v, c, weight * g.sum.color, sum + kShSums);
             if constexpr (!kShAlongRay) store3(sum + kDirectionSum, g_v);
 #pragma unroll
             for (int e = 0; e < kExtras; ++e) sum[kShSums + kShFloats + e] = weight * g.extras[e];

@@ -40,6 +40,11 @@ def appearance_floats(sh_coefficients: int, extras: int) -> int:
     return _padded(3 * sh_coefficients + extras)
 
 
+def color_floats(sh_coefficients: int) -> int:
+    """The same where color is drawn alone, of halves: two in the place of a float."""
+    return _padded(-(-3 * sh_coefficients // 2))
+
+
 def trace_sum_floats(sh_coefficients: int, extras: int) -> int:
     """Floats of a surfel's row of sums in the tracer's backward pass."""
     moments, normal, opacity, color_direction = 12, 3, 1, 3

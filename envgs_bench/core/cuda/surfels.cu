@@ -3,23 +3,30 @@
 
 using namespace envgs;
 
-// Packs the surfels' appearances in the BVH's order; a thread a float.
+// The largest half in place of what is beyond it. In this order: NaN stays NaN.
+ENVGS_FN float within_halves(float value) { return maximum(-kLargestHalf, minimum(kLargestHalf, value)); }
+
+// Packs the surfels' appearances in the BVH's order; a thread a word.
 extern "C" __global__ void pack_appearances(
     const u32* order,  // [N] indices of surfels in the BVH's order
     const float* sh,  // [N, K, 3] SH coefficients
     const float* extras,  // [N, E] further values to blend
     int count,  // N
-    float* appearances  // [N, kAppearance] by slot
+    u32* appearances  // [N, kAppearance] by slot, see PackedAppearance
 ) {
     long at = long(blockIdx.x) * blockDim.x + threadIdx.x;
     long slot = at / kAppearance;
     int k = at % kAppearance;
     if (slot >= count) return;
     long i = order[slot];
-    float value = 0.0f;
-    if (k < kShFloats) value = sh[i * kShFloats + k];
-    if (k >= kShFloats && k < kShFloats + kExtras) value = extras[i * kExtras + k - kShFloats];
-    appearances[at] = value;
+    auto value = [&](int k) {
+        if (k < kShFloats) return sh[i * kShFloats + k];
+        return k < kShFloats + kExtras ? extras[i * kExtras + k - kShFloats] : 0.0f;
+    };
+    if constexpr (kColorAlone)
+        appearances[at] = halves_of(within_halves(value(2 * k)), within_halves(value(2 * k + 1)));
+    else
+        appearances[at] = __float_as_uint(value(k));
 }
 
 // Every row of the results is written, zeros where no ray hit the surfel.

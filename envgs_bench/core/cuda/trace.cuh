@@ -1,15 +1,45 @@
 // The tracer's data that several kernels share.
 #pragma once
 #include "bvh.cuh"
+#include "half.cuh"
 
 namespace envgs {
 
-// SH coefficients and extras of a surfel, packed for 16-byte loads, in the BVH's order.
-constexpr int kAppearance = APPEARANCE_FLOATS;
-static_assert(kAppearance == padded(kShFloats + kExtras));
+// Whether rays are drawn to color and alpha only, for pictures that nobody differentiates.
+constexpr bool kColorAlone = COLOR_ALONE;
+static_assert(!kColorAlone || kExtras == 0);
 
-struct alignas(16) Appearance {
-    float values[kAppearance];
+// SH coefficients and extras of a surfel, packed for 16-byte loads, in the BVH's order: floats, and for color alone
+// pairs of halves.
+constexpr int kAppearance = APPEARANCE_FLOATS;
+static_assert(kAppearance == padded(kColorAlone ? (kShFloats + 1) / 2 : kShFloats + kExtras));
+
+struct PackedAppearance {
+    float4 words4[kAppearance / 4];
+};
+
+struct Appearance {
+    float sh[2 * kAppearance], extras[kExtras + 1];
+
+    __device__ __forceinline__ explicit Appearance(const PackedAppearance& packed) {
+#pragma unroll
+        for (int k = 0; k < kAppearance / 4; ++k) {
+            float4 word4 = packed.words4[k];
+            take(4 * k, word4.x), take(4 * k + 1, word4.y), take(4 * k + 2, word4.z), take(4 * k + 3, word4.w);
+        }
+    }
+
+  private:
+    __device__ __forceinline__ void take(int k, float word) {
+        if constexpr (kColorAlone) {
+            float2 pair = floats_of(__float_as_uint(word));
+            sh[2 * k] = pair.x, sh[2 * k + 1] = pair.y;
+        } else if (k < kShFloats) {
+            sh[k] = word;
+        } else if (k < kShFloats + kExtras) {
+            extras[k - kShFloats] = word;
+        }
+    }
 };
 
 constexpr int kRays = PACKET_RAYS;

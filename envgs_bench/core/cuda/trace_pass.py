@@ -10,12 +10,13 @@ from ..differentiable import Gradients, PassOutput, Planes, SetTensors
 from ..gaussians import GaussianSet
 from .bvh import SurfelBvh
 from .launch import Kernels, aligned, blocks_for, kernels
-from .layout import CONSTANTS, appearance_floats, trace_sum_floats
+from .layout import CONSTANTS, appearance_floats, color_floats, trace_sum_floats
 from .sorting import radix_sort
 
 PACKET, PAGE_ROWS = CONSTANTS["PACKET_RAYS"], CONSTANTS["PAGE_ROWS"]
 PAGES_PER_PACKET = 2  # at first
 SPARE_PAGES = 64
+DRAWING = ("ray_keys.cu", "surfels.cu", "trace_rays.cu")
 
 # Pages that a packet of the latest batch on a device took. A batch gets a quarter more; where that is too
 # little, the backward pass traces once more with enough.
@@ -23,29 +24,46 @@ _latest_pages: dict[torch.device, float] = {}
 
 
 class TracePass:
+    """Draws all that `trace` returns; or, made with `color_alone`, what `trace_color` does, of a set without extras."""
+
     def __init__(
-        self, gaussians: GaussianSet, origins: Tensor, directions: Tensor, tree: SurfelBvh, options: TraceOptions
+        self,
+        gaussians: GaussianSet,
+        origins: Tensor,
+        directions: Tensor,
+        tree: SurfelBvh,
+        options: TraceOptions,
+        color_alone: bool = False,
     ) -> None:
         tensors = SetTensors.of(gaussians)
         self.tensors = tensors._replace(quaternions=aligned(tensors.quaternions), scales=aligned(tensors.scales))
         self.origins, self.directions = origins.detach().contiguous(), directions.detach().contiguous()
-        self.tree, self.options = tree, options
+        self.tree, self.options, self.color_alone = tree, options, color_alone
         self.background = options.background.contiguous()
         self.device, self.rays = gaussians.device, len(origins)
         self.packets = blocks_for(self.rays, PACKET)
-        appearance = tensors.sh.shape[1], tensors.extras.shape[1]
-        self.appearance_floats, self.sum_floats = appearance_floats(*appearance), trace_sum_floats(*appearance)
+        sh, extras = tensors.sh.shape[1], tensors.extras.shape[1]
+        self.appearance_floats = color_floats(sh) if color_alone else appearance_floats(sh, extras)
+        self.sum_floats = trace_sum_floats(sh, extras)
 
     def _kernels(self, *sources: str) -> Kernels:
         sh, extras = self.tensors.sh.shape[1], self.tensors.extras.shape[1]
         along_ray = int(self.options.sh_along_ray)
         return kernels(sources, self.device, SH_COEFFICIENTS=sh, EXTRAS=extras, SH_ALONG_RAY=along_ray,
-                       APPEARANCE_FLOATS=self.appearance_floats, TRACE_SUM_FLOATS=self.sum_floats)  # fmt: skip
+                       COLOR_ALONE=int(self.color_alone), APPEARANCE_FLOATS=self.appearance_floats,
+                       TRACE_SUM_FLOATS=self.sum_floats)  # fmt: skip
+
+    def color(self) -> tuple[Tensor, Tensor]:
+        """Color [R, 3] and alpha [R]."""
+        launch = self._prepared()
+        color = torch.empty(3, self.rays, device=self.device)
+        alpha = torch.empty(self.rays, device=self.device)
+        left_out = [None] * 9  # from depth to pages_used
+        self._draw(launch, color, alpha, *left_out, 0)
+        return color.T, alpha
 
     def forward(self, keep: bool) -> PassOutput:
-        launch = self._kernels("ray_keys.cu", "surfels.cu", "trace_rays.cu")
-        self.order = self._order(launch)
-        self.appearances = self._appearances(launch)
+        launch = self._prepared()
         pages = 0
         if keep:
             pages = int(self.packets * _latest_pages.get(self.device, PAGES_PER_PACKET) * 1.25) + SPARE_PAGES
@@ -55,6 +73,12 @@ class TracePass:
             self._wanted.copy_(self.pages_used, non_blocking=True)
             self._counted = torch.cuda.current_stream().record_event()
         return drawn
+
+    def _prepared(self) -> Kernels:
+        launch = self._kernels(*DRAWING)
+        self.order = self._order(launch)
+        self.appearances = self._appearances(launch)
+        return launch
 
     def _order(self, launch: Kernels) -> Tensor:
         keys = torch.empty(self.rays, dtype=torch.int32, device=self.device)
@@ -71,7 +95,7 @@ class TracePass:
         return packed
 
     def _trace(self, launch: Kernels, pages: int) -> PassOutput:
-        tensors, tree, options = self.tensors, self.tree, self.options
+        tensors = self.tensors
         planes = Planes.empty(tensors.means, self.rays, tensors.extras.shape[1])
         hits = torch.empty(self.rays, dtype=torch.int32, device=self.device)
         weights = torch.zeros_like(tensors.opacities)
@@ -79,19 +103,24 @@ class TracePass:
         self.page_next = torch.empty(pages, dtype=torch.int32, device=self.device)
         self.page_heads = torch.empty(2 * self.packets, dtype=torch.int32, device=self.device)
         self.pages_used = torch.zeros(1, dtype=torch.int32, device=self.device)
-        launch("trace_rays", self.packets, 32, self.origins, self.directions, self.order, self.rays,
-               tree.surfels, self.appearances, tree.boxes, tree.count, tree.statistics, float(options.t_min),
-               float(options.transmittance_min), self.background, *planes, hits, weights, self.page_slots,
-               self.page_next, self.page_heads, self.pages_used, pages)  # fmt: skip
+        self._draw(
+            launch, *planes, hits, weights, self.page_slots, self.page_next, self.page_heads, self.pages_used, pages
+        )
         self.weights, self.pages = weights, pages
         return PassOutput(planes, hits, weights)
+
+    def _draw(self, launch: Kernels, *results: Tensor | int | None) -> None:
+        tree, options = self.tree, self.options
+        launch("trace_rays", self.packets, 32, self.origins, self.directions, self.order, self.rays,
+               tree.surfels, self.appearances, tree.boxes, tree.count, tree.statistics, float(options.t_min),
+               float(options.transmittance_min), self.background, *results)  # fmt: skip
 
     def _check_pages(self) -> None:
         self._counted.synchronize()
         used = int(self._wanted)
         _latest_pages[self.device] = used / max(self.packets, 1)
         if used > self.pages:
-            self._trace(self._kernels("ray_keys.cu", "surfels.cu", "trace_rays.cu"), used)
+            self._trace(self._kernels(*DRAWING), used)
 
     def backward(self, planes: Planes, gradients: tuple[Tensor | None, ...]) -> Gradients:
         if not torch.cuda.is_current_stream_capturing():

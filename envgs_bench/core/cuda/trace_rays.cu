@@ -1,5 +1,5 @@
 // Traces: a warp a packet of rays. Hits are found (packet.cuh), then blended nearest first: the threads of a warp share
-// the packet's rays, and blend as many hits of a ray at a time.
+// the packet's rays, and blend as many hits of a ray at a time. For color alone the same, but nothing else is added up.
 #include "packet.cuh"
 
 using namespace envgs;
@@ -26,6 +26,50 @@ ENVGS_FN T sum_over_ray(T value) {
     return value;
 }
 
+ENVGS_FN Vec3<float> sum_over_ray(Vec3<float> v) { return {sum_over_ray(v.x), sum_over_ray(v.y), sum_over_ray(v.z)}; }
+
+// What a ray blends, each of its threads a part of it until they join.
+template <bool ColorAlone>
+struct Blended;
+
+template <>
+struct Blended<false> {
+    BlendedPixel pixel;
+
+    ENVGS_FN static Blended initial() { return {BlendedPixel::initial()}; }
+    ENVGS_FN void add(float weight, const TracedSurfel& s, const PlaneHit<float>& hit, Vec3<float> color,
+                      const float* extras) {
+        pixel.add(weight, color, hit.t, hit.d_z < 0.0f ? 1.0f : -1.0f, s.frame.n, extras);
+    }
+    ENVGS_FN void join_threads() {
+        BlendedSums<float>& sums = pixel.sums;
+        sums.color = sum_over_ray(sums.color), sums.normal = sum_over_ray(sums.normal);
+        sums.depth = sum_over_ray(sums.depth);
+#pragma unroll
+        for (int e = 0; e < kExtras; ++e) pixel.extras[e] = sum_over_ray(pixel.extras[e]);
+        pixel.hits = sum_over_ray(pixel.hits);
+    }
+    ENVGS_FN void store(const Planes<float>& out, int* hit_counts, long at, float transmittance,
+                        Vec3<float> background) {
+        pixel.transmittance = transmittance;
+        pixel.store(out, hit_counts, at, background);
+    }
+};
+
+template <>
+struct Blended<true> {
+    Vec3<float> color;
+
+    ENVGS_FN static Blended initial() { return {}; }
+    ENVGS_FN void add(float weight, const TracedSurfel&, const PlaneHit<float>&, Vec3<float> own, const float*) {
+        color = color + weight * own;
+    }
+    ENVGS_FN void join_threads() { color = sum_over_ray(color); }
+    ENVGS_FN void store(const Planes<float>& out, int*, long at, float transmittance, Vec3<float> background) const {
+        write_color(out, at, color, transmittance, background);
+    }
+};
+
 // The pages of a packet as they fill.
 struct PageWriter {
     Pages pages;
@@ -33,7 +77,7 @@ struct PageWriter {
 
     // Makes room for `kShares` more rows and returns where they begin, or null where there is no room.
     __device__ u32* more_rows() {
-        if (pages.capacity == 0) return nullptr;
+        if (kColorAlone || pages.capacity == 0) return nullptr;
         int row = rows % kPageRows;
         if (row == 0) {
             int taken = lane_id() == 0 ? atomicAdd(pages.used, 1) : 0;
@@ -54,7 +98,7 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
     const u32* order,  // [R] indices of rays; packets take eight in this order
     int rays,  // R
     float4* packed_surfels,  // [leaves, 3, kLeaf] see PackedSurfels
-    const Appearance* appearances,  // [N] by slot
+    const PackedAppearance* appearances,  // [N] by slot
     const float2* boxes,  // [3, boxes] (low, high) of each box and axis, world units: see Levels
     int surfel_count,  // N
     const CenterStatistics* statistics,  // [1] extent of the surfels' centers
@@ -63,6 +107,7 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
     const float* background,  // [3] in [0, 1]
     float* color,  // [3, R] blended color, 1 is white
     float* alpha,  // [R] in [0, 1]
+    // Null from here on where color is drawn alone:
     float* depth,  // [R] expected t in units of |direction|, 0 where nothing is hit
     float* normal,  // [3, R] world frame, blended, not normalized
     float* extras,  // [E, R] blended extras
@@ -75,7 +120,7 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
     u32 page_capacity  // pages there is room for; 0: hits are not kept
 ) {
     __shared__ PacketMemory memory;
-    __shared__ BlendedPixel blended_of_rays[kRays];  // not in registers, which the search is short of
+    __shared__ Blended<kColorAlone> blended_of_rays[kRays];  // not in registers, which the search is short of
     __shared__ Levels levels;
     if (threadIdx.x == 0) levels = Levels::of(surfel_count);
     __syncwarp();
@@ -88,15 +133,15 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
     Extent extent(*statistics);
     float max_origin_distance = kGroupOriginDistance * maximum(extent.size.x, maximum(extent.size.y, extent.size.z));
     Packet packet(memory, levels, boxes, surfels, ray, t_min, transmittance_min, max_origin_distance);
-    if (thread_of_ray == 0) blended_of_rays[lane_id()] = BlendedPixel::initial();
+    if (thread_of_ray == 0) blended_of_rays[lane_id()] = Blended<kColorAlone>::initial();
     float transmittance = 1.0f;
     bool wanted = index >= 0;
     while (__any_sync(kFullWarp, wanted)) {
         packet.search(wanted, transmittance);
         bool ended = !wanted;
         int blended = 0;
-        BlendedPixel pixel = BlendedPixel::initial();
-        if (thread_of_ray == 0) pixel = blended_of_rays[lane_id()];
+        Blended<kColorAlone> part = Blended<kColorAlone>::initial();
+        if (thread_of_ray == 0) part = blended_of_rays[lane_id()];
         for (int first = 0; __any_sync(kFullWarp, !ended && first < packet.count()); first += kThreadsPerRay) {
             int k = first + thread_of_ray;
             bool listed = !ended && k < packet.count();
@@ -112,12 +157,10 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
             float before = transmittance * exclusive_product(1.0f - a);
             bool blends = listed && before >= transmittance_min;
             if (blends) {
-                Appearance appearance = appearances[slot];
+                Appearance appearance(appearances[slot]);
                 Vec3<float> v = kShAlongRay ? own.direction : s.mean - own.origin;
-                Vec3<float> c = sh_color<kShDegree>(appearance.values, v);
-                pixel.add(before * a, c, hit.t, hit.d_z < 0.0f ? 1.0f : -1.0f, s.frame.n,
-                          appearance.values + kShFloats);
-                atomicAdd(weights + s.index, before * a);
+                part.add(before * a, s, hit, sh_color<kShDegree>(appearance.sh, v), appearance.extras);
+                if constexpr (!kColorAlone) atomicAdd(weights + s.index, before * a);
             }
             u32* rows = writer.more_rows();
             if (rows) rows[lane_id()] = blends ? slot : kNoHit;
@@ -131,21 +174,13 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
             blended += count;
             ended = ended || transmittance < transmittance_min;
         }
-        BlendedSums<float>& sums = pixel.sums;
-        sums.color = {sum_over_ray(sums.color.x), sum_over_ray(sums.color.y), sum_over_ray(sums.color.z)};
-        sums.normal = {sum_over_ray(sums.normal.x), sum_over_ray(sums.normal.y), sum_over_ray(sums.normal.z)};
-        sums.depth = sum_over_ray(sums.depth);
-#pragma unroll
-        for (int e = 0; e < kExtras; ++e) pixel.extras[e] = sum_over_ray(pixel.extras[e]);
-        pixel.hits = sum_over_ray(pixel.hits);
-        if (thread_of_ray == 0) blended_of_rays[lane_id()] = pixel;
+        part.join_threads();
+        if (thread_of_ray == 0) blended_of_rays[lane_id()] = part;
         wanted = wanted && !ended && packet.dropped();
         packet.resume_after(wanted ? blended - 1 : -1);
     }
     if (writer.pages.capacity && lane_id() == 0) page_heads[blockIdx.x] = make_int2(writer.first, writer.rows);
     if (thread_of_ray > 0 || index < 0) return;
-    BlendedPixel pixel = blended_of_rays[lane_id()];
-    pixel.transmittance = transmittance;
     Planes<float> out = {color, alpha, depth, normal, extras, rays};
-    pixel.store(out, hit_counts, index, load3(background));
+    blended_of_rays[lane_id()].store(out, hit_counts, index, transmittance, load3(background));
 }

@@ -20,13 +20,19 @@ ENVGS_FN void write3(float* planes, long at, long pixels, Vec3<float> v) {
     planes[at] = v.x, planes[pixels + at] = v.y, planes[2 * pixels + at] = v.z;
 }
 
-// Writes what a pixel has become once its last hit is blended, but for the extras.
+// Writes the color and alpha that a pixel has once its last hit is blended.
+ENVGS_FN void write_color(const Planes<float>& out, long at, Vec3<float> color, float transmittance,
+                          Vec3<float> background) {
+    write3(out.color, at, out.pixels, color + transmittance * background);
+    out.alpha[at] = 1.0f - transmittance;
+}
+
+// And all else, but for the extras.
 ENVGS_FN void write_blended(const Planes<float>& out, long at, const BlendedSums<float>& sums, float transmittance,
                             Vec3<float> background) {
     float alpha = 1.0f - transmittance;
-    write3(out.color, at, out.pixels, sums.color + transmittance * background);
+    write_color(out, at, sums.color, transmittance, background);
     write3(out.normal, at, out.pixels, sums.normal);
-    out.alpha[at] = alpha;
     out.depth[at] = alpha > 0.0f ? sums.depth / alpha : 0.0f;
 }
 

@@ -49,6 +49,23 @@ inline float __expf(float x) { return std::exp(x); }
 inline float __log2f(float x) { return std::log2(x); }
 inline float rsqrtf(float x) { return 1.0f / std::sqrt(x); }
 
+// What half.cuh has of the GPU's instructions.
+inline unsigned half_of(float value) {
+    unsigned sign = std::signbit(value) ? 0x8000u : 0;
+    float size = std::fabs(value);
+    if (!(size < 65520.0f)) return sign | (std::isnan(value) ? 0x7e00u : 0x7c00u);
+    int exponent = size > 0.0f ? max(std::ilogb(size), -14) : -14;
+    return sign | (unsigned((exponent + 14) * 1024) + unsigned(std::nearbyint(std::ldexp(size, 10 - exponent))));
+}
+inline float float_of(unsigned half) {
+    int exponent = half >> 10 & 31, fraction = half & 1023;
+    float size = exponent == 31 ? (fraction ? NAN : INFINITY)
+                                : std::ldexp(float(exponent ? 1024 + fraction : fraction), max(exponent, 1) - 25);
+    return half & 0x8000 ? -size : size;
+}
+inline unsigned halves_of(float low, float high) { return half_of(low) | half_of(high) << 16; }
+inline float2 floats_of(unsigned pair) { return {float_of(pair & 0xffff), float_of(pair >> 16)}; }
+
 struct Coordinates {
     unsigned x;
 };
