@@ -27,7 +27,7 @@ from .flip import PIXELS_PER_DEGREE, flip
 from .lpips import load_heads, lpips
 from .psnr import CEILING_DB, psnr
 from .ssim import ssim
-from .vgg16 import MINIMUM_SIZE, load_vgg16
+from .vgg16 import MINIMUM_SIZE, weights_source
 from .weights import TORCHVISION_SHA256, WeightsUnavailable
 
 METRICS = ("psnr", "ssim", "flip", "lpips")
@@ -79,7 +79,7 @@ class Protocol:
         """Why, for every metric that cannot be had on this machine."""
         try:
             load_heads()
-            load_vgg16()
+            weights_source()
         except WeightsUnavailable as error:
             return {"lpips": str(error)}
         return {}
@@ -87,7 +87,7 @@ class Protocol:
     @property
     def weights(self) -> str | None:
         """Where the weights of LPIPS's network come from, None where LPIPS is not computed."""
-        return None if self.not_computed else load_vgg16().source
+        return None if self.not_computed else weights_source()
 
     def of_pictures(self) -> Protocol:
         """This protocol for 8-bit pictures, which are clamped and rounded already.
@@ -104,7 +104,7 @@ class Protocol:
         Args:
             prediction: [H, W, 3] floats as rendered, sRGB, nominally in [0, 1].
             target: [H, W, 3] floats in [0, 1]: the photograph's bytes / 255.
-            mask: [H, W] bool, the region to score; the full image where None.
+            mask: [H, W] bool, the region to score; the full image where None. All lie on one device.
 
         Returns:
             "psnr" (dB), "ssim", "flip", "lpips"; with a mask also "fraction", the mask's share of the pixels. None

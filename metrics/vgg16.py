@@ -46,18 +46,27 @@ def convolution_names() -> list[str]:
 
 
 def load_vgg16(device: torch.device | str = "cpu") -> Vgg16:
-    """The network with its weights, frozen; loaded once a process.
+    """The network with its weights, frozen; loaded once a process, and moved to where it was asked for last.
 
     Raises:
         WeightsUnavailable: at once where an earlier call in this process failed.
     """
-    loaded = _load(os.environ.get(WEIGHTS_VARIABLE, ""))
-    if isinstance(loaded, str):
-        raise WeightsUnavailable(loaded)
     device = torch.device(device)
     # Channels last, oneDNN does the convolutions in 70% of the time.
     layout = torch.channels_last if device.type == "cpu" else torch.contiguous_format
-    return loaded.to(device, memory_format=layout)  # type: ignore[call-overload]  # PyTorch's stubs lack this one
+    return _loaded().to(device, memory_format=layout)  # type: ignore[call-overload]  # PyTorch's stubs lack this one
+
+
+def weights_source() -> str:
+    """Where the weights come from, `Vgg16.source`; raises as `load_vgg16`, and moves nothing."""
+    return _loaded().source
+
+
+def _loaded() -> Vgg16:
+    loaded = _load(os.environ.get(WEIGHTS_VARIABLE, ""))
+    if isinstance(loaded, str):
+        raise WeightsUnavailable(loaded)
+    return loaded
 
 
 @cache

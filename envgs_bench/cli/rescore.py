@@ -26,7 +26,9 @@ def main(arguments: Sequence[str]) -> int:
         help="draw the views again from the checkpoints, instead of taking the 8-bit pictures that runs left: "
         "for protocols that score floats, and for masks added since; needs the data",
     )
-    parser.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="device of --redraw")
+    parser.add_argument(
+        "--device", default="auto", choices=["auto", "cpu", "cuda"], help="where LPIPS is computed, and --redraw draws"
+    )
     options = parser.parse_args(arguments)
     return explained("rescore", lambda: _rescore(options))
 
@@ -50,7 +52,7 @@ def _rescore(options: argparse.Namespace) -> int:
             again = (
                 redraw(folder, protocol, target, options.device)
                 if options.redraw
-                else rescore(folder, protocol, target)
+                else rescore(folder, protocol, target, options.device)
             )
             names.add(again.protocol.name)
         except (OSError, ValueError) as error:

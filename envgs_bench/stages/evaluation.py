@@ -38,7 +38,7 @@ def evaluate(
     Raises:
         Diverged: a render is not finite.
     """
-    metrics, masked = score_pairs(_drawn(method, views, folder, report), protocol)
+    metrics, masked = score_pairs(_drawn(method, views, folder, report), protocol, method.device)
     without = [view.name for view in views if view.normal is None]
     if without:
         why = f"{len(without)} of {len(views)} scored views bring no exact normals"

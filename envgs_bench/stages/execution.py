@@ -92,13 +92,14 @@ def execute(
         if training.step:  # however it ends, what was learned is kept
             results.cost = cost_of(method, training)
             method.save(folder / CHECKPOINT)
+    # Now: what the scoring takes of memory is not the training's.
+    results.cost = with_files(cost_of(method, training), method, folder / CHECKPOINT)
     report({"stage": "preparing"})
     method.prepare()
     views = scored_views(scene, settings.score_on)
     results.metrics, results.masked = evaluate(method, views, protocol, folder, report)
     report({"stage": "timing"})
     results.timing = time_frames(method, views, settings.timing)
-    results.cost = with_files(cost_of(method, training), method, folder / CHECKPOINT)
     write_probe(folder, probe(method, scene, views))
     snapshots.remove()
 
@@ -110,7 +111,7 @@ def _score_renders(
     results.steps = 0
     scene = _load(settings, results, report)
     views, background = scored_views(scene, settings.score_on), scene.background
-    scored = score_renders(settings.method.settings, views, background, protocol, folder, report)
+    scored = score_renders(settings.method.settings, views, background, protocol, folder, report, settings.device)
     results.metrics, results.masked = scored
 
 

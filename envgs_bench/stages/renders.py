@@ -49,8 +49,9 @@ def score_renders(
     protocol: Protocol,
     folder: Path,
     report: EventListener,
+    device: str,
 ) -> tuple[Metrics, dict[str, MaskedScores]]:
-    """Scores of the pictures that `settings` name as `views`; a copy of each is left in `folder`.
+    """Scores, made on `device`, of the pictures that `settings` name as `views`; a copy of each is left in `folder`.
 
     Raises:
         ValueError: an unknown setting.
@@ -66,7 +67,7 @@ def score_renders(
             save_pair(folder, view, image, {})
             yield Pair(view.name, image, view.rgb(), view.masks)
 
-    return score_pairs(pairs(), protocol)
+    return score_pairs(pairs(), protocol, device)
 
 
 def match_renders(folder: Path, match: str, views: Sequence[View]) -> dict[str, Path]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+import torch
 from torch import Tensor
 
 from envgs_bench.metrics import Protocol
@@ -24,19 +25,20 @@ class Pair:
     others: Mapping[str, Scores] = field(default_factory=dict)  # region or FULL -> scores that no protocol computes
 
 
-def score_pairs(pairs: Iterable[Pair], protocol: Protocol) -> tuple[Metrics, dict[str, MaskedScores]]:
+def score_pairs(
+    pairs: Iterable[Pair], protocol: Protocol, device: torch.device | str = "cpu"
+) -> tuple[Metrics, dict[str, MaskedScores]]:
     """Scores of all views and of every region that their masks name; a view that does not show a region leaves it out.
 
-    Pairs are taken one at a time, so that they need not lie in memory together.
+    Pairs are taken one at a time, so that they need not lie in memory together. LPIPS is computed on `device`.
     """
     full: list[ViewScores] = []
     regions: dict[str, list[ViewScores]] = {}
     for pair in pairs:
-        full.append(_scores(pair, FULL, protocol.score(pair.prediction, pair.target)))
+        full.append(_scores(pair, FULL, _scored(pair, None, protocol, device)))
         for region, mask in pair.masks.items():
             if mask.any():
-                scores = _scores(pair, region, protocol.score(pair.prediction, pair.target, mask))
-                regions.setdefault(region, []).append(scores)
+                regions.setdefault(region, []).append(_scores(pair, region, _scored(pair, mask, protocol, device)))
     metrics = Metrics(
         mean=_means(full), per_view=full, not_computed=dict(protocol.not_computed), weights=protocol.weights
     )
@@ -45,6 +47,14 @@ def score_pairs(pairs: Iterable[Pair], protocol: Protocol) -> tuple[Metrics, dic
         for region, per_view in regions.items()
     }
     return metrics, masked
+
+
+def _scored(pair: Pair, mask: Tensor | None, protocol: Protocol, device: torch.device | str) -> dict[str, float | None]:
+    images = [pair.prediction, pair.target, *([] if mask is None else [mask])]
+    try:  # the network's features take 1.5 kB a pixel, beside a model that may fill the device
+        return protocol.score(*(image.to(device) for image in images))
+    except torch.OutOfMemoryError:
+        return protocol.score(*(image.cpu() for image in images))
 
 
 def _scores(pair: Pair, region: str, scores: Scores) -> ViewScores:

@@ -108,7 +108,8 @@ def layout_losses(run: Path, layouts: Mapping[str, Layout], device: str = "auto"
 def _scores(method: GaussianMethod, views: Sequence[View], protocol: Protocol) -> Scores:
     method.prepare()
     drawn = ((view, method.render(view.camera.to(method.device)).color.cpu()) for view in views)
-    metrics, _ = score_pairs((Pair(view.name, image, view.rgb(), {}) for view, image in drawn), protocol)
+    pairs = (Pair(view.name, image, view.rgb(), {}) for view, image in drawn)
+    metrics, _ = score_pairs(pairs, protocol, method.device)
     return metrics.mean
 
 

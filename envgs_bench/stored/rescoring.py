@@ -40,6 +40,7 @@ from envgs_bench.run_folder import (
     target_path,
 )
 from envgs_bench.runs.draft import now
+from envgs_bench.runs.job import resolve_device
 from envgs_bench.settings import read_settings
 from envgs_bench.stages.evaluation import evaluate, scored_views
 from envgs_bench.stages.perturbations import load_run_scene
@@ -49,7 +50,7 @@ from envgs_bench.stages.scoring import FULL, Pair, score_pairs
 from .reopening import reopen
 
 
-def rescore(run: Path, protocol: Protocol, out: Path) -> Record:
+def rescore(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Record:
     """Write the record of the run in the folder `run`, its pictures scored by `protocol`, into the folder `out`.
 
     All else in it is the run's own, timing, cost and failures too; `provenance.rescored` says where it comes from.
@@ -59,8 +60,8 @@ def rescore(run: Path, protocol: Protocol, out: Path) -> Record:
         RecordError: the run's record cannot be read.
         PictureError: a picture is missing or unreadable, or the record names a view or a region that names no file.
     """
-    record, protocol = read_record(run), protocol.of_pictures()
-    scores = None if record.metrics is None else score_pairs(_pairs(run, record), protocol)
+    record, protocol, device = read_record(run), protocol.of_pictures(), resolve_device(device)
+    scores = None if record.metrics is None else score_pairs(_pairs(run, record), protocol, device)
     return _write(run, record, protocol, scores, out, "pictures", (*PICTURES, CURVE_NAME, PROBE_NAME))
 
 
@@ -80,7 +81,9 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
         scene = load_run_scene(settings)
         views = scored_views(scene, settings.score_on)
         if record.kind == RENDERS:
-            scores = score_renders(settings.method.settings, views, scene.background, protocol, out, _silent)
+            scores = score_renders(
+                settings.method.settings, views, scene.background, protocol, out, _silent, resolve_device(device)
+            )
         else:
             _, method = reopen(run, device)
             method.prepare()

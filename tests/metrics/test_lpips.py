@@ -88,6 +88,18 @@ def test_lpips_is_torchmetrics(kornias_layers, monkeypatch, input_range, normali
     assert lpips(prediction, target, input_range, mask) == pytest.approx(float(spatial[mask].mean()), rel=1e-4)
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_lpips_on_a_gpu_is_the_cpus_cuda(random_weights):
+    """TF32, torch's default there, is off by 1e-3 of the value."""
+    pair, mask = images(200, 300), torch.zeros(200, 300, dtype=torch.bool)
+    mask[50:120, 30:250] = True
+    for region in (None, mask):
+        on_gpu = [None if region is None else region.cuda() for _ in range(2)]
+        there = [lpips(*pair.cuda(), "[-1, 1]", own) for own in on_gpu]
+        assert there[0] == pytest.approx(lpips(*pair, "[-1, 1]", region), rel=1e-5)
+        assert there[0] == there[1]
+
+
 def test_lpips_is_zero_for_equal_images_and_enters_the_scores(random_weights):
     prediction, target = images()
     protocol = get_protocol("envgs")

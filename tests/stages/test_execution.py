@@ -16,7 +16,7 @@ from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.start.mending import Mended
 from envgs_bench.metrics import WeightsUnavailable
 from envgs_bench.settings import parse_settings
-from envgs_bench.stages import execution
+from envgs_bench.stages import cost, execution
 from envgs_bench.stages.results import Results
 from envgs_bench.stages.training import Training
 from envgs_bench.testing import tiny_scene
@@ -124,6 +124,23 @@ def test_test_views_without_exact_normals_are_said_to_be(monkeypatch: pytest.Mon
     assert metrics is not None
     assert metrics.mean.get("normal_degrees") is None
     assert metrics.not_computed["normal_degrees"] == "1 of 1 scored views bring no exact normals"
+
+
+def test_the_cost_is_the_trainings_and_not_that_of_its_scores(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    began = []
+    evaluate = execution.evaluate
+
+    def evaluated(*arguments: Any) -> Any:
+        began.append(True)
+        return evaluate(*arguments)
+
+    monkeypatch.setattr(execution, "evaluate", evaluated)
+    monkeypatch.setattr(cost, "peak_device_bytes", lambda device: 9_000 if began else 1_000)
+    results = execute("2dgs", {}, 1, monkeypatch, tmp_path)
+    assert began
+    assert results.cost is not None
+    assert results.cost.peak_device_bytes == 1_000
+    assert results.cost.checkpoint_bytes == sum(path.stat().st_size for path in (tmp_path / "checkpoint").rglob("*"))
 
 
 def execute(
