@@ -26,6 +26,7 @@ from .losses import edge_aware_smoothness
 from .parameters import LearningRates, inverse_sigmoid
 from .regions import Ball, foreground_ball
 from .settings import PublishedSettings
+from .supersampling import averaged, finer
 
 DIELECTRIC = 0.04  # what a surface that is no metal reflects head-on
 METALLIC_ABOVE = 0.02  # m from which normals propagate, and up to which base colors are sabotaged
@@ -179,6 +180,8 @@ class RefGaussian(EnvMap):
 
     def _specular(self, base: Rendering, camera: Camera, step: int | None) -> Tensor:
         """What each pixel mirrors, [H, W, 3]."""
+        points = self.settings.supersampling
+        base, camera = finer(base, camera, points)
         metallic, roughness, albedo, indirect = base.extras.split([1, 1, 3, 3], dim=-1)
         origins, outgoing, _ = self._reflected_rays(base, camera, step)
         cosine = -(unit(camera.rays()[1]) * unit(base.normal)).sum(-1)
@@ -189,7 +192,7 @@ class RefGaussian(EnvMap):
             free = 1 - self._hidden(origins, outgoing, step)[..., None]
             seen = free * seen + (1 - free) * indirect
         weight = specular_weight(_reflectance(albedo, metallic), cosine, roughness[..., 0])
-        return seen * weight * base.alpha[..., None]
+        return averaged(seen * weight * base.alpha[..., None], points)
 
     @torch.no_grad()
     def _hidden(self, origins: Tensor, directions: Tensor, step: int | None) -> Tensor:

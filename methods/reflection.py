@@ -22,6 +22,7 @@ from envgs_bench.parts import BASE, BETA, REFLECTION
 from .gaussian_method import GaussianMethod
 from .parameters import LearningRates, inverse_sigmoid
 from .settings import GaussianSettings, check_words
+from .supersampling import averaged, finer, repeated
 
 SABOTAGE_BELOW = 0.05  # β up to which a base color is disturbed
 SABOTAGE_RANGE = 0.4
@@ -58,6 +59,7 @@ class ReflectionSettings(GaussianSettings):
     beta_lr: float = 1e-2  # learning rate of β's logits
     beta_threshold: float = 1 / 255  # an image traces no ray whose β is below; in training every surface reflects
     beta_filter: float = 0.0  # share of an image's pixels, those of the smallest β, that are not traced either
+    supersampling: int = 1  # reflected rays along each side of a pixel: 2 are four a pixel
     ray_offset: float = 1e-3  # a reflected ray starts this far above the surface, × scene radius
     reflect_alpha: float = 0.0  # pixels whose alpha is not above do not reflect: in images, and late in training
     reflect_alpha_from: int = 0  # step after which that holds in training too
@@ -86,6 +88,8 @@ class ReflectiveMethod(GaussianMethod):
             raise ValueError(f"settling_interval is {settings.settling_interval}, expected at least 1 × densify_every")
         if not 0 < settings.initial_beta < 1:
             raise ValueError(f"initial_beta is {settings.initial_beta:g}, expected a weight between 0 and 1")
+        if settings.supersampling < 1:
+            raise ValueError(f"supersampling is {settings.supersampling}, expected at least 1 ray along a pixel's side")
         if not 0 <= settings.mono_floor <= 1:
             raise ValueError(f"mono_floor is {settings.mono_floor:g}, expected a share from 0 to 1")
         self.reflects = False  # True once the bootstrapping is over
@@ -139,12 +143,15 @@ class ReflectiveMethod(GaussianMethod):
         statistics = {BASE: base.statistics}
         if not self.reflects:
             return base, statistics
-        origins, directions, beta = self._reflected_rays(base, camera, step)
+        points = self.settings.supersampling
+        origins, directions, beta = self._reflected_rays(*finer(base, camera, points), step)
         reflection, of_rays = self.reflected_color(origins, directions, step)
+        for seen in of_rays.values():
+            seen.weights = seen.weights / points**2  # in pixels, as the base's
         statistics |= of_rays
         beta = beta[..., None]
-        blended = torch.lerp(base.color, reflection, beta)  # Eq. 5
-        layers = {BASE: base.color, REFLECTION: reflection * (beta > 0), BETA: base.extras}
+        blended = averaged(torch.lerp(repeated(base.color, points), reflection, beta), points)  # Eq. 5
+        layers = {BASE: base.color, REFLECTION: averaged(reflection * (beta > 0), points), BETA: base.extras}
         return replace(base, color=blended, layers=layers), statistics
 
     def _reflected_rays(self, base: Rendering, camera: Camera, step: int | None) -> tuple[Tensor, Tensor, Tensor]:
@@ -168,7 +175,8 @@ class ReflectiveMethod(GaussianMethod):
         if share == 0:
             return threshold
         rank = max(1, round(share * beta.numel()))
-        return beta.reshape(-1).kthvalue(rank).values.clamp_min(threshold)
+        # Sorted whole: on a GPU torch's kthvalue takes longer than the rays that are spared.
+        return beta.flatten().sort().values[rank - 1].clamp_min(threshold)
 
     def mono_weights(self, rendering: Rendering) -> Tensor | None:
         """1 where β is at least its start, in proportion to β below, and `mono_floor` at least.

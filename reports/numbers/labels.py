@@ -13,7 +13,8 @@ from .settings import as_number, flat_settings, method_settings
 
 ORDER = (  # by what they model of reflections, then what is left out, as in the paper's Table 4
     *("3dgs", "3dgs_tuned", "3dgs_lean", "2dgs", "2dgs_tuned", "2dgs_lean"),
-    *("envmap_paper", "envmap", "envmap128", "envmap256", "envgs_released", "envgs_paper", "envgs_lean", "envgs"),
+    *("envmap_paper", "envmap", "envmap128", "envmap256", "envmap_4spp"),
+    *("envgs_released", "envgs_paper", "envgs_lean", "envgs", "envgs_4spp"),
     *("envgs_no_joint", "envgs_paper_no_joint", "envgs_paper_no_mono_normal", "envgs_paper_no_color_sabotage"),
     *("envgs_paper_no_normal_propagation", "envgs_paper_no_perceptual"),
     *("envgs_paper_single_set", "envgs_single_set"),

@@ -39,6 +39,8 @@ DIFFERENCES = {
     "envmap128": {"envmap_size": 128},
     "envmap256": {"envmap_size": 256},
     "envgs_no_joint": {"joint": False},
+    "envgs_4spp": {"supersampling": 2},
+    "envmap_4spp": {"supersampling": 2},
     "2dgs_lean": TUNED_2DGS | LEAN,
     "3dgs_lean": TUNED_3DGS | LEAN,
     "envgs_lean": {"prune_error": 0.05, "reflection_trial": True},

@@ -13,7 +13,11 @@ from envgs_bench.methods.registry import create_method
 
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 STEPS = 80
-DRAWN = [*((kind, {}) for kind in CAPTURED), ("envgs", {"beta_filter": 0.5, "reflect_alpha": 0.5})]
+DRAWN = [
+    *((kind, {}) for kind in CAPTURED),
+    ("envgs", {"beta_filter": 0.5, "reflect_alpha": 0.5}),
+    ("envgs", {"supersampling": 2}),
+]
 
 
 class PlainGraph:

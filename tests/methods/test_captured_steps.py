@@ -283,6 +283,8 @@ def test_a_step_that_is_not_finite_is_skipped_from_a_graph_too_cuda():
     [
         *((kind, {}) for kind in CAPTURED),
         ("envgs", {"normal_weighting": "depth", "mono_weight": 0.1, "reflect_alpha": 0.5, "normal_reference": "alpha"}),
+        ("envgs", {"supersampling": 2}),
+        ("envmap", {"supersampling": 2}),
         ("3dgs_dr", {"scope_radius": 1.5}),
         ("2dgs", {"mean_gradient_over": "in_view"}),
     ],

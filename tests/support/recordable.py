@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any
+from unittest.mock import patch
 
 import torch
 from small_methods import SMALL
@@ -21,11 +22,23 @@ WAITING = {
 
 
 class WaitsForTheDevice(TorchDispatchMode):
-    """Within it, `found` collects operations for which the host would wait for a GPU, by what they do."""
+    """Within it, `found` collects operations for which the host would wait for a GPU, by what they do.
+
+    Cameras made within are not checked, as none is on a GPU.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         self.found: list[str] = []
+        self._unchecked = patch.object(Camera, "__post_init__", lambda camera: None)
+
+    def __enter__(self) -> WaitsForTheDevice:
+        self._unchecked.start()
+        return super().__enter__()
+
+    def __exit__(self, *error: Any) -> None:
+        super().__exit__(*error)
+        self._unchecked.stop()
 
     def __torch_dispatch__(self, function: Any, types: Any, arguments: Any = (), named: Any = None) -> Any:
         name = function._schema.name
