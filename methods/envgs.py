@@ -15,7 +15,7 @@ from envgs_bench.parts import BASE, ENV
 
 from .densification import DensificationRule, spatial_criterion
 from .parameters import primitive_bytes
-from .reflection_trial import BOOTSTRAP, NEVER, PLAIN, SHORTEST_RUN, TrialOutcome, reflection_trial
+from .reflection_trial import BOOTSTRAP, PLAIN, SHORTEST_RUN, TrialOutcome, reflection_trial
 from .schedule import DENSIFY_FLOOR, ENV_RESET_FLOOR, RECOVERY
 from .start.initialization import quantile_box, random_points_in_grid, random_points_on_sphere
 from .traced import TracedReflection, TracedSettings
@@ -76,8 +76,9 @@ class EnvGS(TracedReflection):
     def _tried(self, scene: Scene) -> TrialOutcome:
         # as what tells reflections apart was found: from random primitives alone, eight times as many
         s = self.settings
-        alone = {"env_from_points": False, "env_grid": 2 * s.env_grid, "mono_beta_from": NEVER}
-        settings = replace(s, reflection_trial=False, bootstrap=BOOTSTRAP, **alone)
+        settings = replace(
+            s, reflection_trial=False, bootstrap=BOOTSTRAP, env_from_points=False, env_grid=2 * s.env_grid
+        )
         seed = self.generator.initial_seed()
         mirrored, control = (kind(settings, self.device, seed) for kind in (EnvGS, AlongNormals))
         if self._budget is not None:

@@ -245,7 +245,7 @@ class GaussianMethod(GaussianModel):
         perceptual = self.perceptual if self.uses_perceptual else None
         return self._loss().terms(rendering, target, view, step, self.mono_weights, perceptual)
 
-    def mono_weights(self, rendering: Rendering, step: int) -> Tensor | None:
+    def mono_weights(self, rendering: Rendering) -> Tensor | None:
         """How much the view's own normals count at each pixel, [H, W] without gradients; None: alike everywhere."""
         return None
 

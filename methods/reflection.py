@@ -44,9 +44,7 @@ class ReflectionSettings(GaussianSettings):
     normal_from: int = 7_000
     mono_weight: float = 0.05
     mono_loss: str = "l1_cos"
-    mono_floor: float = 0.1  # share of mono_weight where nothing reflects
-    mono_beta: float = 0.3  # β from which all of mono_weight counts, once reflections begin to settle
-    mono_beta_from: int = 9_000  # step after which they do; up to it the β that primitives start with is enough
+    mono_floor: float = 0.1  # share of mono_weight where nothing reflects; all of it counts from β = initial_beta on
     perceptual_weight: float = 0.0
 
     densify_until: int = 21_000
@@ -92,8 +90,6 @@ class ReflectiveMethod(GaussianMethod):
             raise ValueError(f"initial_beta is {settings.initial_beta:g}, expected a weight between 0 and 1")
         if settings.supersampling < 1:
             raise ValueError(f"supersampling is {settings.supersampling}, expected at least 1 ray along a pixel's side")
-        if not 0 < settings.mono_beta <= 1:
-            raise ValueError(f"mono_beta is {settings.mono_beta:g}, expected a weight above 0 and up to 1")
         if not 0 <= settings.mono_floor <= 1:
             raise ValueError(f"mono_floor is {settings.mono_floor:g}, expected a share from 0 to 1")
         self.reflects = False  # True once the bootstrapping is over
@@ -140,7 +136,7 @@ class ReflectiveMethod(GaussianMethod):
 
     def phase(self, step: int) -> Hashable:
         reflects_less = step > self.schedule.at(self.settings.reflect_alpha_from)
-        return super().phase(step), self.reflects, reflects_less, self._beta_tells(step)
+        return super().phase(step), self.reflects, reflects_less
 
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
         base = self.rasterize_base(camera, step)
@@ -182,24 +178,16 @@ class ReflectiveMethod(GaussianMethod):
         # Sorted whole: on a GPU torch's kthvalue takes longer than the rays that are spared.
         return beta.flatten().sort().values[rank - 1].clamp_min(threshold)
 
-    def mono_weights(self, rendering: Rendering, step: int) -> Tensor | None:
-        """1 where much reflects, less with less β, and `mono_floor` at least.
+    def mono_weights(self, rendering: Rendering) -> Tensor | None:
+        """1 where β is at least its start, in proportion to β below, and `mono_floor` at least.
 
         On a mirror the depth map follows the reflected scene: only the view's own normals constrain the surface. On
-        matte surfaces the depth map is more accurate than an estimate that is off by some degrees, and surfels that lie
-        in it show less detail. β starts alike everywhere, so that at first all count where it has not fallen. Later
-        it is high on mirrors, but matte surfaces keep a tenth or two: there it counts by its square.
+        matte surfaces the depth map is more accurate than an estimate that is off by some degrees.
         """
         s = self.settings
         if s.mono_floor == 1:
             return None
-        beta = rendering.extras.detach()[..., 0]
-        weights = (beta / s.mono_beta).square() if self._beta_tells(step) else beta / s.initial_beta
-        return weights.clamp(s.mono_floor, 1)
-
-    def _beta_tells(self, step: int) -> bool:
-        """Whether β has had time to tell what reflects."""
-        return step > self.schedule.at(self.settings.mono_beta_from)
+        return (rendering.extras.detach()[..., 0] / s.initial_beta).clamp(s.mono_floor, 1)
 
     def events(self, step: int) -> set[str]:
         s, schedule = self.settings, self.schedule

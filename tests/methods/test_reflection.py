@@ -123,17 +123,13 @@ def test_the_environment_grows_by_the_bases_rule_but_for_its_threshold_and_its_c
 
 
 def test_the_views_own_normals_count_where_something_reflects():
-    """In a run of 3,000 steps β tells from step 900 on: before, by what it is of its start, then by its square."""
     beta = torch.zeros(HEIGHT, WIDTH)
-    beta[0, :5] = torch.tensor([0.001, 0.05, 0.1, 0.3, 0.7])
+    beta[0, :4] = torch.tensor([0.001, 0.05, 0.1, 0.7])
     shown = mirror(make_camera(), torch.tensor([0.0, 0.0, -1.0]), -4.0)
     rendering = make_rendering(shown.depth, shown.normal, shown.alpha, beta)
-    method, _ = initialized(3000, envmap_size=4, initial_beta=0.1, mono_floor=0.02, mono_beta=0.5)
-    weights = [method.mono_weights(rendering, step)[0, :6] for step in (900, 901)]
-    torch.testing.assert_close(weights[0], torch.tensor([0.02, 0.5, 1.0, 1.0, 1.0, 0.02]))
-    torch.testing.assert_close(weights[1], torch.tensor([0.02, 0.02, 0.04, 0.36, 1.0, 0.02]))
-    assert method.phase(900) != method.phase(901)  # another graph is recorded
-    assert EnvMap(EnvMapSettings(envmap_size=4, mono_floor=1.0)).mono_weights(rendering, 901) is None
+    weights = EnvMap(EnvMapSettings(envmap_size=4, initial_beta=0.1, mono_floor=0.2)).mono_weights(rendering)
+    torch.testing.assert_close(weights[0, :5], torch.tensor([0.2, 0.5, 1.0, 1.0, 0.2]))
+    assert EnvMap(EnvMapSettings(envmap_size=4, mono_floor=1.0)).mono_weights(rendering) is None
 
 
 def initialized(steps: int, **settings) -> tuple[EnvMap, View]:

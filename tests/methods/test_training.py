@@ -335,7 +335,6 @@ def test_unknown_settings_are_refused_with_the_known_ones():
         ("3dgs_dr", {"beta_reset": "max"}, "beta_reset is 'max', expected lower or raise"),
         ("envmap", {"initial_beta": 0.0}, "initial_beta is 0, expected a weight between 0 and 1"),
         ("envmap", {"mono_floor": 1.5}, "mono_floor is 1.5, expected a share from 0 to 1"),
-        ("envmap", {"mono_beta": 0.0}, "mono_beta is 0, expected a weight above 0 and up to 1"),
     ],
 )
 def test_bad_settings_are_refused(kind, settings, message):
