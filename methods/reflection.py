@@ -146,8 +146,9 @@ class ReflectiveMethod(GaussianMethod):
         points = self.settings.supersampling
         origins, directions, beta = self._reflected_rays(*finer(base, camera, points), step)
         reflection, of_rays = self.reflected_color(origins, directions, step)
-        for seen in of_rays.values():
-            seen.weights = seen.weights / points**2  # in pixels, as the base's
+        if points > 1:
+            for seen in of_rays.values():
+                seen.weights = seen.weights / points**2  # in pixels, as the base's
         statistics |= of_rays
         beta = beta[..., None]
         blended = averaged(torch.lerp(repeated(base.color, points), reflection, beta), points)  # Eq. 5

@@ -35,9 +35,7 @@ def finer(image: Rendering, camera: Camera, factor: int) -> tuple[Rendering, Cam
     normal, extras = between[2:5].movedim(0, -1), between[5:].movedim(0, -1)
     depth = torch.where(inverse > 0, alpha / inverse.clamp_min(TINY), 0.0)
     surfaces = replace(image, alpha=alpha, depth=depth, normal=normal, extras=extras)
-    # Not `resized`, whose scale is copied to the device: a recorded step cannot wait for that.
-    intrinsics = torch.cat([factor * camera.intrinsics[:2], camera.intrinsics[2:]])
-    return surfaces, replace(camera, intrinsics=intrinsics, width=factor * camera.width, height=factor * camera.height)
+    return surfaces, camera.resized(factor * camera.width, factor * camera.height)
 
 
 def repeated(values: Tensor, factor: int) -> Tensor:

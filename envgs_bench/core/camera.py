@@ -83,10 +83,10 @@ class Camera:
 
     def resized(self, width: int, height: int) -> Camera:
         """The same view drawn at another size: intrinsics follow the actual sizes in x and in y."""
-        scale = torch.tensor(
-            [[width / self.width], [height / self.height], [1.0]], dtype=self.intrinsics.dtype, device=self.device
-        )
-        return replace(self, intrinsics=self.intrinsics * scale, width=width, height=height)
+        x, y, last = self.intrinsics
+        # Row by row: a tensor of scales would be copied to the device, which waits.
+        intrinsics = torch.stack([x * (width / self.width), y * (height / self.height), last])
+        return replace(self, intrinsics=intrinsics, width=width, height=height)
 
     def to(self, device: torch.device | str) -> Camera:
         return replace(self, world_to_camera=self.world_to_camera.to(device), intrinsics=self.intrinsics.to(device))
