@@ -29,6 +29,7 @@ from .columns import (
 from .table import Table, build_table
 
 KINDS = {
+    "choice": "Choices",
     "overview": "Overview",
     "subject": "Data set by data set",
     "scenes": "Scene by scene",

@@ -12,6 +12,7 @@ import pandas as pd
 
 from envgs_bench.records import ProtocolName, Record, ScoredOn
 
+from ..numbers.choices import Choice, choices
 from ..numbers.estimates import Numbers
 from ..numbers.knobs import knobs
 from ..numbers.labels import Label, label_runs, method_order
@@ -21,6 +22,7 @@ from ..numbers.runs import UNTIMED, Run
 from ..numbers.settings import method_settings
 from ..numbers.stability import LabeledTrialRun, Stability
 from ..numbers.tidy import attempts_table, tidy_table
+from .choices import choice_table
 from .ladder import ladder_table
 from .layouts import Contents, layouts
 from .stability import stability_tables
@@ -92,6 +94,13 @@ class Section:
         return ladders(self.numbers, [(item.dataset, item.label, item.run) for item in self.runs])
 
     @cached_property
+    def choices(self) -> list[Choice]:
+        """Of validation views alone: settings are not chosen on test views."""
+        if self.scored_on == "test":
+            return []
+        return choices(self.numbers, [(item.dataset, item.label, item.run) for item in self.runs])
+
+    @cached_property
     def tables(self) -> list[Table]:
         """In the order of every format."""
         alone = {name: (name,) for name in self.datasets}
@@ -104,7 +113,7 @@ class Section:
         )
         ordinary = [
             replace(table, rows=tuple(self._with_dropped_losses(row, table.datasets) for row in table.rows))
-            for table in (*layouts(contents, ALL), *map(ladder_table, self.ladders))
+            for table in (*map(choice_table, self.choices), *layouts(contents, ALL), *map(ladder_table, self.ladders))
         ]
         return [*ordinary, *stability_tables(self.stability)]
 

@@ -1,0 +1,162 @@
+"""Choices: candidates for a method's settings beside the method as it is, judged by the tuning protocol's rules."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from .estimates import Estimate, Numbers
+from .labels import Label, method_order
+from .runs import Run
+
+LEAST_GAIN = 0.1  # dB of PSNR as a mean over the data sets: what is less may be chance
+FEWEST_RUNS = 2  # of a candidate and of the method on each data set
+SET_UP = ("method.", "budget.")  # overrides that make a run one of a candidate
+
+Verdict = Literal["keep", "worse", "no gain", "incomplete"]
+Views = Mapping[tuple[str, str], Mapping[int, Mapping[str, float]]]  # PSNR by (data set, row), seed and view
+
+
+@dataclass(frozen=True)
+class DecidingView:
+    """One view on which it hangs whether a candidate gains or loses on a data set, dB."""
+
+    dataset: str
+    view: str
+    gain: float  # of all views
+    without: float  # of all others
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Rows of one method and as many steps that differ in its settings; every difference is paired by seed.
+
+    Attributes:
+        base: the row of the method as it is.
+        candidates: the other rows, in the tables' order, each with the settings that it changes.
+        datasets: on which the method as it is was tried.
+    """
+
+    numbers: Numbers
+    name: str
+    base: str
+    candidates: Mapping[str, str]
+    datasets: tuple[str, ...]
+    views: Views
+
+    def difference(self, candidate: str, dataset: str) -> Estimate:
+        """PSNR of the candidate minus the method's as it is, dB."""
+        return self.numbers.estimate((dataset,), candidate, "full", "psnr", self.base)
+
+    def gain(self, candidate: str, datasets: Sequence[str]) -> float:
+        """The unweighted mean over the data sets of the difference, 0 of the method as it is."""
+        if candidate == self.base:
+            return 0.0
+        return float(np.mean([float(self.difference(candidate, dataset).mean or 0) for dataset in datasets]))
+
+    @cached_property
+    def spreads(self) -> dict[str, float]:
+        """The standard deviation of a run over its seeds on each data set, dB, pooled over all rows of two and more."""
+        found = {}
+        for dataset in self.datasets:
+            rows = (self.numbers.estimate((dataset,), row, "full", "psnr") for row in (self.base, *self.candidates))
+            values = [row.strata[0] for row in rows if row.done >= FEWEST_RUNS]
+            degrees = sum(len(row) - 1 for row in values)
+            if degrees:
+                squares = sum(float(np.var(row)) * len(row) for row in values)
+                found[dataset] = float(np.sqrt(squares / degrees))
+        return found
+
+    def complete(self, candidate: str) -> bool:
+        """Whether all of its runs and the method's finished on every data set, and there are enough to be compared."""
+        rows = {self.base, candidate}
+        finished = (self.numbers.estimate((d,), row, "full", "psnr").complete for d in self.datasets for row in rows)
+        paired = (self.difference(candidate, dataset).done >= FEWEST_RUNS for dataset in self.datasets)
+        return all(finished) and all(paired)
+
+    def losses(self, candidate: str) -> dict[str, float]:
+        """The data sets on which it loses more than a run varies by its seed there, and how much, dB, negative."""
+        differences = {dataset: self.difference(candidate, dataset).mean for dataset in self.datasets}
+        known = {name: float(mean) for name, mean in differences.items() if mean is not None and name in self.spreads}
+        return {name: mean for name, mean in known.items() if mean < -self.spreads[name]}
+
+    def verdict(self, candidate: str) -> Verdict:
+        """By the rules: gains LEAST_GAIN as a mean, and loses nowhere more than a run varies by its seed."""
+        if not self.complete(candidate):
+            return "incomplete"
+        if self.losses(candidate):
+            return "worse"
+        return "keep" if self.gain(candidate, self.datasets) >= LEAST_GAIN else "no gain"
+
+    @cached_property
+    def comparable(self) -> tuple[str, ...]:
+        """The method as it is, and the candidates that are complete."""
+        return (self.base, *(candidate for candidate in self.candidates if self.complete(candidate)))
+
+    def chosen_without(self, dataset: str) -> str:
+        """The row that all other data sets would choose by their mean alone."""
+        others = [name for name in self.datasets if name != dataset]
+        return max(self.comparable, key=lambda row: self.gain(row, others))
+
+    def deciding_views(self, candidate: str) -> list[DecidingView]:
+        """Of each data set the view that moves its difference most, where without it a gain is a loss or the reverse.
+
+        Or where it makes a loss one that counts. What moves by less than a run varies by its seed is left out.
+        """
+        found = (self._deciding_view(candidate, dataset) for dataset in self.datasets if dataset in self.spreads)
+        return [view for view in found if view is not None]
+
+    def _deciding_view(self, candidate: str, dataset: str) -> DecidingView | None:
+        own, theirs = (self.views.get((dataset, row), {}) for row in (candidate, self.base))
+        paired = [(own[seed], theirs[seed]) for seed in own if seed in theirs]
+        shared = sorted(set[str].intersection(*(set(a) & set(b) for a, b in paired))) if paired else []
+        if len(shared) < 2:
+            return None
+        gains = np.array([[a[view] - b[view] for view in shared] for a, b in paired]).mean(axis=0)
+        whole = float(gains.mean())
+        without = (gains.sum() - gains) / (len(gains) - 1)
+        most = int(np.abs(without - whole).argmax())
+        left, spread = float(without[most]), self.spreads[dataset]
+        turns = (whole < 0) != (left < 0) or (whole < -spread) != (left < -spread)
+        return DecidingView(dataset, shared[most], whole, left) if turns and abs(left - whole) > spread else None
+
+
+def choices(numbers: Numbers, runs: Iterable[tuple[str, Label, Run]]) -> list[Choice]:
+    """What there is to choose among (data set's label, method's label, run): by method, then by steps.
+
+    The method as it is has runs that no override set up: of several such rows that with the most runs. Where there is
+    none, nothing can be held against it.
+    """
+    groups: dict[tuple[str, int], list[tuple[str, Label, Run]]] = {}
+    for dataset, label, run in runs:
+        groups.setdefault((label.name, run.record.steps), []).append((dataset, label, run))
+    found = [_choice(numbers, name, group) for (name, _), group in sorted(groups.items(), key=lambda item: item[0])]
+    return [choice for choice in found if choice is not None]
+
+
+def _choice(numbers: Numbers, name: str, runs: list[tuple[str, Label, Run]]) -> Choice | None:
+    labels = {str(label): label for _, label, _ in runs}
+    plain = [str(label) for _, label, run in runs if not _set_up(run)]
+    if len(labels) < 2 or not plain:
+        return None
+    base = max(dict.fromkeys(plain), key=plain.count)
+    others = sorted((row for row in labels if row != base), key=lambda row: method_order(labels[row]))
+    candidates = {row: str(_changed(labels[row], labels[base])) for row in others}
+    views: dict[tuple[str, str], dict[int, Mapping[str, float]]] = {}
+    for dataset, label, run in runs:
+        if run.ok:
+            views.setdefault((dataset, str(label)), {})[run.record.seed] = run.of_views("psnr")
+    datasets = sorted({dataset for dataset, label, _ in runs if str(label) == base})
+    return Choice(numbers, name, base, candidates, tuple(datasets), views)
+
+
+def _changed(label: Label, base: Label) -> Label:
+    return Label(label.name, tuple(setting for setting in label.settings if setting not in base.settings))
+
+
+def _set_up(run: Run) -> bool:
+    return any(override.lstrip("+~").startswith(SET_UP) for override in run.record.overrides)

@@ -1,0 +1,197 @@
+"""Choices: candidates paired by seed with the method as it is, judged by the rules that the documentation states."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from reports_runs import record, sections_of, titled, write_record
+
+from envgs_bench.reports import report
+from envgs_bench.reports.numbers.choices import Choice, DecidingView
+from envgs_bench.reports.tables.choices import KIND
+
+ROOM, SKY, TABLE = "toy/chrome_room", "toy/sky_ball", "toy/lacquered_table"
+AS_IT_IS = "envgs [min_coverage=1.5]"
+
+Views = Sequence[float]  # PSNR of each
+
+
+def write(
+    folder: Path,
+    dataset: str,
+    seed: int,
+    views: Views | None,
+    coverage: float = 1.5,
+    override: bool | None = None,
+    method: str = "envgs",
+    scored_on: str = "validation",
+    steps: int = 3000,
+) -> None:
+    """A run of views of these scores, which did not finish where they are None; set up by an override unless at 1.5."""
+    content = record(dataset, method, seed, scored_on=scored_on, steps=steps)
+    content["config"] |= {"method": {"name": method, "settings": {"min_coverage": coverage}}}
+    if coverage != 1.5 if override is None else override:
+        content["overrides"].append(f"method.settings.min_coverage={coverage}")
+    if views is None:
+        content |= {"status": "diverged", "error": {"type": "Diverged", "message": "lost", "log_tail": ""}}
+        content |= {"metrics": None, "masked": {}, "timing": None, "cost": None}
+    else:
+        content["metrics"]["mean"]["psnr"] = float(np.mean(views))
+        content["metrics"]["per_view"] = [
+            {"view": f"{i:03d}", "psnr": psnr, "ssim": 0.9, "flip": 0.1, "lpips": None} for i, psnr in enumerate(views)
+        ]
+    write_record(folder / f"{len(list(folder.glob('*'))):03d}", content)
+
+
+def write_all(folder: Path, runs: Mapping[float, Mapping[str, Sequence[float | None]]]) -> None:
+    """Runs of two equal views by min_coverage and data set, a value a seed."""
+    for coverage, scores in runs.items():
+        for dataset, values in scores.items():
+            for seed, psnr in enumerate(values):
+                write(folder, dataset, seed, None if psnr is None else (psnr, psnr), coverage)
+
+
+def choice_of(folder: Path) -> Choice:
+    (section,) = sections_of(folder)
+    (choice,) = section.choices
+    return choice
+
+
+# As it is, a run varies by √(0.02) = 0.14 dB between seeds on either data set; its candidates do not add to that.
+PLAIN = {ROOM: (24.0, 24.2), SKY: (20.0, 20.2)}
+
+
+@pytest.mark.parametrize(
+    ("scores", "verdict", "loses"),
+    [
+        pytest.param({ROOM: (24.3, 24.5), SKY: (20.0, 20.2)}, "keep", [], id="gains 0.15 as a mean, loses nothing"),
+        pytest.param({ROOM: (24.5, 24.7), SKY: (19.9, 20.1)}, "keep", [], id="what it loses seeds lose too"),
+        pytest.param({ROOM: (24.1, 24.3), SKY: (20.0, 20.2)}, "no gain", [], id="0.05 may be chance"),
+        pytest.param({ROOM: (26.0, 26.2), SKY: (19.8, 20.0)}, "worse", [SKY], id="a mean of 0.9 makes up for nothing"),
+        pytest.param({ROOM: (24.3, None), SKY: (20.0, 20.2)}, "incomplete", [], id="a run diverged"),
+        pytest.param({ROOM: (24.3, 24.5)}, "incomplete", [], id="not tried everywhere"),
+        pytest.param({ROOM: (24.3,), SKY: (20.0,)}, "incomplete", [], id="one seed"),
+    ],
+)
+def test_a_candidate_is_kept_that_gains_and_loses_nowhere(
+    tmp_path: Path, scores: dict[str, Sequence[float | None]], verdict: str, loses: list[str]
+) -> None:
+    write_all(tmp_path, {1.5: PLAIN, 2.0: scores})
+    choice = choice_of(tmp_path)
+    assert choice.base == AS_IT_IS
+    (candidate,) = choice.candidates
+    assert (choice.verdict(candidate), list(choice.losses(candidate))) == (verdict, loses)
+
+
+def test_differences_are_those_of_the_same_seed(tmp_path: Path) -> None:
+    """Seed 2, which the candidate alone has, is compared with nothing."""
+    write_all(tmp_path, {1.5: {ROOM: (20.0, 25.0)}, 2.0: {ROOM: (20.3, 25.5, 99.0)}})
+    choice = choice_of(tmp_path)
+    (candidate,) = choice.candidates
+    assert choice.difference(candidate, ROOM).strata[0] == pytest.approx((0.3, 0.5))
+    assert choice.gain(candidate, [ROOM]) == pytest.approx(0.4)
+    assert choice.gain(choice.base, [ROOM]) == 0
+
+
+def test_the_spread_of_a_run_is_pooled_over_rows(tmp_path: Path) -> None:
+    rows = {1.0: (24.0, 24.4, 24.1), 1.5: (23.0, 23.2), 2.0: (25.0,)}
+    write_all(tmp_path, {coverage: {ROOM: values} for coverage, values in rows.items()})
+    several = [np.asarray(values) for values in rows.values() if len(values) > 1]
+    residuals = np.concatenate([values - values.mean() for values in several])
+    expected = np.sqrt((residuals**2).sum() / (len(residuals) - len(several)))
+    assert choice_of(tmp_path).spreads == pytest.approx({ROOM: expected})
+
+
+def test_one_view_that_decides_is_named(tmp_path: Path) -> None:
+    """View 1 gains 3 dB on either seed and the others lose 0.2; in the room it gains as much beside others' 0.3."""
+    for seed, start in enumerate((20.0, 20.1)):
+        write(tmp_path, SKY, seed, [start + i for i in range(4)])
+        write(tmp_path, SKY, seed, [start - 0.2, start + 4.0, start + 1.8, start + 2.8], 2.0)
+        write(tmp_path, ROOM, seed, [start + i for i in range(4)])
+        write(tmp_path, ROOM, seed, [start + 0.3, start + 4.0, start + 2.3, start + 3.3], 2.0)
+    choice = choice_of(tmp_path)
+    (candidate,) = choice.candidates
+    (found,) = choice.deciding_views(candidate)
+    assert found == DecidingView(SKY, "001", pytest.approx(0.6), pytest.approx(-0.2))  # type: ignore[arg-type]
+
+
+def test_each_data_set_left_out_is_served_by_what_the_others_choose(tmp_path: Path) -> None:
+    """2.0 is the best by the sky alone: without it the others choose 1.0, which costs the sky 0.1 dB."""
+    write_all(
+        tmp_path,
+        {
+            1.5: {ROOM: (24.0, 24.1), TABLE: (27.0, 27.1), SKY: (20.0, 20.1)},
+            1.0: {ROOM: (24.3, 24.4), TABLE: (27.3, 27.4), SKY: (19.9, 20.0)},
+            2.0: {ROOM: (24.1, 24.2), TABLE: (27.1, 27.2), SKY: (22.0, 22.1)},
+        },
+    )
+    choice = choice_of(tmp_path)
+    low, high = choice.candidates  # which change nothing but what sets the rows apart
+    assert [choice.chosen_without(dataset) for dataset in (ROOM, TABLE, SKY)] == [high, high, low]
+    (section,) = sections_of(tmp_path)
+    remark = titled(section, "envgs: candidates less envgs as it is").remarks[-1]
+    assert f"{high} (2 of 3 times), {low} (1 of 3 times)" in remark
+    assert "+0.03 dB" in remark  # (0.1 + 0.1 − 0.1) / 3
+
+
+def test_runs_that_no_override_set_up_are_the_method_as_it_is(tmp_path: Path) -> None:
+    """Also where an override says what the method is anyway; of a grid without such runs nothing can be said."""
+    for seed in (0, 1):
+        write(tmp_path / "a", ROOM, seed, (24.0, 24.0), 1.5, override=seed == 1)
+        write(tmp_path / "a", ROOM, seed, (25.0, 25.0), 1.0)
+        write(tmp_path / "b", ROOM, seed, (24.0, 24.0), 1.5, override=True)
+        write(tmp_path / "b", ROOM, seed, (25.0, 25.0), 1.0)
+    assert choice_of(tmp_path / "a").base == AS_IT_IS
+    (section,) = sections_of(tmp_path / "b")
+    assert section.choices == []
+
+
+def test_a_candidate_is_called_by_what_it_changes(tmp_path: Path) -> None:
+    """Rows differ in two settings, of which either candidate changes one."""
+    for number, (coverage, degree) in enumerate(((1.5, 2), (2.0, 2), (1.5, 3))):
+        content = record(ROOM, "envgs", 0, scored_on="validation")
+        settings = {"min_coverage": coverage, "sh_degree": degree}
+        content["config"] |= {"method": {"name": "envgs", "settings": settings}}
+        content["overrides"] += ["method.settings.…"] if number else []
+        write_record(tmp_path / str(number), content)
+    assert list(choice_of(tmp_path).candidates.values()) == ["envgs [sh_degree=3]", "envgs [min_coverage=2.0]"]
+
+
+def test_other_methods_and_other_steps_are_choices_of_their_own(tmp_path: Path) -> None:
+    for seed in (0, 1):
+        for steps in (3000, 9000):
+            write(tmp_path, ROOM, seed, (24.0, 24.0), steps=steps)
+            write(tmp_path, ROOM, seed, (24.5, 24.5), 2.0, steps=steps)
+        write(tmp_path, ROOM, seed, (22.0, 22.0), method="envmap")
+    (section,) = sections_of(tmp_path)
+    assert [(choice.name, len(choice.candidates)) for choice in section.choices] == [("envgs", 1), ("envgs", 1)]
+
+
+def test_nothing_is_chosen_on_test_views(tmp_path: Path) -> None:
+    for seed in (0, 1):
+        write(tmp_path, ROOM, seed, (24.0, 24.0), scored_on="test")
+        write(tmp_path, ROOM, seed, (25.0, 25.0), 2.0, scored_on="test")
+    (section,) = sections_of(tmp_path)
+    assert section.choices == []
+    assert KIND not in {table.kind for table in section.tables}
+
+
+def test_the_report_shows_candidates_first_with_the_rules_and_verdicts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report, "draw_charts", lambda sections, out: [])
+    write_all(tmp_path / "runs", {1.5: PLAIN, 2.0: {ROOM: (24.3, 24.5), SKY: (20.0, 20.2)}})
+    report.build_report(tmp_path / "runs", tmp_path / "out")
+    text = (tmp_path / "out/table.md").read_text()
+    assert text.index("candidates less envgs as it is") < text.index("PSNR ↑")
+    assert "envgs [min_coverage=2.0]: may be kept." in text
+    assert "loses more than a run varies by its seed there" in text
+    page = (tmp_path / "out/index.html").read_text()
+    assert "may be kept" in page
+    (section,) = json.loads((tmp_path / "out/table.json").read_text())["sections"]
+    (table,) = [table for table in section["tables"] if table["kind"] == KIND]
+    assert [row["method"] for row in table["rows"]] == ["envgs [min_coverage=2.0]"]
