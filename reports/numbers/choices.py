@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -48,27 +49,24 @@ class Choice:
     datasets: tuple[str, ...]
     views: Views
 
-    def difference(self, candidate: str, dataset: str) -> Estimate:
-        """PSNR of the candidate minus the method's as it is, dB."""
-        return self.numbers.estimate((dataset,), candidate, "full", "psnr", self.base)
+    def difference(self, row: str, *datasets: str) -> Estimate:
+        """PSNR of the row minus the method's as it is, dB: on one data set, or the unweighted mean over several."""
+        return self.numbers.estimate(datasets, row, "full", "psnr", self.base)
 
-    def gain(self, candidate: str, datasets: Sequence[str]) -> float:
-        """The unweighted mean over the data sets of the difference, 0 of the method as it is."""
-        if candidate == self.base:
-            return 0.0
-        return float(np.mean([float(self.difference(candidate, dataset).mean or 0) for dataset in datasets]))
+    def gain(self, row: str, *datasets: str) -> float:
+        """The mean of `difference`: 0 of the method as it is, and where nothing can be compared."""
+        return float(self.difference(row, *datasets).mean or 0)
 
     @cached_property
     def spreads(self) -> dict[str, float]:
         """The standard deviation of a run over its seeds on each data set, dB, pooled over all rows of two and more."""
         found = {}
         for dataset in self.datasets:
-            rows = (self.numbers.estimate((dataset,), row, "full", "psnr") for row in (self.base, *self.candidates))
-            values = [row.strata[0] for row in rows if row.done >= FEWEST_RUNS]
-            degrees = sum(len(row) - 1 for row in values)
-            if degrees:
-                squares = sum(float(np.var(row)) * len(row) for row in values)
-                found[dataset] = float(np.sqrt(squares / degrees))
+            rows = [self.numbers.estimate((dataset,), row, "full", "psnr") for row in (self.base, *self.candidates)]
+            several = [(row.spread, row.done - 1) for row in rows if row.spread is not None]
+            if several:
+                squares = sum(spread**2 * degrees for spread, degrees in several)
+                found[dataset] = math.sqrt(squares / sum(degrees for _, degrees in several))
         return found
 
     def complete(self, candidate: str) -> bool:
@@ -90,7 +88,7 @@ class Choice:
             return "incomplete"
         if self.losses(candidate):
             return "worse"
-        return "keep" if self.gain(candidate, self.datasets) >= LEAST_GAIN else "no gain"
+        return "keep" if self.gain(candidate, *self.datasets) >= LEAST_GAIN else "no gain"
 
     @cached_property
     def comparable(self) -> tuple[str, ...]:
@@ -100,7 +98,7 @@ class Choice:
     def chosen_without(self, dataset: str) -> str:
         """The row that all other data sets would choose by their mean alone."""
         others = [name for name in self.datasets if name != dataset]
-        return max(self.comparable, key=lambda row: self.gain(row, others))
+        return max(self.comparable, key=lambda row: self.gain(row, *others))
 
     def deciding_views(self, candidate: str) -> list[DecidingView]:
         """Of each data set the view that moves its difference most, where without it a gain is a loss or the reverse.

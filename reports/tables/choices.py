@@ -21,9 +21,8 @@ WORDS: dict[Verdict, str] = {
 def choice_table(choice: Choice) -> Table:
     """The candidates less the method as it is: means over all data sets, then PSNR on each."""
     title = f"{choice.name}: candidates less {_named(choice, choice.base)}"
-    told = "paired by seed; the mean with its 95 % bootstrap interval over seeds; PSNR in dB"
     table = build_table(choice.numbers, title, KIND, _columns(choice), choice.candidates)
-    return replace(table, datasets=choice.datasets, told=told, remarks=tuple(remarks(choice)))
+    return replace(table, datasets=choice.datasets, remarks=tuple(remarks(choice)))
 
 
 def _columns(choice: Choice) -> list[Column]:
@@ -45,8 +44,10 @@ def remarks(choice: Choice) -> list[str]:
     """The rules, a verdict on each candidate, what hangs on a single view, and what other data sets would choose."""
     spreads = ", ".join(f"{dataset} {spread:.2f}" for dataset, spread in choice.spreads.items())
     found = [
+        "Δ: the mean over seeds of the difference on the same seed; of PSNR over all data sets with its 95 % bootstrap "
+        "interval.",
         f"A candidate may be kept that gains {LEAST_GAIN:g} dB as the mean over all data sets, and on none loses more "
-        f"than a run varies by its seed there (standard deviation over all rows, dB: {spreads or 'unknown'})."
+        f"than a run varies by its seed there (standard deviation over all rows, dB: {spreads or 'unknown'}).",
     ]
     for candidate, named in choice.candidates.items():
         where = ", ".join(f"on {dataset} by {-loss:.2f} dB" for dataset, loss in choice.losses(candidate).items())
@@ -64,7 +65,7 @@ def remarks(choice: Choice) -> list[str]:
 
 def _leaving_one_out(choice: Choice) -> str:
     chosen = {dataset: choice.chosen_without(dataset) for dataset in choice.datasets}
-    gained = sum(choice.gain(row, [dataset]) for dataset, row in chosen.items()) / len(chosen)
+    gained = sum(choice.gain(row, dataset) for dataset, row in chosen.items()) / len(chosen)
     counts = Counter(chosen.values()).most_common()
     rows = ", ".join(f"{_named(choice, row)} ({n} of {len(chosen)} times)" for row, n in counts)
     return (

@@ -93,8 +93,8 @@ def test_differences_are_those_of_the_same_seed(tmp_path: Path) -> None:
     choice = choice_of(tmp_path)
     (candidate,) = choice.candidates
     assert choice.difference(candidate, ROOM).strata[0] == pytest.approx((0.3, 0.5))
-    assert choice.gain(candidate, [ROOM]) == pytest.approx(0.4)
-    assert choice.gain(choice.base, [ROOM]) == 0
+    assert choice.gain(candidate, ROOM) == pytest.approx(0.4)
+    assert choice.gain(choice.base, ROOM) == 0
 
 
 def test_the_spread_of_a_run_is_pooled_over_rows(tmp_path: Path) -> None:
