@@ -47,7 +47,7 @@ class ReflectionSettings(GaussianSettings):
     mono_floor: float = 0.1  # share of mono_weight where nothing reflects; all of it counts from β = initial_beta on
     perceptual_weight: float = 0.0
 
-    densify_until: int = 21_000
+    densify_until: int = 18_000
     densify_every: int = 300
     min_coverage: float = 1.5
     pixels_per_primitive: float = 14.0

@@ -34,7 +34,7 @@ DIFFERENCES = {
     "3dgs_tuned": TUNED_3DGS,
     "3igs_tuned": TUNED_3DGS | {"sh_degree": 0},
     "gaussian_shader_tuned": TUNED_3DGS
-    | {"rotation_lr_final": 1e-4, "densify_until": 21_000, "densify_every": 300, "min_coverage": 1.5}
+    | {"rotation_lr_final": 1e-4, "densify_until": 18_000, "densify_every": 300, "min_coverage": 1.5}
     | {"pixels_per_primitive": 14.0, "mono_weight": 0.05, "mono_loss": "l1_cos"},
     "envmap128": {"envmap_size": 128},
     "envmap256": {"envmap_size": 256},
@@ -312,7 +312,7 @@ def test_a_methods_settings_are_listed_with_defaults_and_comments(capsys: pytest
     rows = {line[0]: (line[1], line[2].strip()) for line in lines if len(line) == 3}
     assert rows["sh_degree"] == ("2", "degree of the view-dependent color's spherical harmonics, 0 to 3")
     assert rows["joint"] == ("true", "reflected rays pass gradients on to the base set's normals and positions")
-    assert rows["densify_until"] == ("21000", "step before which densification and opacity resets end")
+    assert rows["densify_until"] == ("18000", "step before which densification and opacity resets end")
     assert {field.name for field in dataclasses.fields(method_class("envgs").Settings)} <= set(rows)
 
 
