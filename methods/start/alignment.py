@@ -89,6 +89,7 @@ def alignment(evidence: Evidence, device: torch.device | str = "cpu") -> Alignme
     before, after = (_median_difference(_compared(sights, maps, each)[0]) for each in (none, turns))
     gains = 1 - after / before.clamp_min(1e-6)
     better = (sights.known.sum(dim=1) >= FEWEST) & (gains > 0)
+    better &= turns.isfinite().all(dim=2).all(dim=1)  # not so where a picture is not finite
     return Alignment(torch.where(better[:, None, None], turns, none).cpu(), torch.where(better, gains, 0.0).cpu())
 
 

@@ -15,6 +15,7 @@ from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
 from envgs_bench.methods.start.alignment import FEWEST, alignment, turned
 from envgs_bench.methods.start.evidence import Evidence
+from envgs_bench.testing import NotFinite
 
 
 @pytest.fixture(scope="module")
@@ -80,3 +81,11 @@ def test_what_shows_nothing_or_too_little_stays_as_it_is(room: Scene) -> None:
     for scene in (few, blank, unseen):
         assert degrees_between(aligned_views(scene), scene.train).max() == 0
     assert alignment(Evidence.of(at_cameras, 0.0)).turns.isfinite().all()
+
+
+def test_a_view_whose_picture_is_not_finite_stays_and_leaves_the_others_theirs(room: Scene) -> None:
+    wrong = perturbed(room, "pose_rotation", 3)
+    spoiled = replace(wrong, train=[NotFinite(**vars(wrong.train[0])), *wrong.train[1:]])
+    found = aligned_views(spoiled)
+    assert degrees_between(found[:1], wrong.train[:1]).max() == 0
+    assert degrees_between(found[1:], room.train[1:]).max() < 1
