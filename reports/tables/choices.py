@@ -22,7 +22,8 @@ def choice_table(choice: Choice) -> Table:
     """The candidates less the method as it is: means over all data sets, then PSNR on each."""
     title = f"{choice.name}: candidates less {_named(choice, choice.base)}"
     table = build_table(choice.numbers, title, KIND, _columns(choice), choice.candidates)
-    return replace(table, datasets=choice.datasets, remarks=tuple(remarks(choice)))
+    rows = tuple(replace(row, called=choice.candidates[row.method]) for row in table.rows)
+    return replace(table, rows=rows, datasets=choice.datasets, remarks=tuple(remarks(choice)))
 
 
 def _columns(choice: Choice) -> list[Column]:
@@ -44,8 +45,7 @@ def remarks(choice: Choice) -> list[str]:
     """The rules, a verdict on each candidate, what hangs on a single view, and what other data sets would choose."""
     spreads = ", ".join(f"{dataset} {spread:.2f}" for dataset, spread in choice.spreads.items())
     found = [
-        "Δ: the mean over seeds of the difference on the same seed; of PSNR over all data sets with its 95 % bootstrap "
-        "interval.",
+        "Δ PSNR over all data sets has its 95 % bootstrap interval.",
         f"A candidate may be kept that gains {LEAST_GAIN:g} dB as the mean over all data sets, and on none loses more "
         f"than a run varies by its seed there (standard deviation over all rows, dB: {spreads or 'unknown'}).",
     ]

@@ -12,7 +12,8 @@ from reports_runs import record, sections_of, titled, write_record
 
 from envgs_bench.reports import report
 from envgs_bench.reports.numbers.choices import Choice, DecidingView
-from envgs_bench.reports.tables.choices import KIND
+from envgs_bench.reports.tables.choices import KIND, choice_table
+from envgs_bench.reports.tables.entries import entries
 
 ROOM, SKY, TABLE = "toy/chrome_room", "toy/sky_ball", "toy/lacquered_table"
 AS_IT_IS = "envgs [min_coverage=1.5]"
@@ -151,14 +152,18 @@ def test_runs_that_no_override_set_up_are_the_method_as_it_is(tmp_path: Path) ->
 
 
 def test_a_candidate_is_called_by_what_it_changes(tmp_path: Path) -> None:
-    """Rows differ in two settings, of which either candidate changes one."""
+    """Rows differ in two settings, of which either candidate changes one; the table calls it so, too."""
     for number, (coverage, degree) in enumerate(((1.5, 2), (2.0, 2), (1.5, 3))):
         content = record(ROOM, "envgs", 0, scored_on="validation")
         settings = {"min_coverage": coverage, "sh_degree": degree}
         content["config"] |= {"method": {"name": "envgs", "settings": settings}}
         content["overrides"] += ["method.settings.…"] if number else []
         write_record(tmp_path / str(number), content)
-    assert list(choice_of(tmp_path).candidates.values()) == ["envgs [sh_degree=3]", "envgs [min_coverage=2.0]"]
+    choice = choice_of(tmp_path)
+    assert list(choice.candidates.values()) == ["envgs [sh_degree=3]", "envgs [min_coverage=2.0]"]
+    table = choice_table(choice)
+    assert [entries(table, row)[0].text for row in table.rows] == list(choice.candidates.values())
+    assert [row.method for row in table.rows] == list(choice.candidates)
 
 
 def test_other_methods_and_other_steps_are_choices_of_their_own(tmp_path: Path) -> None:
