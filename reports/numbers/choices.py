@@ -11,12 +11,11 @@ from typing import Literal
 import numpy as np
 
 from .estimates import Estimate, Numbers
-from .labels import Label, method_order
+from .labels import Label, is_set_up, method_order
 from .runs import Run
 
 LEAST_GAIN = 0.1  # dB of PSNR as a mean over the data sets: what is less may be chance
 FEWEST_RUNS = 2  # of a candidate and of the method on each data set
-SET_UP = ("method.", "budget.")  # overrides that make a run one of a candidate
 
 Verdict = Literal["keep", "worse", "no gain", "incomplete"]
 Views = Mapping[tuple[str, str], Mapping[int, Mapping[str, float]]]  # PSNR by (data set, row), seed and view
@@ -38,14 +37,14 @@ class Choice:
 
     Attributes:
         base: the row of the method as it is.
-        candidates: the other rows, in the tables' order, each with the settings that it changes.
+        candidates: the other rows, in the tables' order.
         datasets: on which the method as it is was tried.
     """
 
     numbers: Numbers
     name: str
     base: str
-    candidates: Mapping[str, str]
+    candidates: tuple[str, ...]
     datasets: tuple[str, ...]
     views: Views
 
@@ -138,23 +137,14 @@ def choices(numbers: Numbers, runs: Iterable[tuple[str, Label, Run]]) -> list[Ch
 
 def _choice(numbers: Numbers, name: str, runs: list[tuple[str, Label, Run]]) -> Choice | None:
     labels = {str(label): label for _, label, _ in runs}
-    plain = [str(label) for _, label, run in runs if not _set_up(run)]
+    plain = [str(label) for _, label, run in runs if not is_set_up(run)]
     if len(labels) < 2 or not plain:
         return None
     base = max(dict.fromkeys(plain), key=plain.count)
     others = sorted((row for row in labels if row != base), key=lambda row: method_order(labels[row]))
-    candidates = {row: str(_changed(labels[row], labels[base])) for row in others}
     views: dict[tuple[str, str], dict[int, Mapping[str, float]]] = {}
     for dataset, label, run in runs:
         if run.ok:
             views.setdefault((dataset, str(label)), {})[run.record.seed] = run.of_views("psnr")
     datasets = sorted({dataset for dataset, label, _ in runs if str(label) == base})
-    return Choice(numbers, name, base, candidates, tuple(datasets), views)
-
-
-def _changed(label: Label, base: Label) -> Label:
-    return Label(label.name, tuple(setting for setting in label.settings if setting not in base.settings))
-
-
-def _set_up(run: Run) -> bool:
-    return any(override.lstrip("+~").startswith(SET_UP) for override in run.record.overrides)
+    return Choice(numbers, name, base, tuple(others), tuple(datasets), views)

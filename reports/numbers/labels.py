@@ -21,33 +21,52 @@ ORDER = (  # by what they model of reflections, then what is left out, as in the
 )
 
 
+SET_UP = ("method.", "budget.")  # overrides without which a run is of the method as it is
+
+
 @dataclass(frozen=True)
 class Label:
-    """A row's method or a table's data set, with the settings in which it differs from others of its name."""
+    """A row's method or a table's data set, with the settings in which it differs from others of its name.
+
+    Attributes:
+        settings: all that vary among these.
+        usual: those of them that the method as it is has, which need no words.
+    """
 
     name: str
     settings: tuple[tuple[str, str], ...] = ()
+    usual: frozenset[tuple[str, str]] = frozenset()
 
     def __str__(self) -> str:
-        if not self.settings:
+        told = [setting for setting in self.settings if setting not in self.usual]
+        if not told:
             return self.name
-        settings = ", ".join(f"{key.rsplit('.', 1)[-1]}={value}" for key, value in self.settings)
+        settings = ", ".join(f"{key.rsplit('.', 1)[-1]}={value}" for key, value in told)
         return f"{self.name} [{settings}]"
 
 
+def is_set_up(run: Run) -> bool:
+    """Whether an override makes the run another than one of the method as it is."""
+    return any(override.lstrip("+~").startswith(SET_UP) for override in run.record.overrides)
+
+
 def label_runs(runs: list[Run]) -> dict[int, tuple[Label, Label]]:
-    """(data set, method) of each run by its index, spelling out every setting that varies among runs of one name.
+    """(data set, method) of each run by its index, spelling out what varies among runs of one name.
 
     A data set's settings (size, views, noise…) are its own. A method's settings, budget and number of steps are spelled
-    out where they vary on one data set; a method may well be set up differently for another data set.
+    out where they vary on one data set; a method may well be set up differently for another data set. Where some runs
+    are of the method as it is, the others are called by what they change.
     """
     records = [run.record for run in runs]
     datasets = _labels(
-        [(record.dataset, flat_settings(record.config.get("dataset"))) for record in records], [""] * len(runs)
+        [(record.dataset, flat_settings(record.config.get("dataset"))) for record in records],
+        [""] * len(runs),
+        [False] * len(runs),
     )
     methods = _labels(
         [(record.method, method_settings(record) | {"steps": str(_steps(record))}) for record in records],
         [str(dataset) for dataset in datasets],
+        [not is_set_up(run) for run in runs],
     )
     return dict(enumerate(zip(datasets, methods, strict=True)))
 
@@ -63,18 +82,32 @@ def method_order(label: Label) -> tuple[int, str, tuple[tuple[str, float, str], 
     return position, label.name, tuple((key, _position(value), value) for key, value in label.settings)
 
 
-def _labels(named: list[tuple[str, dict[str, str]]], groups: list[str]) -> list[Label]:
-    """The label of each (name, settings), showing the keys that vary among equal names within some group."""
+def _labels(named: list[tuple[str, dict[str, str]]], groups: list[str], plain: list[bool]) -> list[Label]:
+    """The label of each (name, settings), with the keys that vary among equal names within some group.
+
+    What all `plain` ones of a name have in common is usual.
+    """
     seen: dict[tuple[str, str, str], set[str]] = defaultdict(set)
-    for (name, settings), group in zip(named, groups, strict=True):
+    usual: dict[str, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+    for (name, settings), group, as_it_is in zip(named, groups, plain, strict=True):
         for key, value in settings.items():
             seen[name, group, key].add(value)
+            if as_it_is:
+                usual[name][key].add(value)
     varying: dict[str, set[str]] = defaultdict(set)
     for (name, _, key), values in seen.items():
         if len(values) > 1:
             varying[name].add(key)
+    common = {
+        name: frozenset((key, *values) for key, values in keys.items() if len(values) == 1)
+        for name, keys in usual.items()
+    }
     return [
-        Label(name, tuple((key, settings.get(key, "unset")) for key in sorted(varying[name])))
+        Label(
+            name,
+            tuple((key, settings.get(key, "unset")) for key in sorted(varying[name])),
+            common.get(name, frozenset()),
+        )
         for name, settings in named
     ]
 

@@ -33,7 +33,6 @@ def _heading(heading: Heading) -> dict[str, str]:
 
 def _row(table: Table, row: Row) -> dict[str, Any]:
     return {
-        "method": row.method,
         "published_only": not row.attempts,
         "failed": row.done < row.attempts,
         "entries": [_entry(entry) for entry in entries(table, row)],

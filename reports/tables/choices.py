@@ -22,8 +22,7 @@ def choice_table(choice: Choice) -> Table:
     """The candidates less the method as it is: means over all data sets, then PSNR on each."""
     title = f"{choice.name}: candidates less {_named(choice, choice.base)}"
     table = build_table(choice.numbers, title, KIND, _columns(choice), choice.candidates)
-    rows = tuple(replace(row, called=choice.candidates[row.method]) for row in table.rows)
-    return replace(table, rows=rows, datasets=choice.datasets, remarks=tuple(remarks(choice)))
+    return replace(table, datasets=choice.datasets, remarks=tuple(remarks(choice)))
 
 
 def _columns(choice: Choice) -> list[Column]:
@@ -49,12 +48,12 @@ def remarks(choice: Choice) -> list[str]:
         f"A candidate may be kept that gains {LEAST_GAIN:g} dB as the mean over all data sets, and on none loses more "
         f"than a run varies by its seed there (standard deviation over all rows, dB: {spreads or 'unknown'}).",
     ]
-    for candidate, named in choice.candidates.items():
+    for candidate in choice.candidates:
         where = ", ".join(f"on {dataset} by {-loss:.2f} dB" for dataset, loss in choice.losses(candidate).items())
         verdict = choice.verdict(candidate)
-        found.append(f"{named}: {WORDS[verdict]}{f' {where}' if verdict == 'worse' else ''}.")
+        found.append(f"{candidate}: {WORDS[verdict]}{f' {where}' if verdict == 'worse' else ''}.")
         found += [
-            f"{named} hangs on one view of {view.dataset}: {_signed(view.gain)} dB, and {_signed(view.without)} "
+            f"{candidate} hangs on one view of {view.dataset}: {_signed(view.gain)} dB, and {_signed(view.without)} "
             f"without {view.view}."
             for view in choice.deciding_views(candidate)
         ]
@@ -75,7 +74,7 @@ def _leaving_one_out(choice: Choice) -> str:
 
 
 def _named(choice: Choice, row: str) -> str:
-    return choice.candidates.get(row, f"{choice.name} as it is")
+    return f"{choice.name} as it is" if row == choice.base else row
 
 
 def _signed(gain: float) -> str:

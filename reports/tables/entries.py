@@ -59,7 +59,7 @@ def headings(table: Table) -> list[Heading]:
 
 def entries(table: Table, row: Row) -> list[Entry]:
     """One entry a heading."""
-    method = Entry(row.name, number=False, dropped=bool(row.dropped), taken=row.taken)
+    method = Entry(row.method, number=False, dropped=bool(row.dropped), taken=row.taken)
     line = [method, Entry(row.runs_text, number=False)]
     for column in table.columns:
         printed = Entry("" if column.key not in row.published else published_text(row, column))

@@ -65,7 +65,7 @@ def dropped_losses(table: Table) -> list[str]:
             where += [f"in {item.runs} of {item.done} runs"] if item.runs < item.done else []
             places.setdefault((item.loss, item.why), []).append(" ".join(where))
         for (loss, why), found in places.items():
-            methods.setdefault((loss, why, ", ".join(filter(None, found))), []).append(row.name)
+            methods.setdefault((loss, why, ", ".join(filter(None, found))), []).append(row.method)
     return [
         f"{DAGGER} {', '.join(names)}: trained without {LOSSES.get(loss, loss)}{f' {where}' if where else ''}: {why}."
         for (loss, why, where), names in methods.items()

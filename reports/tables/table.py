@@ -81,12 +81,6 @@ class Row:
     dropped: tuple[DroppedLoss, ...] = ()
     verdict: str = ""  # what a ladder says of it, in words
     taken: bool = False  # the ladder's recommendation
-    called: str = ""  # what the table calls it, where that is not by its method
-
-    @property
-    def name(self) -> str:
-        """What is printed for it."""
-        return self.called or self.method
 
     @property
     def done(self) -> int:

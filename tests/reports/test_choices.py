@@ -12,11 +12,9 @@ from reports_runs import record, sections_of, titled, write_record
 
 from envgs_bench.reports import report
 from envgs_bench.reports.numbers.choices import Choice, DecidingView
-from envgs_bench.reports.tables.choices import KIND, choice_table
-from envgs_bench.reports.tables.entries import entries
+from envgs_bench.reports.tables.choices import KIND
 
 ROOM, SKY, TABLE = "toy/chrome_room", "toy/sky_ball", "toy/lacquered_table"
-AS_IT_IS = "envgs [min_coverage=1.5]"
 
 Views = Sequence[float]  # PSNR of each
 
@@ -83,7 +81,7 @@ def test_a_candidate_is_kept_that_gains_and_loses_nowhere(
 ) -> None:
     write_all(tmp_path, {1.5: PLAIN, 2.0: scores})
     choice = choice_of(tmp_path)
-    assert choice.base == AS_IT_IS
+    assert choice.base == "envgs"
     (candidate,) = choice.candidates
     assert (choice.verdict(candidate), list(choice.losses(candidate))) == (verdict, loses)
 
@@ -146,24 +144,30 @@ def test_runs_that_no_override_set_up_are_the_method_as_it_is(tmp_path: Path) ->
         write(tmp_path / "a", ROOM, seed, (25.0, 25.0), 1.0)
         write(tmp_path / "b", ROOM, seed, (24.0, 24.0), 1.5, override=True)
         write(tmp_path / "b", ROOM, seed, (25.0, 25.0), 1.0)
-    assert choice_of(tmp_path / "a").base == AS_IT_IS
+    assert choice_of(tmp_path / "a").base == "envgs"
     (section,) = sections_of(tmp_path / "b")
     assert section.choices == []
 
 
 def test_a_candidate_is_called_by_what_it_changes(tmp_path: Path) -> None:
-    """Rows differ in two settings, of which either candidate changes one; the table calls it so, too."""
+    """Rows differ in two settings, of which either candidate changes one."""
     for number, (coverage, degree) in enumerate(((1.5, 2), (2.0, 2), (1.5, 3))):
         content = record(ROOM, "envgs", 0, scored_on="validation")
         settings = {"min_coverage": coverage, "sh_degree": degree}
         content["config"] |= {"method": {"name": "envgs", "settings": settings}}
         content["overrides"] += ["method.settings.…"] if number else []
         write_record(tmp_path / str(number), content)
-    choice = choice_of(tmp_path)
-    assert list(choice.candidates.values()) == ["envgs [sh_degree=3]", "envgs [min_coverage=2.0]"]
-    table = choice_table(choice)
-    assert [entries(table, row)[0].text for row in table.rows] == list(choice.candidates.values())
-    assert [row.method for row in table.rows] == list(choice.candidates)
+    assert choice_of(tmp_path).candidates == ("envgs [sh_degree=3]", "envgs [min_coverage=2.0]")
+
+
+def test_without_runs_of_the_method_as_it_is_rows_tell_all_that_varies(tmp_path: Path) -> None:
+    """Or where these disagree, as they do about the number of steps."""
+    for seed, (coverage, steps) in enumerate(((1.5, 3000), (1.5, 9000), (2.0, 3000))):
+        write(tmp_path / "some", ROOM, seed, (24.0, 24.0), coverage, steps=steps)
+        write(tmp_path / "none", ROOM, seed, (24.0, 24.0), coverage, steps=steps, override=True)
+    (some,), (none,) = sections_of(tmp_path / "some"), sections_of(tmp_path / "none")
+    assert some.methods == ["envgs [steps=3000]", "envgs [steps=9000]", "envgs [min_coverage=2.0, steps=3000]"]
+    assert none.methods == [f"envgs [min_coverage={c}, steps={n}]" for c, n in ((1.5, 3000), (1.5, 9000), (2.0, 3000))]
 
 
 def test_other_methods_and_other_steps_are_choices_of_their_own(tmp_path: Path) -> None:
