@@ -99,7 +99,7 @@ def _labels(named: list[tuple[str, dict[str, str]]], groups: list[str], plain: l
         if len(values) > 1:
             varying[name].add(key)
     common = {
-        name: frozenset((key, *values) for key, values in keys.items() if len(values) == 1)
+        name: frozenset((key, value) for key, values in keys.items() if len(values) == 1 for value in values)
         for name, keys in usual.items()
     }
     return [
