@@ -68,12 +68,14 @@ class Choice:
                 found[dataset] = math.sqrt(squares / sum(degrees for _, degrees in several))
         return found
 
-    def complete(self, candidate: str) -> bool:
-        """Whether all of its runs and the method's finished on every data set, and there are enough to be compared."""
-        rows = {self.base, candidate}
-        finished = (self.numbers.estimate((d,), row, "full", "psnr").complete for d in self.datasets for row in rows)
-        paired = (self.difference(candidate, dataset).done >= FEWEST_RUNS for dataset in self.datasets)
-        return all(finished) and all(paired)
+    def lacking(self, candidate: str) -> list[str]:
+        """The data sets on which not all of its runs and the method's finished, or too few to be compared."""
+        return [dataset for dataset in self.datasets if not self._compared(candidate, dataset)]
+
+    def _compared(self, candidate: str, dataset: str) -> bool:
+        rows = (self.base, candidate)
+        finished = all(self.numbers.estimate((dataset,), row, "full", "psnr").complete for row in rows)
+        return finished and self.difference(candidate, dataset).done >= FEWEST_RUNS
 
     def losses(self, candidate: str) -> dict[str, float]:
         """The data sets on which it loses more than a run varies by its seed there, and how much, dB, negative."""
@@ -83,7 +85,7 @@ class Choice:
 
     def verdict(self, candidate: str) -> Verdict:
         """By the rules: gains LEAST_GAIN as a mean, and loses nowhere more than a run varies by its seed."""
-        if not self.complete(candidate):
+        if self.lacking(candidate):
             return "incomplete"
         if self.losses(candidate):
             return "worse"
@@ -91,8 +93,8 @@ class Choice:
 
     @cached_property
     def comparable(self) -> tuple[str, ...]:
-        """The method as it is, and the candidates that are complete."""
-        return (self.base, *(candidate for candidate in self.candidates if self.complete(candidate)))
+        """The method as it is, and the candidates that lack nothing."""
+        return (self.base, *(candidate for candidate in self.candidates if not self.lacking(candidate)))
 
     def chosen_without(self, dataset: str) -> str:
         """The row that all other data sets would choose by their mean alone."""

@@ -5,17 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 
-from ..numbers.choices import FEWEST_RUNS, LEAST_GAIN, Choice, Verdict
+from ..numbers.choices import FEWEST_RUNS, LEAST_GAIN, Choice
 from .columns import LPIPS, PRIMITIVES, PSNR, REGIONS, Column, in_region
 from .table import Table, build_table
 
 KIND = "choice"
-WORDS: dict[Verdict, str] = {
-    "keep": "may be kept",
-    "worse": "not to be kept, worse",
-    "no gain": f"not to be kept, it gains less than {LEAST_GAIN:g} dB",
-    "incomplete": f"undecided, it has not {FEWEST_RUNS} finished runs on every data set",
-}
 
 
 def choice_table(choice: Choice) -> Table:
@@ -49,9 +43,7 @@ def remarks(choice: Choice) -> list[str]:
         f"than a run varies by its seed there (standard deviation over all rows, dB: {spreads or 'unknown'}).",
     ]
     for candidate in choice.candidates:
-        where = ", ".join(f"on {dataset} by {-loss:.2f} dB" for dataset, loss in choice.losses(candidate).items())
-        verdict = choice.verdict(candidate)
-        found.append(f"{candidate}: {WORDS[verdict]}{f' {where}' if verdict == 'worse' else ''}.")
+        found.append(f"{candidate}: {_verdict(choice, candidate)}.")
         found += [
             f"{candidate} hangs on one view of {view.dataset}: {_signed(view.gain)} dB, and {_signed(view.without)} "
             f"without {view.view}."
@@ -60,6 +52,20 @@ def remarks(choice: Choice) -> list[str]:
     if len(choice.comparable) > 1 and len(choice.datasets) > 1:
         found.append(_leaving_one_out(choice))
     return found
+
+
+def _verdict(choice: Choice, candidate: str) -> str:
+    match choice.verdict(candidate):
+        case "keep":
+            return "may be kept"
+        case "worse":
+            lost = choice.losses(candidate).items()
+            return "not to be kept, worse " + ", ".join(f"on {dataset} by {-loss:.2f} dB" for dataset, loss in lost)
+        case "no gain":
+            return f"not to be kept, it gains less than {LEAST_GAIN:g} dB"
+        case "incomplete":
+            where = ", ".join(choice.lacking(candidate))
+            return f"undecided, a run did not finish or there are fewer than {FEWEST_RUNS} of both on {where}"
 
 
 def _leaving_one_out(choice: Choice) -> str:

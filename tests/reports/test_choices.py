@@ -86,6 +86,18 @@ def test_a_candidate_is_kept_that_gains_and_loses_nowhere(
     assert (choice.verdict(candidate), list(choice.losses(candidate))) == (verdict, loses)
 
 
+def test_what_is_undecided_says_where_runs_are_lacking(tmp_path: Path) -> None:
+    few = {ROOM: (24.3, 24.5), SKY: (20.0, None), TABLE: (27.0,)}
+    write_all(tmp_path, {1.5: {**PLAIN, TABLE: (27.0, 27.1)}, 2.0: few})
+    choice = choice_of(tmp_path)
+    (candidate,) = choice.candidates
+    assert choice.lacking(candidate) == [TABLE, SKY]
+    (section,) = sections_of(tmp_path)
+    remarks = titled(section, "envgs: candidates less envgs as it is").remarks
+    (said,) = [remark for remark in remarks if "undecided" in remark]
+    assert said.endswith(f" on {TABLE}, {SKY}.")
+
+
 def test_differences_are_those_of_the_same_seed(tmp_path: Path) -> None:
     """Seed 2, which the candidate alone has, is compared with nothing."""
     write_all(tmp_path, {1.5: {ROOM: (20.0, 25.0)}, 2.0: {ROOM: (20.3, 25.5, 99.0)}})
