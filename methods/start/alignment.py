@@ -88,8 +88,7 @@ def alignment(evidence: Evidence, device: torch.device | str = "cpu") -> Alignme
             turns = _step(sights, maps, turns) @ turns
     before, after = (_median_difference(_compared(sights, maps, each)[0]) for each in (none, turns))
     gains = 1 - after / before.clamp_min(1e-6)
-    better = (sights.known.sum(dim=1) >= FEWEST) & (gains > 0)
-    better &= turns.isfinite().all(dim=2).all(dim=1)  # not so where a picture is not finite
+    better = (sights.known.sum(dim=1) >= FEWEST) & (gains > 0)  # NaN is not: the picture is not finite
     return Alignment(torch.where(better[:, None, None], turns, none).cpu(), torch.where(better, gains, 0.0).cpu())
 
 
@@ -163,8 +162,8 @@ def _compared(sights: _Sights, maps: Tensor, turns: Tensor) -> tuple[Tensor, Ten
 
 
 def _median_difference(differences: Tensor) -> Tensor:
-    """[V] of differences [V, K, 3]."""
-    return differences.abs().mean(dim=-1).nanmedian(dim=1).values.nan_to_num(0.0)
+    """[V] of differences [V, K, 3]; NaN where a view has none."""
+    return differences.abs().mean(dim=-1).nanmedian(dim=1).values
 
 
 def _step(sights: _Sights, maps: Tensor, turns: Tensor) -> Tensor:
