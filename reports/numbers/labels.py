@@ -19,9 +19,7 @@ ORDER = (  # by what they model of reflections, then what is left out, as in the
     *("envgs_paper_no_normal_propagation", "envgs_paper_no_perceptual"),
     *("envgs_paper_single_set", "envgs_single_set"),
 )
-
-
-SET_UP = ("method.", "budget.")  # overrides without which a run is of the method as it is
+SET_UP = ("method.", "budget.")  # how overrides begin that make a run another than one of the method as it is
 
 
 @dataclass(frozen=True)
