@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 from envgs_bench.regular_file import require_regular
 
 from ..errors import DatasetError
+
+# NumPy has Python's parser read a header, and Python 3.11's fails, now and then, where two threads parse at once.
+_parsing = threading.Lock()
 
 
 def open_array(path: Path) -> NDArray:
@@ -20,6 +24,7 @@ def open_array(path: Path) -> NDArray:
     """
     try:
         require_regular(path)
-        return np.lib.format.open_memmap(path, mode="r")
+        with _parsing:
+            return np.lib.format.open_memmap(path, mode="r")
     except Exception as error:  # NumPy parses the header as Python's source, and raises whatever that leads to
         raise DatasetError(f"{path}: cannot be read as an array ({error}); write it again with numpy.save") from error
