@@ -17,6 +17,7 @@ from ..progress import streamed
 from ..split import split_views, validation_of
 from ..store.scene_file import on_disk
 from .cameras import cameras_around
+from .covisibility import covisible
 from .lighting import bake
 from .normal_noise import noisy_normals
 from .path_traced import PathTraced
@@ -48,6 +49,9 @@ def make_scene(choice: ToySettings, name: str) -> Scene:
     views = _without_slivers(on_disk(streamed("tracing views", make_view, range(choice.views))))
     train, test = split_views(views, name)
     val = validation_of(train)  # with exact normals, as test views
+    chosen = {view.name for view in val}
+    val = _with_covisible(world, val, [view for view in train if view.name not in chosen])
+    test = _with_covisible(world, test, train)
     points, colors = sfm_points(train, choice.noise, description.far_points, for_points)
     if choice.normal_noise:
         train = on_disk(_with_estimated_normals(view, choice.normal_noise, for_normals) for view in train)
@@ -66,6 +70,18 @@ def _without_slivers(views: list[View]) -> list[View]:
         return masks | {name: torch.zeros_like(masks[name]) for name in slivers}
 
     return [replace(view, masks=emptied(view.masks)) for view in views]
+
+
+def _with_covisible(world: World, views: list[View], train: list[View]) -> list[View]:
+    """The views with the region of what some training view shows too."""
+    cameras = [view.camera for view in train]
+
+    def compared(view: View) -> View:
+        assert view.depth is not None
+        seen = covisible(world, view.camera, view.depth.numpy(), cameras)
+        return replace(view, masks=view.masks | {"covisible": torch.from_numpy(seen)})
+
+    return on_disk(streamed("comparing views", compared, views))
 
 
 def _painter(world: World, for_light: np.random.Generator) -> Painter:

@@ -12,15 +12,15 @@ from ..settings import parse_dataset_settings
 from ..store.cache import cached_scene
 from .settings import ToySettings
 
-VERSION = 9  # raise it with every change that alters a scene
+VERSION = 10  # raise it with every change that alters a scene
 
 
 def load_toy(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     """A toy scene: pictures, exact normals and depth, the regions `reflective` and `near_field`, and a point cloud.
 
-    Where there is glass, the region `transmissive` too. With `normal_noise` the training views' normals are an
-    estimator's (`normal_noise.noisy_normals`); those of test and validation views, which scores refer
-    to, are exact in any case.
+    Where there is glass, the region `transmissive` too; of what does not train `covisible`. With `normal_noise` the
+    training views' normals are an estimator's (`normal_noise.noisy_normals`); those of test and validation views, which
+    scores refer to, are exact in any case.
 
     Raises:
         DatasetError: an unknown key, or a value out of range.

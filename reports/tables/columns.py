@@ -106,7 +106,8 @@ FILE_MEGABYTES = Column(
 CHECKPOINT_MEGABYTES = Column(
     "checkpoint_bytes", "full", "checkpoint MB", 1, "lower", "checkpoint, MB", "lossless", ranked=False, scale=MEGA
 )
-REGIONS = ("reflective", "near_field", "transmissive", "foreground")  # those whose PSNR stands beside the full image's
+# those whose PSNR stands beside the full image's
+REGIONS = ("covisible", "reflective", "near_field", "transmissive", "foreground")
 COSTS = (FRAME_MS, TRAIN_SECONDS, MEGABYTES, PRIMITIVES)  # the axes of the charts
 MAIN_COLUMNS = (
     *SCORES,
