@@ -16,19 +16,21 @@ from .runs import Run
 
 LEAST_GAIN = 0.1  # dB of PSNR as a mean over the data sets: what is less may be chance
 FEWEST_RUNS = 2  # of a candidate and of the method on each data set
+KNOWN = "covisible"  # the region of what some training view shows
+UNKNOWN = "what no training view shows"
 
 Verdict = Literal["keep", "worse", "no gain", "incomplete"]
 Views = Mapping[tuple[str, str], Mapping[int, Mapping[str, float]]]  # PSNR by (data set, row), seed and view
 
 
 @dataclass(frozen=True)
-class DecidingView:
-    """One view on which it hangs whether a candidate gains or loses on a data set, dB."""
+class DecidingPart:
+    """A part of a data set's pictures on which it hangs whether a candidate gains or loses there, dB."""
 
     dataset: str
-    view: str
-    gain: float  # of all views
-    without: float  # of all others
+    part: str  # one view, or UNKNOWN
+    gain: float  # of all
+    without: float  # of all else
 
 
 @dataclass(frozen=True)
@@ -48,9 +50,9 @@ class Choice:
     datasets: tuple[str, ...]
     views: Views
 
-    def difference(self, row: str, *datasets: str) -> Estimate:
+    def difference(self, row: str, *datasets: str, region: str = "full") -> Estimate:
         """PSNR of the row minus the method's as it is, dB: on one data set, or the unweighted mean over several."""
-        return self.numbers.estimate(datasets, row, "full", "psnr", self.base)
+        return self.numbers.estimate(datasets, row, region, "psnr", self.base)
 
     def gain(self, row: str, *datasets: str) -> float:
         """The mean of `difference`: 0 of the method as it is, and where nothing can be compared."""
@@ -101,15 +103,24 @@ class Choice:
         others = [name for name in self.datasets if name != dataset]
         return max(self.comparable, key=lambda row: self.gain(row, *others))
 
-    def deciding_views(self, candidate: str) -> list[DecidingView]:
-        """Of each data set the view that moves its difference most, where without it a gain is a loss or the reverse.
+    def deciding_parts(self, candidate: str) -> list[DecidingPart]:
+        """Of each data set the view that moves its difference most, and what no training view shows.
 
-        Or where it makes a loss one that counts. What moves by less than a run varies by its seed is left out.
+        Where without it a gain is a loss or the reverse, or a loss becomes one that counts; what moves by less than a
+        run varies by its seed is left out.
         """
-        found = (self._deciding_view(candidate, dataset) for dataset in self.datasets if dataset in self.spreads)
-        return [view for view in found if view is not None]
+        found = []
+        for dataset in self.spreads:
+            parts = (self._most_moving_view(candidate, dataset), self._unknown(candidate, dataset))
+            found += [part for part in parts if part is not None and self._decides(part)]
+        return found
 
-    def _deciding_view(self, candidate: str, dataset: str) -> DecidingView | None:
+    def _decides(self, part: DecidingPart) -> bool:
+        spread = self.spreads[part.dataset]
+        turns = any((part.gain < limit) != (part.without < limit) for limit in (0, -spread))
+        return turns and abs(part.without - part.gain) > spread
+
+    def _most_moving_view(self, candidate: str, dataset: str) -> DecidingPart | None:
         own, theirs = (self.views.get((dataset, row), {}) for row in (candidate, self.base))
         paired = [(own[seed], theirs[seed]) for seed in own if seed in theirs]
         shared = sorted(set[str].intersection(*(set(a) & set(b) for a, b in paired))) if paired else []
@@ -119,9 +130,11 @@ class Choice:
         whole = float(gains.mean())
         without = (gains.sum() - gains) / (len(gains) - 1)
         most = int(np.abs(without - whole).argmax())
-        left, spread = float(without[most]), self.spreads[dataset]
-        turns = (whole < 0) != (left < 0) or (whole < -spread) != (left < -spread)
-        return DecidingView(dataset, shared[most], whole, left) if turns and abs(left - whole) > spread else None
+        return DecidingPart(dataset, f"view {shared[most]}", whole, float(without[most]))
+
+    def _unknown(self, candidate: str, dataset: str) -> DecidingPart | None:
+        whole, known = self.difference(candidate, dataset).mean, self.difference(candidate, dataset, region=KNOWN).mean
+        return None if whole is None or known is None else DecidingPart(dataset, UNKNOWN, float(whole), float(known))
 
 
 def choices(numbers: Numbers, runs: Iterable[tuple[str, Label, Run]]) -> list[Choice]:

@@ -35,7 +35,7 @@ def _difference(choice: Choice, column: Column, datasets: tuple[str, ...], group
 
 
 def remarks(choice: Choice) -> list[str]:
-    """The rules, a verdict on each candidate, what hangs on a single view, and what other data sets would choose."""
+    """The rules, a verdict on each candidate and what it hangs on, and what other data sets would choose."""
     spreads = ", ".join(f"{dataset} {spread:.2f}" for dataset, spread in choice.spreads.items())
     found = [
         "Δ PSNR over all data sets has its 95 % bootstrap interval.",
@@ -45,9 +45,9 @@ def remarks(choice: Choice) -> list[str]:
     for candidate in choice.candidates:
         found.append(f"{candidate}: {_verdict(choice, candidate)}.")
         found += [
-            f"{candidate} hangs on one view of {view.dataset}: {_signed(view.gain)} dB, and {_signed(view.without)} "
-            f"without {view.view}."
-            for view in choice.deciding_views(candidate)
+            f"{candidate} hangs on {part.part} of {part.dataset}: {_signed(part.gain)} dB, and "
+            f"{_signed(part.without)} without."
+            for part in choice.deciding_parts(candidate)
         ]
     if len(choice.comparable) > 1 and len(choice.datasets) > 1:
         found.append(_leaving_one_out(choice))
