@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet
-from envgs_bench.core.backends import RasterizeOptions
+from envgs_bench.core.contract import RasterizeOptions
 
 
 def tile_list_lengths(gaussians: GaussianSet, camera: Camera, near: float, backend: str) -> Tensor:

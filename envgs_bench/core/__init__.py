@@ -2,13 +2,14 @@
 
 from .backends import available_backends
 from .camera import Camera
+from .contract import Bvh
 from .gaussians import GaussianSet
 from .normals import depth_normals
 from .rasterize import rasterize
 from .reflect import reflect
 from .rendering import Rendering, Statistics
 from .scene import Scene, View
-from .trace import Bvh, build_bvh, trace, trace_color
+from .trace import build_bvh, trace, trace_color
 
 __all__ = [
     "Bvh",

@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .backends import ImageKernels, load_backend
+from .backends import load_backend
 from .camera import Camera
+from .contract import ImageKernels
 from .vectors import unit
 
 

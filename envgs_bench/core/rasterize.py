@@ -5,8 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .backends import RasterizeOptions, Rasterizer, load_backend
+from .backends import load_backend
 from .camera import Camera
+from .contract import RasterizeOptions, Rasterizer
 from .gaussians import GaussianSet
 from .rendering import Rendering
 

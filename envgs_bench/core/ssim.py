@@ -20,7 +20,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from .backends import ImageKernels, load_backend
+from .backends import load_backend
+from .contract import ImageKernels
 
 WINDOW = 11  # pixels
 SIGMA = 1.5  # pixels

@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import torch
 from torch import Tensor
 
-from .backends import Backend, ColorTracer, TraceOptions, load_backend
+from .backends import load_backend
+from .contract import Backend, Bvh, ColorTracer, TraceOptions
 from .gaussians import GaussianSet
 from .rasterize import checked_background
 from .rendering import Rendering
 
 SH_DIRECTIONS = ("center", "ray")
-
-
-@dataclass(frozen=True)
-class Bvh:
-    """A bounding volume hierarchy over one state of one set: build it again whenever the set changes."""
-
-    backend: str
-    primitives: int
-    handle: Any
 
 
 def build_bvh(gaussians: GaussianSet, *, backend: str = "auto") -> Bvh:

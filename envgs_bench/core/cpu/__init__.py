@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from ..backends import RasterizeOptions, TraceOptions
 from ..camera import Camera
+from ..contract import Bvh, RasterizeOptions, TraceOptions
 from ..differentiable import Gradients, PassOutput, Planes, SetTensors, draw
 from ..gaussians import GaussianSet
 from ..rendering import Rendering
-from ..trace import Bvh
 from . import native
 
 if TYPE_CHECKING:

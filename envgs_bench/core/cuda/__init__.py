@@ -7,12 +7,11 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ..backends import RasterizeOptions, TraceOptions
 from ..camera import Camera
+from ..contract import Bvh, RasterizeOptions, TraceOptions
 from ..differentiable import SetTensors, draw
 from ..gaussians import GaussianSet
 from ..rendering import Rendering
-from ..trace import Bvh
 from .adam import adam_step
 from .bvh import SurfelBvh
 from .compiler import why_unavailable

@@ -7,8 +7,8 @@ from functools import cache
 import torch
 from torch import Tensor
 
-from ..backends import RasterizeOptions
 from ..camera import Camera
+from ..contract import RasterizeOptions
 from ..differentiable import Gradients, PassOutput, Planes, SetTensors
 from ..gaussians import GaussianSet
 from .launch import Kernels, aligned, blocks_for, kernels, zeroed

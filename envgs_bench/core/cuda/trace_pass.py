@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..backends import TraceOptions
+from ..contract import TraceOptions
 from ..differentiable import Gradients, PassOutput, Planes, SetTensors
 from ..gaussians import GaussianSet
 from .bvh import SurfelBvh

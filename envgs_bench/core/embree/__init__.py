@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from ..backends import TraceOptions
+from ..contract import Bvh, TraceOptions
 from ..gaussians import GaussianSet
 from ..rendering import Rendering
 from ..torch.blending import blend_hits
 from ..torch.search import blended_hits
 from ..torch.surfels import TracedSurfels
-from ..trace import Bvh
 
 __all__ = ["build_bvh", "trace", "why_unavailable"]
 

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from ..backends import RasterizeOptions, TraceOptions
 from ..camera import Camera
+from ..contract import Bvh, RasterizeOptions, TraceOptions
 from ..gaussians import GaussianSet
 from ..rendering import Rendering
-from ..trace import Bvh
 from .blending import blend_hits
 from .gaussians_3d import RasterizedGaussians3D
 from .intersections import Intersector
