@@ -362,6 +362,17 @@ def test_the_json_holds_what_stands_behind_a_number(mixed: Section) -> None:
     assert cell["text"].startswith(f"{megabytes.mean():.1f}")
 
 
+def test_what_training_views_show_is_the_first_region(tmp_path: Path) -> None:
+    content = record(ROOM, "envgs", 0)
+    content["masked"]["covisible"] = content["masked"]["reflective"] | {"psnr": 27.5, "fraction": 0.97}
+    write_record(tmp_path / "0", content)
+    (section,) = sections_of(tmp_path)
+    table = titled(section, ROOM)
+    regions = [title for title in titles(table) if title.startswith("PSNR ") and title != "PSNR ↑"]
+    assert regions == ["PSNR covisible ↑", "PSNR reflective ↑", "PSNR near-field ↑"]
+    assert row_of(table, "envgs").cells["psnr_covisible"].estimate.strata == ((27.5,),)
+
+
 def test_region_tables_hold_the_masked_scores(mixed: Section) -> None:
     table = titled(mixed, f"{ROOM}: inside the regions")
     assert titles(table)[2:6] == ["near-field PSNR ↑", "near-field SSIM ↑", "near-field FLIP ↓", "near-field LPIPS ↓"]
