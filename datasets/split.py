@@ -44,6 +44,12 @@ def validation_of(train: Sequence[Item]) -> list[Item]:
     return list(train[FIRST_VALIDATION::VALIDATION_EVERY])
 
 
+def taken_out(train: Sequence[View], val: Sequence[View]) -> list[View]:
+    """What still trains where these validate."""
+    names = {view.name for view in val}
+    return [view for view in train if view.name not in names]
+
+
 def without_normals(views: Sequence[View]) -> list[View]:
     """The views as scores are to see them where their normals are not exact."""
     return [replace(view, normal=None) for view in views]
@@ -63,5 +69,4 @@ def with_validation(scene: Scene) -> Scene:
             f"dataset.validation=true: {scene.name} has {len(scene.train)} training views, expected at least "
             f"{FIRST_VALIDATION + 1}"
         )
-    taken = {view.name for view in val}
-    return replace(scene, train=[view for view in scene.train if view.name not in taken], val=val)
+    return replace(scene, train=taken_out(scene.train, val), val=val)

@@ -45,5 +45,5 @@ def covisible(world: World, camera: Camera, depth: Array, others: Sequence[Camer
 def _in_picture(camera: Camera, directions: Array) -> NDArray[np.bool_]:
     """[R] whether these directions [R, 3] from the camera's center meet its picture."""
     to_pixel = (camera.intrinsics.double() @ camera.world_to_camera[:3, :3].double()).numpy()
-    x, y, z = (directions @ to_pixel.T).T
+    x, y, z = np.einsum("ri,ji->jr", directions, to_pixel)  # without BLAS, as in render._transformed
     return (z > 0) & (x >= 0) & (y >= 0) & (x < camera.width * z) & (y < camera.height * z)

@@ -14,7 +14,7 @@ from torch import Tensor
 from envgs_bench.core import Camera, Scene, View
 
 from ..progress import streamed
-from ..split import split_views, validation_of
+from ..split import split_views, taken_out, validation_of
 from ..store.scene_file import on_disk
 from .cameras import cameras_around
 from .covisibility import covisible
@@ -49,8 +49,7 @@ def make_scene(choice: ToySettings, name: str) -> Scene:
     views = _without_slivers(on_disk(streamed("tracing views", make_view, range(choice.views))))
     train, test = split_views(views, name)
     val = validation_of(train)  # with exact normals, as test views
-    chosen = {view.name for view in val}
-    val = _with_covisible(world, val, [view for view in train if view.name not in chosen])
+    val = _with_covisible(world, val, taken_out(train, val))
     test = _with_covisible(world, test, train)
     points, colors = sfm_points(train, choice.noise, description.far_points, for_points)
     if choice.normal_noise:
