@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping
+from contextlib import nullcontext
 from fractions import Fraction
 from typing import Any, cast
 
@@ -139,7 +140,9 @@ class GaussianMethod(GaussianModel):
     # A training step
 
     def training_step(self, view: View, step: int) -> dict[str, Tensor]:
-        with on_own_stream(self.device):
+        # A perceptual loss is a large network's.
+        threads = nullcontext() if self.uses_perceptual else self._suited_threads(view.camera)
+        with on_own_stream(self.device), threads:
             return self._step(view, step)
 
     def _step(self, view: View, step: int) -> dict[str, Tensor]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, GaussianSet, Rendering, Statistics, rasterize
+from envgs_bench.core import Camera, GaussianSet, Rendering, Statistics, rasterize, torch_on_one_thread
 from envgs_bench.parts import BASE, SETS
 
 from .budget import Budget, SharedBudget
@@ -22,6 +23,8 @@ from .settings import GaussianSettings
 from .start.initialization import Orientation, evenly_thinned, initial_orientation, initial_tensors
 from .trained_set import TrainedSet
 
+SMALL_IMAGE = 1 << 17  # pixels up to which, and
+SMALL_SETS = 1 << 16  # primitives of all sets up to which a CPU shares torch's own operations out for longer than they take
 FULL = 0.95  # share of its cap from which a set is held back by it: some are pruned between two densifications
 
 
@@ -70,7 +73,8 @@ class GaussianModel(Method):
             self.prepare()
         if self._captures():
             return self._frames.draw(camera)
-        return self.draw(camera.to(self.device), None)[0]
+        with self._suited_threads(camera):
+            return self.draw(camera.to(self.device), None)[0]
 
     @torch.no_grad()
     def prepare(self) -> None:
@@ -84,6 +88,12 @@ class GaussianModel(Method):
 
     def _captures(self) -> bool:
         return self.captured and self.device.type == "cuda"
+
+    def _suited_threads(self, camera: Camera) -> AbstractContextManager[None]:
+        """On a CPU, torch's own operations take one thread where the image and the sets are small."""
+        small = camera.width * camera.height <= SMALL_IMAGE and sum(self.primitives().values()) <= SMALL_SETS
+        native = self.device.type == "cpu" and self.settings.backend in ("auto", "cpu")
+        return torch_on_one_thread() if small and native else nullcontext()
 
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
         """The picture [H, W, …], and the statistics of each set's passes: of a training step all of them.

@@ -9,6 +9,7 @@ from .rasterize import rasterize
 from .reflect import reflect
 from .rendering import Rendering, Statistics
 from .scene import Scene, View
+from .threads import torch_on_one_thread
 from .trace import build_bvh, trace, trace_color
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "depth_normals",
     "rasterize",
     "reflect",
+    "torch_on_one_thread",
     "trace",
     "trace_color",
 ]

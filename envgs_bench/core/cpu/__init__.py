@@ -12,6 +12,7 @@ from ..contract import Bvh, RasterizeOptions, TraceOptions
 from ..differentiable import Gradients, PassOutput, Planes, SetTensors, draw
 from ..gaussians import GaussianSet
 from ..rendering import Rendering
+from ..threads import workers
 from . import native
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions)
 
 
 def build_bvh(gaussians: GaussianSet) -> Bvh:
-    return Bvh("cpu", len(gaussians), _native.Bvh(tuple(SetTensors.of(gaussians)), torch.get_num_threads()))
+    return Bvh("cpu", len(gaussians), _native.Bvh(tuple(SetTensors.of(gaussians)), workers()))
 
 
 def trace(
@@ -66,7 +67,7 @@ class RasterPass:
             options.low_pass,
             options.background,
             options.transmittance_min,
-            torch.get_num_threads(),
+            workers(),
         )
 
     def forward(self, keep: bool) -> PassOutput:
@@ -92,7 +93,7 @@ class _TracePass:
     ) -> None:
         self.tensors = SetTensors.of(gaussians)
         self.origins, self.directions = origins.detach().contiguous(), directions.detach().contiguous()
-        threads = torch.get_num_threads()
+        threads = workers()
         if bvh is not None and bvh.backend != "cpu":
             raise ValueError(
                 f"the BVH was built by backend {bvh.backend!r}, this is 'cpu': build it with backend='cpu'"

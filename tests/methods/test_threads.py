@@ -1,0 +1,67 @@
+"""Small images and sets are trained and drawn with torch's own operations on one thread."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import torch
+
+from envgs_bench.core import View
+from envgs_bench.methods import gaussian_model
+from envgs_bench.methods.registry import create_method
+from envgs_bench.testing import tiny_scene
+
+THREADS = 3
+
+
+@pytest.fixture(autouse=True)
+def several_threads() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(THREADS)
+    yield
+    assert torch.get_num_threads() == THREADS
+    torch.set_num_threads(before)
+
+
+def threads_seen(kind: str, monkeypatch: pytest.MonkeyPatch, **settings: Any) -> list[int]:
+    """How many torch has as a training step draws, as it has differentiated, and as an image is drawn."""
+    method, seen, scene = create_method(kind, settings), [], tiny_scene()
+    draw, record = type(method).draw, type(method)._record
+
+    def drawn(*arguments: Any) -> Any:
+        seen.append(torch.get_num_threads())
+        return draw(*arguments)
+
+    def recorded(*arguments: Any) -> None:
+        seen.append(torch.get_num_threads())
+        record(*arguments)
+
+    monkeypatch.setattr(type(method), "draw", drawn)
+    monkeypatch.setattr(type(method), "_record", recorded)
+    method.initialize(scene, 10)
+    view: View = scene.train[0]
+    method.training_step(view, 1)
+    method.render(view.camera)
+    return seen
+
+
+@pytest.mark.parametrize("kind", ["2dgs", "3dgs", "envgs"])
+def test_small_ones_take_one(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = {"env_grid": 2} if kind == "envgs" else {}
+    assert threads_seen(kind, monkeypatch, **settings) == [1, 1, 1]
+
+
+@pytest.mark.parametrize("bound", ["SMALL_IMAGE", "SMALL_SETS"])
+def test_larger_ones_take_all(bound: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gaussian_model, bound, 3)
+    assert threads_seen("2dgs", monkeypatch) == [THREADS] * 3
+
+
+def test_the_torch_backend_takes_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert threads_seen("2dgs", monkeypatch, backend="torch") == [THREADS] * 3
+
+
+def test_a_perceptual_loss_is_learned_from_with_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert threads_seen("2dgs", monkeypatch, perceptual_weight=0.01) == [THREADS, THREADS, 1]
