@@ -2,6 +2,9 @@
 
 A pixel's depth is that at which the patch around it looks alike in the nearest other views. It is taken for known
 only where all other depths look clearly worse, so that neither walls without texture nor curved mirrors get points.
+
+What is too far away for a depth, a sky, looks alike in whatever views show its direction, and the nearest mostly do not:
+cameras around a scene that move by a tenth of it turn by six degrees. So all views are asked for that.
 """
 
 from __future__ import annotations
@@ -24,6 +27,8 @@ FINER = 9  # of a second one around the best of them
 CLEARLY = 0.6  # × the least difference at any other depth is the most that a match may have
 LEAST_CONTRAST = 0.01  # by how much other depths must look worse, of the range of sRGB
 OTHERWISE = 2  # depths beside the best that are no others
+INFINITY = 1e4  # × the farthest depth
+DISTANT = 4  # pixels by which the nearest views show what is at infinity beside what is at a depth that is another
 
 
 @dataclass(frozen=True)
@@ -46,23 +51,30 @@ class _Reduced:
 
 @torch.no_grad()
 def swept_points(
-    views: Sequence[View], wanted: Sequence[Tensor], near: float, far: float, device: torch.device
+    views: Sequence[View],
+    wanted: Sequence[Tensor],
+    near: float,
+    far: float,
+    generator: torch.Generator,
+    device: torch.device,
 ) -> tuple[Tensor, Tensor]:
     """Points [P, 3], world frame, and their colors [P, 3] in [0, 1], sRGB, on the CPU.
 
     Args:
         wanted: pixel positions (x, y) [K, 2] in each view whose depth is looked for; many of them have none to find.
         near, far: depths between which it lies, world units, 0 < near < far.
+        generator: for the depths, up to `far`, of what is at infinity as far as views can tell.
     """
     reduced = [_reduced(view, device) for view in views]
     centers = torch.stack([each.camera.center for each in reduced])
     axes = torch.stack([each.camera.world_to_camera[2, :3] for each in reduced])
     found: list[tuple[Tensor, Tensor]] = [(torch.zeros(0, 3), torch.zeros(0, 3))]
     for index, pixels in enumerate(wanted):
-        if len(pixels):
-            others = [reduced[row] for row in _nearest(centers, axes, index)]
-            points, colors = _swept(reduced[index], others, pixels.to(device), near, far)
-            found.append((points.cpu(), colors.cpu()))
+        view, others = reduced[index], [reduced[row] for row in _nearest(centers, axes, index)]
+        if len(pixels) and len(others) >= AGREEING:
+            everywhere = reduced[:index] + reduced[index + 1 :]
+            points = _swept(view, others, everywhere, pixels.to(device), near, far, generator)
+            found.append((points.cpu(), view.colors(points).nan_to_num(0.5).cpu()))
     points, colors = (torch.cat(parts) for parts in zip(*found, strict=True))
     return points, colors
 
@@ -84,25 +96,45 @@ def _nearest(centers: Tensor, axes: Tensor, index: int) -> list[int]:
     return order.tolist()
 
 
-def _swept(view: _Reduced, others: list[_Reduced], pixels: Tensor, near: float, far: float) -> tuple[Tensor, Tensor]:
-    """Points and colors of those of the pixels [K, 2] whose depth is clear."""
-    if len(others) < AGREEING:
-        return pixels.new_zeros(0, 3), pixels.new_zeros(0, 3)
+def _swept(
+    view: _Reduced,
+    others: list[_Reduced],
+    everywhere: list[_Reduced],
+    pixels: Tensor,
+    near: float,
+    far: float,
+    generator: torch.Generator,
+) -> Tensor:
+    """Points of those of the pixels [K, 2] whose depth is clear, or that are clearly too far away to have one."""
     step = (far / near) ** (1 / (DEPTHS - 1))
     coarse = near * step ** torch.arange(DEPTHS, device=pixels.device)
     differences = _differences(view, others, pixels, coarse.expand(len(pixels), -1))
+    at_infinity = _differences(view, everywhere, pixels, pixels.new_full((len(pixels), 1), INFINITY * far))[:, 0]
+
+    nearest_distant = min(max(_distant_from(view, others), near), far)
+    distant = _clearly(at_infinity, torch.where(coarse < nearest_distant, differences, torch.inf).amin(dim=1))
     least, best = differences.min(dim=1)
     elsewhere = (torch.arange(DEPTHS, device=pixels.device) - best[:, None]).abs() > OTHERWISE
     other = torch.where(elsewhere, differences, torch.inf).amin(dim=1)
-    inside = (best > 0) & (best < DEPTHS - 1)
-    clear = inside & other.isfinite() & (least < CLEARLY * other) & (other - least > LEAST_CONTRAST)
-    pixels, best = pixels[clear], best[clear]
-    if not len(pixels):
-        return pixels.new_zeros(0, 3), pixels.new_zeros(0, 3)
-    fine = coarse[best][:, None] * step ** torch.linspace(-1, 1, FINER, device=pixels.device)
-    depth = fine.gather(1, _differences(view, others, pixels, fine).argmin(dim=1)[:, None])[:, 0]
-    points = view.camera.center + depth[:, None] * _directions(view.camera, pixels)
-    return points, view.colors(points).nan_to_num(0.5)
+    clear = (best > 0) & (best < DEPTHS - 1) & _clearly(least, other) & (least < CLEARLY * at_infinity)
+
+    fine = coarse[best[clear]][:, None] * step ** torch.linspace(-1, 1, FINER, device=pixels.device)
+    finest = _differences(view, others, pixels[clear], fine).argmin(dim=1)[:, None]
+    drawn = torch.rand(int(distant.sum()), generator=generator).to(pixels)
+    depths = torch.cat([fine.gather(1, finest)[:, 0], nearest_distant * (far / nearest_distant) ** drawn])
+    directions = _directions(view.camera, torch.cat([pixels[clear], pixels[distant]]))
+    return view.camera.center + depths[:, None] * directions
+
+
+def _clearly(least: Tensor, other: Tensor) -> Tensor:
+    return other.isfinite() & (least < CLEARLY * other) & (other - least > LEAST_CONTRAST)
+
+
+def _distant_from(view: _Reduced, others: list[_Reduced]) -> float:
+    """The depth from which on the other views show something at most DISTANT pixels beside what is at infinity."""
+    baseline = torch.stack([(other.camera.center - view.camera.center).norm() for other in others]).median()
+    focal = view.camera.intrinsics[0, 0] * view.picture.shape[3] / view.camera.width
+    return float(baseline * focal / DISTANT)
 
 
 def _differences(view: _Reduced, others: list[_Reduced], pixels: Tensor, depths: Tensor) -> Tensor:

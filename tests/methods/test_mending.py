@@ -31,6 +31,13 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
         return load_scene(toy | {"normal_noise": 5.0}, tmp_path_factory.mktemp("cache"))
 
 
+@pytest.fixture(scope="module")
+def sky(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    toy = {"kind": "toy", "scene": "sky_ball", "width": 80, "height": 60, "views": 33, "supersampling": 2}
+    with coarse_toys():
+        return load_scene(toy, tmp_path_factory.mktemp("cache"))
+
+
 def mended(scene: Scene) -> Scene:
     return mended_points(scene, NEAR, torch.Generator().manual_seed(0), CPU)
 
@@ -60,6 +67,21 @@ def test_points_that_are_wrong_or_missing_are_found_on_the_surfaces(room: Scene,
     assert np.median(off_surfaces(found.points, room)) < 0.1
 
 
+@pytest.mark.parametrize(("of_sky", "found", "distant"), [(True, (0.05, 1), (0.5, 1)), (False, (0.5, 1), (0, 0.005))])
+def test_a_sky_is_found_far_away_and_no_surface_is(
+    sky: Scene, of_sky: bool, found: tuple[float, float], distant: tuple[float, float]
+) -> None:
+    pixels = [torch.nonzero((view.depth == 0) == of_sky)[::7].flip(-1) + 0.5 for view in sky.train]
+    near, far = 0.1 * sky.radius, 20 * sky.radius
+    points, colors = swept_points(sky.train, pixels, near, far, torch.Generator().manual_seed(0), CPU)
+    assert len(points) == len(colors)
+    assert found[0] <= len(points) / sum(map(len, pixels)) <= found[1]
+    centers = torch.stack([view.camera.center for view in sky.train])
+    away = torch.cdist(points, centers).amin(dim=1)
+    assert away.max() < 1.1 * far  # the depths are along the cameras' axes
+    assert distant[0] <= (away > 1.5 * sky.radius).float().mean() <= distant[1]
+
+
 def test_of_very_many_points_the_last_is_looked_at_too(room: Scene) -> None:
     """So many that their number has no neighbor in float32."""
     count = 2**24 + 4
@@ -70,7 +92,7 @@ def test_of_very_many_points_the_last_is_looked_at_too(room: Scene) -> None:
 def test_pictures_a_pixel_high_are_swept() -> None:
     views = [View(str(x), strip_at(x), torch.full((1, 640, 3), 90, dtype=torch.uint8)) for x in (0.0, 0.1, 0.2)]
     wanted = [torch.tensor([[320.5, 0.5]])] * len(views)
-    points, colors = swept_points(views, wanted, 0.5, 20.0, CPU)
+    points, colors = swept_points(views, wanted, 0.5, 20.0, torch.Generator().manual_seed(0), CPU)
     assert (points.shape, colors.shape) == ((0, 3), (0, 3))  # of one color: no depth is clear
 
 
