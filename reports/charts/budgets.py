@@ -54,8 +54,8 @@ def _draw_curves(curves: Sequence[BudgetCurve], style: dict[str, Style], out: Pa
         figure = Figure(figsize=(COLUMNS * WIDTH, rows * HEIGHT + LEGEND), layout="constrained")
         title = f"{curves[0].dataset}: quality against primitives"
         figure.suptitle(title, x=0.01, ha="left", fontsize=11, color=INK)
-        axes = figure.subplots(rows, COLUMNS, squeeze=False).flat
-        for axis in list(axes)[len(known) :]:
+        axes = list(figure.subplots(rows, COLUMNS, squeeze=False).flat)
+        for axis in axes[len(known) :]:
             axis.set_axis_off()
         for axis, quantity in zip(axes, known, strict=False):
             for curve in curves:

@@ -130,13 +130,13 @@ def _write(
     with mpl.rc_context(RC | {"font.family": chart_fonts(), "font.size": 8}):
         figure = Figure(figsize=size, layout="constrained")
         figure.suptitle(_short(title, 80), x=0.01, ha="left", fontsize=11, color=INK)
-        axes = figure.subplots(rows, columns, squeeze=False).flat
+        axes = list(figure.subplots(rows, columns, squeeze=False).flat)
         for axis, draw, name in zip(axes, panels, names, strict=False):
             draw(axis)
             axis.set_title(_short(name, 44), loc="left", fontsize=9)
             open_axes(axis)
             axis.tick_params(length=0)
-        for axis in list(axes)[len(panels) :]:
+        for axis in axes[len(panels) :]:
             axis.set_axis_off()
         lines = [mpl.lines.Line2D([], [], color=s.color, marker=s.marker, markersize=6) for s in style.values()]
         names_of = [_short(method, 30) for method in style]

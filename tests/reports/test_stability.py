@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from reports_runs import record, sections_of, write_record, write_runs
 from scipy.stats import mannwhitneyu
 
 from envgs_bench.probe import Probe, write_probe
 from envgs_bench.reports import build_report
+from envgs_bench.reports.charts import stability as charts
 from envgs_bench.reports.numbers.breaking_points import breaking_point, breaking_points
 from envgs_bench.reports.numbers.profiles import drops, probability_of_improvement, profile
 from envgs_bench.reports.numbers.stability import Stability
@@ -317,6 +319,18 @@ def test_who_fails_is_not_called_ahead(tmp_path: Path) -> None:
             write(tmp_path, "2dgs", seed, severity, theirs)
             write(tmp_path, "envgs", seed, severity, ours + 0.01 * seed)
     assert "ahead" not in dict(sentences(tmp_path))
+
+
+def test_a_chart_has_as_many_panels_as_kinds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of five kinds the second row has one panel, and nothing where three others would be."""
+    for kind in ("blur", "exposure", "jpeg", "noise", "views"):
+        for severity in (0, 1):
+            write(tmp_path, "envgs", 0, severity, 25.0 - severity, kind=kind)
+    drawn: dict[str, Figure] = {}
+    monkeypatch.setattr(charts, "write_figure", lambda figure, path: drawn.update({path.name: figure}))
+    charts.draw_stability(*sections_of(tmp_path), tmp_path / "out", "charts")
+    shown = [axis.get_title("left") for axis in drawn["responses-0-psnr"].axes if axis.axison]
+    assert shown == ["blur", "exposure", "jpeg", "noise", "views"]
 
 
 def test_perturbed_runs_change_nothing_else_in_a_report(tmp_path: Path) -> None:
