@@ -23,8 +23,8 @@ from .settings import GaussianSettings
 from .start.initialization import Orientation, evenly_thinned, initial_orientation, initial_tensors
 from .trained_set import TrainedSet
 
-SMALL_IMAGE = 1 << 17  # pixels up to which, and
-SMALL_SETS = 1 << 16  # primitives of all sets up to which a CPU shares torch's own operations out for longer than they take
+SMALL_IMAGE = 1 << 17  # pixels, and
+SMALL_SETS = 1 << 16  # primitives of all sets: a CPU takes longer to share an operation of torch's out than to do it
 FULL = 0.95  # share of its cap from which a set is held back by it: some are pruned between two densifications
 
 

@@ -137,9 +137,7 @@ def mended_points(scene: Scene, near: float, generator: torch.Generator, device:
         return scene
     wanted = [_strongest(view, where, generator) for view, where in zip(scene.train, empty, strict=True)]
     scale = scene.radius or 1.0
-    points, colors = swept_points(
-        scene.train, wanted, max(near, NEAREST * scale), FARTHEST * scale, generator, device
-    )
+    points, colors = swept_points(scene.train, wanted, max(near, NEAREST * scale), FARTHEST * scale, generator, device)
     points, colors = torch.cat([sound.points.float(), points]), torch.cat([sound.point_colors.float(), colors])
     if len(points) < MIN_POINTS:
         return scene

@@ -3,7 +3,7 @@
 A pixel's depth is that at which the patch around it looks alike in the nearest other views. It is taken for known
 only where all other depths look clearly worse, so that neither walls without texture nor curved mirrors get points.
 
-What is too far away for a depth, a sky, looks alike in whatever views show its direction, and the nearest mostly do not:
+What is too far away for a depth, a sky, looks alike in whatever views show its direction. The nearest mostly do not:
 cameras around a scene that move by a tenth of it turn by six degrees. So all views are asked for that.
 """
 
@@ -112,11 +112,12 @@ def _swept(
     at_infinity = _differences(view, everywhere, pixels, pixels.new_full((len(pixels), 1), INFINITY * far))[:, 0]
 
     nearest_distant = min(max(_distant_from(view, others), near), far)
-    distant = _clearly(at_infinity, torch.where(coarse < nearest_distant, differences, torch.inf).amin(dim=1))
+    before = torch.where(coarse < nearest_distant, differences, torch.inf).amin(dim=1)
     least, best = differences.min(dim=1)
     elsewhere = (torch.arange(DEPTHS, device=pixels.device) - best[:, None]).abs() > OTHERWISE
     other = torch.where(elsewhere, differences, torch.inf).amin(dim=1)
     clear = (best > 0) & (best < DEPTHS - 1) & _clearly(least, other) & (least < CLEARLY * at_infinity)
+    distant = ~clear & _clearly(at_infinity, before)
 
     fine = coarse[best[clear]][:, None] * step ** torch.linspace(-1, 1, FINER, device=pixels.device)
     finest = _differences(view, others, pixels[clear], fine).argmin(dim=1)[:, None]
