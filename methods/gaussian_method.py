@@ -140,7 +140,7 @@ class GaussianMethod(GaussianModel):
     # A training step
 
     def training_step(self, view: View, step: int) -> dict[str, Tensor]:
-        # A perceptual loss is a large network's.
+        # A perceptual loss is a large network's, which is worth all threads.
         threads = nullcontext() if self.uses_perceptual else self._suited_threads(view.camera)
         with on_own_stream(self.device), threads:
             return self._step(view, step)
