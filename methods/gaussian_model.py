@@ -91,9 +91,10 @@ class GaussianModel(Method):
 
     def _suited_threads(self, camera: Camera) -> AbstractContextManager[None]:
         """On a CPU, torch's own operations take one thread where the image and the sets are small."""
-        small = camera.width * camera.height <= SMALL_IMAGE and sum(self.primitives().values()) <= SMALL_SETS
         native = self.device.type == "cpu" and self.settings.backend in ("auto", "cpu")
-        return torch_on_one_thread() if small and native else nullcontext()
+        if native and camera.width * camera.height <= SMALL_IMAGE and sum(self.primitives().values()) <= SMALL_SETS:
+            return torch_on_one_thread()
+        return nullcontext()
 
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
         """The picture [H, W, …], and the statistics of each set's passes: of a training step all of them.

@@ -70,8 +70,10 @@ def swept_points(
     axes = torch.stack([each.camera.world_to_camera[2, :3] for each in reduced])
     found: list[tuple[Tensor, Tensor]] = [(torch.zeros(0, 3), torch.zeros(0, 3))]
     for index, pixels in enumerate(wanted):
+        if not len(pixels):
+            continue
         view, others = reduced[index], [reduced[row] for row in _nearest(centers, axes, index)]
-        if len(pixels) and len(others) >= AGREEING:
+        if len(others) >= AGREEING:
             everywhere = reduced[:index] + reduced[index + 1 :]
             points = _swept(view, others, everywhere, pixels.to(device), near, far, generator)
             found.append((points.cpu(), view.colors(points).nan_to_num(0.5).cpu()))
@@ -112,12 +114,12 @@ def _swept(
     at_infinity = _differences(view, everywhere, pixels, pixels.new_full((len(pixels), 1), INFINITY * far))[:, 0]
 
     nearest_distant = min(max(_distant_from(view, others), near), far)
-    before = torch.where(coarse < nearest_distant, differences, torch.inf).amin(dim=1)
+    nearby = torch.where(coarse < nearest_distant, differences, torch.inf).amin(dim=1)
     least, best = differences.min(dim=1)
     elsewhere = (torch.arange(DEPTHS, device=pixels.device) - best[:, None]).abs() > OTHERWISE
     other = torch.where(elsewhere, differences, torch.inf).amin(dim=1)
     clear = (best > 0) & (best < DEPTHS - 1) & _clearly(least, other) & (least < CLEARLY * at_infinity)
-    distant = ~clear & _clearly(at_infinity, before)
+    distant = ~clear & _clearly(at_infinity, nearby)
 
     fine = coarse[best[clear]][:, None] * step ** torch.linspace(-1, 1, FINER, device=pixels.device)
     finest = _differences(view, others, pixels[clear], fine).argmin(dim=1)[:, None]

@@ -21,7 +21,7 @@ from ..tables.columns import MAIN_COLUMNS, in_region
 from ..tables.sections import Section
 from .chart_font import chart_fonts
 from .drawn import TitledChart, write_figure
-from .look import INK, RC, SOFT, open_axes
+from .look import INK, RC, SOFT, open_axes, panel_axes
 from .palette import Style, styles
 
 COLUMNS = 2  # panels in a row
@@ -54,10 +54,7 @@ def _draw_curves(curves: Sequence[BudgetCurve], style: dict[str, Style], out: Pa
         figure = Figure(figsize=(COLUMNS * WIDTH, rows * HEIGHT + LEGEND), layout="constrained")
         title = f"{curves[0].dataset}: quality against primitives"
         figure.suptitle(title, x=0.01, ha="left", fontsize=11, color=INK)
-        axes = list(figure.subplots(rows, COLUMNS, squeeze=False).flat)
-        for axis in axes[len(known) :]:
-            axis.set_axis_off()
-        for axis, quantity in zip(axes, known, strict=False):
+        for axis, quantity in zip(panel_axes(figure, rows, COLUMNS, len(known)), known, strict=True):
             for curve in curves:
                 _draw_curve(axis, curve, quantity, style[curve.method])
             axis.set_title(_axis_name(quantity), loc="left", fontsize=9)

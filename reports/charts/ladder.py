@@ -20,7 +20,7 @@ from ..tables.columns import FRAME_MS, PSNR
 from .chart_font import chart_fonts
 from .drawn import DrawnChart, write_figure
 from .label_placement import Box, along, place_labels
-from .look import GRAY, INK, RC, SOFT, open_axes, plain_numbers
+from .look import GRAY, INK, RC, SOFT, open_axes, panel_axes, plain_numbers
 from .palette import Style, styles
 
 PANELS = 12  # in one file
@@ -93,7 +93,7 @@ def _write(panels: list[tuple[Ladder, list[Step]]], style: dict[str, Style], out
     size = (columns * wide, rows * HEIGHT + legend)
     with mpl.rc_context(RC | {"font.family": chart_fonts(), "font.size": 8}):
         figure = Figure(figsize=size)
-        axes = figure.subplots(rows, columns, squeeze=False)
+        axes = panel_axes(figure, rows, columns, len(panels))
         figure.subplots_adjust(
             left=LEFT / size[0],
             right=1 - RIGHT / size[0],
@@ -102,14 +102,12 @@ def _write(panels: list[tuple[Ladder, list[Step]]], style: dict[str, Style], out
             wspace=(LEFT + RIGHT) / (wide - LEFT - RIGHT),
             hspace=(TOP + BOTTOM) / (HEIGHT - TOP - BOTTOM),
         )
-        for axis in axes.flat[len(panels) :]:
-            axis.set_axis_off()
-        for axis, (ladder, found) in zip(axes.flat, panels, strict=False):
+        for axis, (ladder, found) in zip(axes, panels, strict=True):
             _panel(axis, ladder, found, style)
-        for row in axes:
-            row[0].set_ylabel(f"{PSNR.title} over the lowest rung, dB")
+        for axis in axes[::columns]:
+            axis.set_ylabel(f"{PSNR.title} over the lowest rung, dB")
         _legend(figure, panels, style)
-        for axis, (_, found) in zip(axes.flat, panels, strict=False):
+        for axis, (_, found) in zip(axes, panels, strict=True):
             _name_steps(figure, axis, found)
         write_figure(figure, out / stem)
     return LadderChart(f"{stem}.png", round(SIZE_ON_PAGE * size[0]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, Locator, NullFormatter
 
 INK, SOFT, GRID, GRAY = "#1f2733", "#667085", "#e8ebf0", "#a5adba"
@@ -19,6 +20,14 @@ RC: dict[Any, Any] = {
     "pdf.fonttype": 42,  # publishers refuse type 3
     "text.parse_math": False,  # a name may hold a dollar sign
 }
+
+
+def panel_axes(figure: Figure, rows: int, columns: int, count: int) -> list[Axes]:
+    """The first `count` of a grid of axes, row by row, with nothing where the others would be."""
+    axes = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for axis in axes[count:]:
+        axis.set_axis_off()
+    return axes[:count]
 
 
 def open_axes(axis: Axes) -> None:

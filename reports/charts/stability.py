@@ -17,7 +17,7 @@ from ..tables.columns import PSNR, in_region
 from ..tables.sections import Section
 from .chart_font import chart_fonts
 from .drawn import TitledChart, write_figure
-from .look import INK, RC, SOFT, open_axes
+from .look import INK, RC, SOFT, open_axes, panel_axes
 from .palette import Style, styles
 
 COLUMNS = 4  # panels in a row
@@ -35,14 +35,14 @@ def draw_stability(section: Section, out: Path, folder: str) -> list[TitledChart
         cases = [case for case in stability.cases if case[0] == dataset]
         for quantity, axis in QUANTITIES.items():
             if any(_curve(stability, case, m, quantity) for case in cases for m in stability.methods_of(case)):
-                panels = [_response(stability, case, quantity, style) for case in cases]
+                draws = [_response(stability, case, quantity, style) for case in cases]
                 name = f"{folder}/responses-{number}-{quantity}"
                 title = f"{dataset}: {axis}, against severity"
-                written.append(_write(panels, [kind for _, kind in cases], style, title, out, name))
+                written.append(_write(draws, [kind for _, kind in cases], style, title, out, name))
     if stability.cases:
         titles = ["share of runs that lose at most so many dB", "share of runs that survive, by severity"]
-        panels = [_profiles(stability, style), _survivals(stability, style)]
-        written.append(_write(panels, titles, style, "profiles over all perturbations", out, f"{folder}/profiles"))
+        draws = [_profiles(stability, style), _survivals(stability, style)]
+        written.append(_write(draws, titles, style, "profiles over all perturbations", out, f"{folder}/profiles"))
     return written
 
 
@@ -120,24 +120,22 @@ def _band(axis: Axes, points: Sequence[tuple[float, Estimate]], style: Style, ma
 
 
 def _write(
-    panels: Sequence[Draw], names: Sequence[str], style: dict[str, Style], title: str, out: Path, stem: str
+    draws: Sequence[Draw], names: Sequence[str], style: dict[str, Style], title: str, out: Path, stem: str
 ) -> TitledChart:
     (out / stem).parent.mkdir(parents=True, exist_ok=True)
-    rows = -(-len(panels) // COLUMNS)
-    columns = min(COLUMNS, len(panels))
-    wide = WIDTH if len(panels) > 2 else 1.6 * WIDTH
+    rows = -(-len(draws) // COLUMNS)
+    columns = min(COLUMNS, len(draws))
+    wide = WIDTH if len(draws) > 2 else 1.6 * WIDTH
     size = (max(columns * wide, 2 * WIDTH), rows * HEIGHT + LEGEND)
     with mpl.rc_context(RC | {"font.family": chart_fonts(), "font.size": 8}):
         figure = Figure(figsize=size, layout="constrained")
         figure.suptitle(_short(title, 80), x=0.01, ha="left", fontsize=11, color=INK)
-        axes = list(figure.subplots(rows, columns, squeeze=False).flat)
-        for axis, draw, name in zip(axes, panels, names, strict=False):
+        axes = panel_axes(figure, rows, columns, len(draws))
+        for axis, draw, name in zip(axes, draws, names, strict=True):
             draw(axis)
             axis.set_title(_short(name, 44), loc="left", fontsize=9)
             open_axes(axis)
             axis.tick_params(length=0)
-        for axis in axes[len(panels) :]:
-            axis.set_axis_off()
         lines = [mpl.lines.Line2D([], [], color=s.color, marker=s.marker, markersize=6) for s in style.values()]
         names_of = [_short(method, 30) for method in style]
         figure.legend(lines, names_of, loc="outside upper right", ncols=4, frameon=False, fontsize=8, labelcolor=SOFT)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 from core_scenes import plain_camera, random_set
+from torch_threads import torch_threads
 
 from envgs_bench.core import rasterize, torch_on_one_thread
 from envgs_bench.core.threads import workers
@@ -16,10 +17,8 @@ THREADS = 3
 
 @pytest.fixture(autouse=True)
 def several_threads() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(THREADS)
-    yield
-    torch.set_num_threads(before)
+    with torch_threads(THREADS):
+        yield
 
 
 def test_the_backend_keeps_its_threads_however_deep() -> None:
@@ -48,8 +47,8 @@ def test_gradients_are_the_same_to_the_last_bit() -> None:
     outside = gradients_of_an_image()
     with torch_on_one_thread():
         inside = gradients_of_an_image()
-    torch.set_num_threads(1)
-    alone = gradients_of_an_image()
+    with torch_threads(1):
+        alone = gradients_of_an_image()
     assert len(outside) > 4
     assert all(torch.equal(a, b) for a, b in zip(outside, inside, strict=True))
     assert not all(torch.equal(a, b) for a, b in zip(outside, alone, strict=True))

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import torch
+from torch_threads import torch_threads
 
 from envgs_bench.core import View
 from envgs_bench.methods import gaussian_model
@@ -18,11 +19,9 @@ THREADS = 3
 
 @pytest.fixture(autouse=True)
 def several_threads() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(THREADS)
-    yield
-    assert torch.get_num_threads() == THREADS
-    torch.set_num_threads(before)
+    with torch_threads(THREADS):
+        yield
+        assert torch.get_num_threads() == THREADS
 
 
 def threads_seen(kind: str, monkeypatch: pytest.MonkeyPatch, **settings: Any) -> list[int]:

@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch_threads import torch_threads
 from toy_scenes import coarse_toys
 from tuned_baselines import TUNED_2DGS
 
@@ -208,21 +208,13 @@ WORTH: dict[str, Callable[[Ending, Ending], bool]] = {  # what a guard changes: 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_guard_changes_what_it_is_for(name: str, tmp_path: Path) -> None:
-    with one_thread():
+    with torch_threads(1):
         on, off = both(CASES[name], tmp_path)
     assert WORTH[name](on, off), (on, off)
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
-
 def main() -> None:
-    with tempfile.TemporaryDirectory() as folder, one_thread():
+    with tempfile.TemporaryDirectory() as folder, torch_threads(1):
         for name, case in CASES.items():
             for words, found in zip(("with", "without"), both(case, Path(folder)), strict=True):
                 print(f"{name} | {words} | {found}", flush=True)

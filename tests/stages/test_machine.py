@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch_threads import torch_threads
 from toy_scenes import coarse_toys
 
 from envgs_bench.core import Scene
@@ -49,14 +50,6 @@ def psnr(method: Method, scene: Scene) -> float:
 
 
 @contextmanager
-def threads(count: int) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    yield
-    torch.set_num_threads(before)
-
-
-@contextmanager
 def busy(processes: int) -> Iterator[None]:
     """Beside processes that do nothing but take time."""
     started = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(processes)]
@@ -79,7 +72,7 @@ def assert_within_the_seeds_spread(own: Sequence[float], others: Sequence[float]
 @pytest.mark.slow
 def test_two_threads_beside_a_busy_machine_learn_the_same_to_the_last_bit(cache: Path, tmp_path: Path) -> None:
     scene = room(40, cache)
-    with threads(2):
+    with torch_threads(2):
         alone = trained(scene, 60, tmp_path)
         with busy(4):
             crowded = trained(scene, 60, tmp_path)
