@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Iterator, Mapping
 from contextlib import nullcontext
 from fractions import Fraction
@@ -177,6 +178,8 @@ class GaussianMethod(GaussianModel):
         self._record(statistics, camera, counts)  # before Adam moves what was drawn
         self._measure(rendering, step, counts)
         self.skipped_steps += step_together(self.optimizers(), counts)
+        if self.settings.max_scale > 0:
+            self._bound_scales(camera, statistics[BASE].weights > 0)
         for optimizer in self.optimizers():
             optimizer.zero_grad(set_to_none=True)
 
@@ -193,6 +196,17 @@ class GaussianMethod(GaussianModel):
             if name == BASE and self.settings.mean_gradient_over == "in_view":
                 learned.append(self._in_view(camera))
             self.sets[name].record.add(*(torch.where(counts, values, 0.0) for values in learned))
+
+    @torch.no_grad()
+    def _bound_scales(self, camera: Camera, shown: Tensor) -> None:
+        """What a view shows is no larger than its distance to the camera: it would hide all else there for good.
+
+        What is hidden gets no gradient, so that nothing takes the place of a primitive that has run away.
+        """
+        tensors = self.sets[BASE].parameters.tensors
+        distances = (tensors["means"] - camera.center).norm(dim=1)
+        largest = torch.where(shown, self.settings.max_scale * distances, math.inf).log()
+        tensors["log_scales"].clamp_(max=largest[:, None])
 
     def _measure(self, rendering: Rendering, step: int, counts: Tensor) -> None:
         """What each set is worth to the picture, where a budget is shared by that."""
