@@ -31,9 +31,7 @@ class BaseGrowth:
             every: steps of this run between two densifications as of `step`; 0: never.
         """
         s, schedule = self.settings, self.schedule
-        on_white = self._reset_on_white()
-        recovers = schedule.recovers(step, stop=s.densify_until, interval=s.opacity_reset_every)
-        recovers |= 0 < on_white < step < on_white + RECOVERY
+        recovers = self.recovers(step)
         happens = set()
         if not recovers and schedule.densifies(step, start=s.densify_from, stop=s.densify_until, every=every):
             happens.add("densify_base")
@@ -44,9 +42,17 @@ class BaseGrowth:
             and schedule.densifies(step, start=s.prune_from, stop=s.prune_until, every=pruned_every)
         ):
             happens.add("prune")
-        if step == on_white or schedule.resets(step, stop=s.densify_until, interval=s.opacity_reset_every):
+        if step == self._reset_on_white() or schedule.resets(
+            step, stop=s.densify_until, interval=s.opacity_reset_every
+        ):
             happens.add("reset_base_opacity")
         return happens
+
+    def recovers(self, step: int) -> bool:
+        """Whether opacities, at this step, do not yet show what is needed: a reset was less than 100 steps before."""
+        s, on_white = self.settings, self._reset_on_white()
+        after_it = 0 < on_white < step < on_white + RECOVERY
+        return after_it or self.schedule.recovers(step, stop=s.densify_until, interval=s.opacity_reset_every)
 
     def oversized(self, step: int) -> Oversized:
         """What a densification after `step` does with what is oversized; 3DGS's pruning waits for the first reset."""

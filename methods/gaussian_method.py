@@ -178,7 +178,7 @@ class GaussianMethod(GaussianModel):
         self._record(statistics, camera, counts)  # before Adam moves what was drawn
         self._measure(rendering, step, counts)
         self.skipped_steps += step_together(self.optimizers(), counts)
-        if self.settings.max_scale > 0:
+        if self._bounds_scales(step):
             self._bound_scales(camera, statistics[BASE].weights > 0)
         for optimizer in self.optimizers():
             optimizer.zero_grad(set_to_none=True)
@@ -197,11 +197,15 @@ class GaussianMethod(GaussianModel):
                 learned.append(self._in_view(camera))
             self.sets[name].record.add(*(torch.where(counts, values, 0.0) for values in learned))
 
+    def _bounds_scales(self, step: int) -> bool:
+        return self.settings.max_scale > 0 and self._growth().recovers(step)
+
     @torch.no_grad()
     def _bound_scales(self, camera: Camera, shown: Tensor) -> None:
-        """What a view shows is no larger than its distance to the camera: it would hide all else there for good.
+        """While opacities recover from a reset, nothing that a view shows is larger than its distance allows.
 
-        What is hidden gets no gradient, so that nothing takes the place of a primitive that has run away.
+        All are alike transparent then, and what covers a view from near by hides the others before they can tell what
+        they are needed for: they get no gradient any more, and nothing takes its place.
         """
         tensors = self.sets[BASE].parameters.tensors
         distances = (tensors["means"] - camera.center).norm(dim=1)
@@ -249,7 +253,8 @@ class GaussianMethod(GaussianModel):
         Asked where a class says that its steps may be `captured`: what it draws and what it learns by must then depend
         on the step number through this alone, and neither may wait for the device.
         """
-        return *self._loss().began(step), *(self.sh_degree(name, step) for name in self.sets)
+        degrees = (self.sh_degree(name, step) for name in self.sets)
+        return *self._loss().began(step), self._bounds_scales(step), *degrees
 
     def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
         """The weighted terms of the loss (Eq. 11) by name, scalars; their sum is what is minimized.

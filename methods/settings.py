@@ -47,7 +47,7 @@ class GaussianSettings:
     min_coverage: float = 1.0  # pixels that a primitive must fill, on average over its views, to be cloned or split
     min_views: float = 3.0  # primitives that fewer steps since the last densification show are not cloned or split
     min_opacity: float = 0.05  # primitives below are pruned
-    max_scale: float = 0.5  # the base set's largest scale where a view shows it, × the distance to its camera; 0: any
+    max_scale: float = 0.5  # most of a scale after an opacity reset, × the distance to a camera that shows it; 0: any
     oversized: str = "split"  # above a tenth of the radius: split (in five), or prune (from the first opacity reset on)
     max_primitives: int = 1_800_000  # largest base set; beyond, those of the least blending weight are pruned; 0: any
     pixels_per_primitive: float = 0.0  # the base set has at most a primitive for so many training pixels; 0: no bound

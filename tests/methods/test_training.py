@@ -250,20 +250,26 @@ def test_the_base_set_has_a_primitive_for_so_many_training_pixels(scene, pixels,
     assert pixels == 10 or max(counts) > 250  # the bound is what holds it, not a lack of growth
 
 
-@pytest.mark.parametrize(("share", "largest"), [(0.5, 0.5 * 2.5), (0.25, 0.25 * 2.5), (0.0, 40.0)])
-def test_what_a_view_shows_is_no_larger_than_its_distance_allows(scene, share, largest):
-    """Of two surfels of scale 40, one 2.5 before the camera and one as far behind it, a step shrinks the former."""
+@pytest.mark.parametrize(
+    ("share", "step", "largest"),
+    [(0.2, 601, 0.5), (0.1, 699, 0.25), (0.2, 599, 0.75), (0.2, 700, 0.75), (0.0, 601, 0.75)],
+)
+def test_scales_are_bounded_while_opacities_recover(scene, share, step, largest):
+    """Of two surfels of scale 0.75, one 2.5 before the camera and one as far behind it, a step shrinks the former.
+
+    Opacities are reset after step 600 of 3,000 and recover for 100 steps.
+    """
     view = scene.train[0]
-    ahead = view.camera.world_to_camera[2, :3]
-    places = view.camera.center + torch.stack([2.5 * ahead, -2.5 * ahead])
-    points = torch.cat([places, scene.points + 50.0 * ahead])
-    alone = dataclasses.replace(scene, points=points, point_colors=torch.full((len(points), 3), 0.5))
-    method = make_method("2dgs", max_scale=share, scale_lr=0.0, position_lr=1e-9, position_lr_final=1e-9)
-    method.initialize(alone, STEPS)
-    method.sets["base"].parameters.tensors["log_scales"].data[:2] = math.log(40.0)
-    method.training_step(view, 1)
+    ahead = 2.5 * view.camera.world_to_camera[2, :3]
+    points = torch.cat([torch.stack([view.camera.center + ahead, view.camera.center - ahead]), scene.points])
+    more = dataclasses.replace(scene, points=points, point_colors=torch.full((len(points), 3), 0.5))
+    still = {"scale_lr": 0.0, "position_lr": 1e-9, "position_lr_final": 1e-9}
+    method = make_method("envgs", max_scale=share, mends_input=False, **still)
+    method.initialize(more, 3_000)
+    method.sets["base"].parameters.tensors["log_scales"].data[:2] = math.log(0.75)
+    method.training_step(view, step)
     scales = method.sets["base"].parameters.tensors["log_scales"].detach().exp()
-    torch.testing.assert_close(scales[:2], torch.tensor([[largest] * 2, [40.0] * 2]), rtol=1e-5, atol=0.0)
+    torch.testing.assert_close(scales[:2], torch.tensor([[largest] * 2, [0.75] * 2]), rtol=1e-5, atol=0.0)
 
 
 @pytest.mark.parametrize(
