@@ -178,7 +178,7 @@ class GaussianMethod(GaussianModel):
         self._record(statistics, camera, counts)  # before Adam moves what was drawn
         self._measure(rendering, step, counts)
         self.skipped_steps += step_together(self.optimizers(), counts)
-        if self._bounds_scales(step):
+        if self._scales_are_bounded(step):
             self._bound_scales(camera, statistics[BASE].weights > 0)
         for optimizer in self.optimizers():
             optimizer.zero_grad(set_to_none=True)
@@ -197,7 +197,7 @@ class GaussianMethod(GaussianModel):
                 learned.append(self._in_view(camera))
             self.sets[name].record.add(*(torch.where(counts, values, 0.0) for values in learned))
 
-    def _bounds_scales(self, step: int) -> bool:
+    def _scales_are_bounded(self, step: int) -> bool:
         return self.settings.max_scale > 0 and self._growth().recovers(step)
 
     @torch.no_grad()
@@ -254,7 +254,7 @@ class GaussianMethod(GaussianModel):
         on the step number through this alone, and neither may wait for the device.
         """
         degrees = (self.sh_degree(name, step) for name in self.sets)
-        return *self._loss().began(step), self._bounds_scales(step), *degrees
+        return *self._loss().began(step), self._scales_are_bounded(step), *degrees
 
     def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
         """The weighted terms of the loss (Eq. 11) by name, scalars; their sum is what is minimized.

@@ -13,7 +13,7 @@ import pycolmap
 
 from envgs_bench.regular_file import require_regular
 
-COUNT, UINT = Struct("<Q"), Struct("<I")
+COUNT = Struct("<Q")
 CAMERA = Struct("<IiQQ")  # id, model, width, height; then its parameters, doubles
 IMAGE = Struct("<I7dI")  # id, pose, camera; then its name, a zero, and a count of points
 POINT2D = Struct("<2dQ")

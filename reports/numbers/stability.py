@@ -16,7 +16,7 @@ from .labels import Label, method_order
 from .runs import Run
 from .seed_distances import seed_distances
 from .statistics import COVERAGE, Interval
-from .trials import FAILURES, SURVIVED, UNTRIED, Trial, gates_of, value
+from .trials import FAILURES, UNTRIED, Trial, gates_of, value
 
 Case = tuple[str, str]  # data set, kind of perturbation
 
@@ -45,10 +45,6 @@ class Cell:
     @cached_property
     def outcomes(self) -> Counter[str]:
         return Counter(trial.outcome for trial in self.trials)
-
-    @property
-    def survived(self) -> int:
-        return self.outcomes[SURVIVED]
 
     @property
     def failures(self) -> int:

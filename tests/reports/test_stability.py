@@ -171,7 +171,7 @@ def test_a_case_without_a_finished_partner_says_so(tmp_path: Path) -> None:
     write(tmp_path, "envgs", 0, 1, 5.0)
     write(tmp_path, "envgs", 1, 1, 5.0)
     cell = stability_of(tmp_path).cell(BLUR, 1, "envgs")
-    assert (cell.survived, cell.failures, cell.unpaired) == (2, 0, 2)
+    assert (cell.outcomes["survived"], cell.failures, cell.unpaired) == (2, 0, 2)
     assert cell.change("psnr").mean is None
     html = build_report(tmp_path, tmp_path / "out").page.read_text()
     assert "envgs, severity 1: 2 of 2 runs have no finished partner" in html
