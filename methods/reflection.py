@@ -50,7 +50,7 @@ class ReflectionSettings(GaussianSettings):
     densify_until: int = 18_000
     densify_every: int = 300
     min_coverage: float = 1.5
-    pixels_per_primitive: float = 14.0
+    pixels_per_primitive: float = 7.0
     settling_interval: int = 5  # × densify_every between bootstrap and disturb_until; less in a short run
 
     bootstrap: int = 3_000  # steps with the base set alone

@@ -35,7 +35,7 @@ DIFFERENCES = {
     "3igs_tuned": TUNED_3DGS | {"sh_degree": 0},
     "gaussian_shader_tuned": TUNED_3DGS
     | {"rotation_lr_final": 1e-4, "densify_until": 18_000, "densify_every": 300, "min_coverage": 1.5}
-    | {"pixels_per_primitive": 14.0, "mono_weight": 0.05, "mono_loss": "l1_cos"},
+    | {"pixels_per_primitive": 7.0, "mono_weight": 0.05, "mono_loss": "l1_cos"},
     "envmap128": {"envmap_size": 128},
     "envmap256": {"envmap_size": 256},
     "envgs_no_joint": {"joint": False},
