@@ -42,17 +42,20 @@ class BaseGrowth:
             and schedule.densifies(step, start=s.prune_from, stop=s.prune_until, every=pruned_every)
         ):
             happens.add("prune")
-        if step == self._reset_on_white() or schedule.resets(
-            step, stop=s.densify_until, interval=s.opacity_reset_every
-        ):
+        if self._resets(step):
             happens.add("reset_base_opacity")
         return happens
+
+    def _resets(self, step: int) -> bool:
+        s = self.settings
+        regular = self.schedule.resets(step, stop=s.densify_until, interval=s.opacity_reset_every)
+        return regular or step == self._reset_on_white()
 
     def recovers(self, step: int) -> bool:
         """Whether opacities, at this step, do not yet show what is needed: a reset was less than 100 steps before."""
         s, on_white = self.settings, self._reset_on_white()
-        after_it = 0 < on_white < step < on_white + RECOVERY
-        return after_it or self.schedule.recovers(step, stop=s.densify_until, interval=s.opacity_reset_every)
+        regular = self.schedule.recovers(step, stop=s.densify_until, interval=s.opacity_reset_every)
+        return regular or 0 < on_white < step < on_white + RECOVERY
 
     def oversized(self, step: int) -> Oversized:
         """What a densification after `step` does with what is oversized; 3DGS's pruning waits for the first reset."""

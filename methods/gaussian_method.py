@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Iterator, Mapping
 from contextlib import nullcontext
 from fractions import Fraction
@@ -209,7 +208,7 @@ class GaussianMethod(GaussianModel):
         """
         tensors = self.sets[BASE].parameters.tensors
         distances = (tensors["means"] - camera.center).norm(dim=1)
-        largest = torch.where(shown, self.settings.max_scale * distances, math.inf).log()
+        largest = torch.where(shown, self.settings.max_scale * distances, torch.inf).log()
         tensors["log_scales"].clamp_(max=largest[:, None])
 
     def _measure(self, rendering: Rendering, step: int, counts: Tensor) -> None:
