@@ -11,6 +11,7 @@ from torch import Tensor
 from envgs_bench.core import Scene
 
 MIN_POINTS = 8  # kept in any case: orientations need neighbors
+FAR = 1.5  # distance from every training camera beyond which a point is far, × the scene radius
 BOX_QUANTILE = 0.995  # share of the points' range, on each axis, that their box covers
 
 
@@ -21,10 +22,14 @@ def thin_out(scene: Scene, share: float, rng: np.random.Generator) -> Scene:
 
 def keep_nearest(scene: Scene, share: float, rng: np.random.Generator) -> Scene:
     """The `share` of the points that are nearest to any training camera."""
-    from scipy.spatial import cKDTree
+    return _kept(scene, np.sort(np.argsort(_distances(scene), kind="stable")[: _count(scene, share)]))
 
-    distance = cKDTree(_centers(scene).numpy()).query(scene.points.numpy())[0]
-    return _kept(scene, np.sort(np.argsort(distance, kind="stable")[: _count(scene, share)]))
+
+def thin_out_far(scene: Scene, share: float, rng: np.random.Generator) -> Scene:
+    """All points but of those that are far from every training camera, a sky, which keep a random `share`."""
+    far = np.flatnonzero(_distances(scene) > FAR * scene.radius)
+    dropped = rng.permutation(far)[: len(far) - round(share * len(far))]
+    return _kept(scene, np.setdiff1d(np.arange(len(scene.points)), dropped))
 
 
 def scatter(scene: Scene, share: float, rng: np.random.Generator) -> Scene:
@@ -61,6 +66,13 @@ def _kept(scene: Scene, rows: np.ndarray) -> Scene:
 
 def _count(scene: Scene, share: float) -> int:
     return min(len(scene.points), max(MIN_POINTS, round(share * len(scene.points))))
+
+
+def _distances(scene: Scene) -> np.ndarray:
+    """[P] from each point to the nearest training camera."""
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(_centers(scene).numpy()).query(scene.points.numpy())[0])
 
 
 def _centers(scene: Scene) -> Tensor:

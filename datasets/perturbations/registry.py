@@ -30,6 +30,9 @@ PERTURBATIONS: dict[str, Perturbation[Scene]] = {
     "points_near_cameras": Perturbation(
         points.keep_nearest, (1 / 2, 1 / 8, 1 / 32), "only the {:.3g} of the points that are nearest to the cameras"
     ),
+    "points_far_fewer": Perturbation(
+        points.thin_out_far, (1 / 2, 1 / 8, 0.0), "{:.3g} of the points that are far from all cameras"
+    ),
     "points_random": Perturbation(points.randomize, (1.0, 2.0, 4.0), "random points in {:g} × the points' box"),
     "normals_turned": Perturbation(normals.turn, (5.0, 15.0, 30.0), "normals off by {:g}° more on average"),
     "normals_absent": Perturbation(normals.remove, (0.5, 0.9, 1.0), "no normals for {:.0%} of the training views"),

@@ -239,12 +239,12 @@ def empty_cells(scene: Scene, near: float, device: torch.device | str = "cpu") -
     """
     points = scene.points.detach().to(device).float()
     textured = torch.stack([_textured_cells(view, device) for view in scene.train]).cpu()
-    empty = textured & ~torch.stack([_cells_with(points, view, near) for view in scene.train]).cpu()
+    empty = textured & ~torch.stack([cells_with(points, view, near) for view in scene.train]).cpu()
     shares = 1 - empty.sum(dim=(1, 2)) / textured.sum(dim=(1, 2)).clamp_min(1)
     return empty, statistics.median(shares.tolist())
 
 
-def _cells_with(points: Tensor, view: View, near: float) -> Tensor:
+def cells_with(points: Tensor, view: View, near: float) -> Tensor:
     """Which cells of the view, [CELLS, CELLS] by rows and columns, would show any of the points."""
     at, depths = view.camera.to(points.device).project(points)
     width, height = view.camera.width / CELLS, view.camera.height / CELLS

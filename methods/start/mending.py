@@ -1,8 +1,9 @@
 """Points, poses, exposures and normals that a method would not survive as given, judged by the photographs, and mended.
 
 Where structure from motion failed (points that the pictures do not support, none where the pictures show something, at
-the cameras' centers), a plane sweep finds others. Views that show the points elsewhere than their poses say are turned,
-and those that show them brighter or darker than the others made equal.
+the cameras' centers), a plane sweep finds others; where it found all but what is far away, a sky, that alone is added.
+Views that show the points elsewhere than their poses say are turned, and those that show them brighter or darker than
+the others made equal.
 A scene in order is left as it is, to the last bit.
 """
 
@@ -18,12 +19,14 @@ from envgs_bench.core import Scene, View
 
 from .agreement import agreement, corrected
 from .alignment import alignment, turned
-from .evidence import CELLS, Evidence, empty_cells, mirrored_normals
+from .evidence import CELLS, Evidence, cells_with, empty_cells, mirrored_normals
 from .exposures import Exposures, equalized, exposures
 from .plane_sweep import swept_points
 
 UNSUPPORTED = 0.04  # `Evidence.support` below which points are where chance put them
 MISSING = 0.7  # share of a view's cells with a point below which pictures show much that no point starts
+FAR = 1.5  # distance from every camera beyond which a point is far away, × the scene radius
+FAR_MISSING = 0.01  # share of the views' cells in which points far away must be found to be missed
 TURNED = 0.12  # share of its differences to the points' colors that the median view must lose when it is turned
 AGREEING = 14.0  # degrees between two views' normals of a point up to which normals count in full: each is off by 10
 CORRECTED = 1.4  # × what two corrected normals differ by at a point: mirrors, which have none, are corrected less
@@ -104,6 +107,11 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
             f"starts from {len(start.points):,} points in place of {len(scene.points):,}: "
             "those that the training views support, and others found by a plane sweep over them"
         )
+    elif (start := with_far_points(scene, near, generator, device)) is not scene:
+        notes.append(
+            f"starts from {len(start.points) - len(scene.points):,} points far away too, found by a plane sweep over "
+            "the training views: the scene has none on most of what is there"
+        )
     if normals:
         evidence = Evidence.of(replace(start, train=[views(view) for view in scene.train]), near)
         mirrored = frozenset(evidence.mirrored_views())
@@ -135,13 +143,32 @@ def mended_points(scene: Scene, near: float, generator: torch.Generator, device:
     empty, covered = empty_cells(sound, near, device)
     if covered >= MISSING:
         return scene
-    wanted = [_strongest(view, where, generator) for view, where in zip(scene.train, empty, strict=True)]
-    scale = scene.radius or 1.0
-    points, colors = swept_points(scene.train, wanted, max(near, NEAREST * scale), FARTHEST * scale, generator, device)
-    points, colors = torch.cat([sound.points.float(), points]), torch.cat([sound.point_colors.float(), colors])
-    if len(points) < MIN_POINTS:
+    started = _joined(sound, *_swept(scene, empty, near, generator, device))
+    return started if len(started.points) >= MIN_POINTS else scene
+
+
+@torch.no_grad()
+def with_far_points(scene: Scene, near: float, generator: torch.Generator, device: torch.device) -> Scene:
+    """The scene with points far away where most of what is there has none, a sky, else the scene itself.
+
+    Of a sky structure from motion may find nothing and of all else enough. Then primitives before the cameras have to
+    show it. The generator is as before if nothing is added.
+    """
+    state = generator.get_state()
+    empty, _ = empty_cells(scene, near, device)
+    points, colors = _swept(scene, empty, near, generator, device)
+    known = scene.points.detach().cpu().float()
+    farther = FAR * (scene.radius or 1.0)
+    found, far = _from_cameras(points, scene) > farther, _from_cameras(known, scene) > farther
+    points, colors = points[found], colors[found]
+    covered = missed = 0  # cells that show what is far away, with a point there and without any
+    for view, where in zip(scene.train, empty, strict=True):
+        covered += int((cells_with(known[far], view, near) & ~cells_with(known[~far], view, near)).sum())
+        missed += int((cells_with(points, view, near) & where).sum())
+    if missed < FAR_MISSING * empty.numel() or missed <= covered:
+        generator.set_state(state)
         return scene
-    return replace(scene, points=points, point_colors=colors)
+    return _joined(scene, points, colors)
 
 
 def mended_poses(evidence: Evidence, device: torch.device) -> dict[str, Tensor]:
@@ -162,11 +189,34 @@ def mended_exposures(evidence: Evidence) -> Exposures:
 
 def without_points_at_cameras(scene: Scene, near: float) -> Scene:
     """The scene without points that lie nearer than `near` to any training camera's center."""
-    points = scene.points.detach().cpu().float()
+    distances = _from_cameras(scene.points.detach().cpu().float(), scene)
+    return _with(scene, torch.nonzero(distances >= near)[:, 0])
+
+
+def _from_cameras(points: Tensor, scene: Scene) -> Tensor:
+    """Distances [P] of the points [P, 3] to the nearest training camera's center."""
     nearest = torch.full((len(points),), torch.inf)
     for view in scene.train:
         nearest = torch.minimum(nearest, (points - view.camera.center.float()).norm(dim=1))
-    return _with(scene, torch.nonzero(nearest >= near)[:, 0])
+    return nearest
+
+
+def _swept(
+    scene: Scene, empty: Tensor, near: float, generator: torch.Generator, device: torch.device
+) -> tuple[Tensor, Tensor]:
+    """Points [P, 3] of what the training views show in their empty cells [V, CELLS, CELLS], and their colors [P, 3]."""
+    wanted = [_strongest(view, where, generator) for view, where in zip(scene.train, empty, strict=True)]
+    scale = scene.radius or 1.0
+    return swept_points(scene.train, wanted, max(near, NEAREST * scale), FARTHEST * scale, generator, device)
+
+
+def _joined(scene: Scene, points: Tensor, colors: Tensor) -> Scene:
+    """The scene with the points [P, 3] and their colors [P, 3] beside its own."""
+    return replace(
+        scene,
+        points=torch.cat([scene.points.float(), points]),
+        point_colors=torch.cat([scene.point_colors.float(), colors]),
+    )
 
 
 def _with(scene: Scene, rows: Tensor) -> Scene:

@@ -221,6 +221,19 @@ def test_the_points_that_are_kept_near_cameras_are_the_nearest(room: Scene) -> N
     assert float(kept.max()) == pytest.approx(float(everyone.sort().values[len(kept) - 1]), abs=1e-5)
 
 
+@pytest.mark.parametrize(("severity", "share"), [(1, 1 / 2), (2, 1 / 8), (3, 0.0)])
+def test_points_that_are_far_go_and_all_others_stay(severity: int, share: float) -> None:
+    scene = gray_scene()
+    away = torch.cat([torch.full((40,), 1.4), torch.full((80,), 1.6)]) * scene.radius
+    cameras = torch.stack([view.camera.center for view in scene.train])
+    outward = cameras[0] - cameras.mean(dim=0)
+    points = cameras[0] + away[:, None] * outward / outward.norm()
+    scene = replace(scene, points=points, point_colors=torch.full_like(points, 0.5))
+    kept = perturbed(scene, "points_far_fewer", severity).points
+    assert torch.equal(kept[:40], points[:40])
+    assert len(kept) == 40 + round(80 * share)
+
+
 @pytest.mark.parametrize("severity", [1, 2, 3])
 def test_noisy_points_are_off_by_the_share_of_the_radius(room: Scene, severity: int) -> None:
     noise = (perturbed(room, "points_noisy", severity).points - room.points) / room.radius

@@ -16,7 +16,7 @@ from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.resident_views import ResidentViews
 from envgs_bench.methods.start.evidence import Evidence
-from envgs_bench.methods.start.mending import MendedViews, mended_points, mended_poses
+from envgs_bench.methods.start.mending import MendedViews, mended_points, mended_poses, with_far_points
 from envgs_bench.methods.start.mending import mended as mended_scene
 from envgs_bench.methods.start.plane_sweep import swept_points
 
@@ -80,6 +80,27 @@ def test_a_sky_is_found_far_away_and_no_surface_is(
     away = torch.cdist(points, centers).amin(dim=1)
     assert away.max() < 1.1 * far  # the depths are along the cameras' axes
     assert distant[0] <= (away > 1.5 * sky.radius).float().mean() <= distant[1]
+
+
+@pytest.mark.parametrize(("severity", "mended"), [(0, False), (3, True)])
+def test_a_sky_without_points_gets_points_and_all_others_stay(sky: Scene, severity: int, mended: bool) -> None:
+    scene = PERTURBATIONS["points_far_fewer"].applied(sky, severity, "points_far_fewer", seed=0) if severity else sky
+    generator = torch.Generator().manual_seed(0)
+    before = generator.get_state()
+    found = with_far_points(scene, NEAR, generator, CPU)
+    assert (found is not scene) == mended
+    assert torch.equal(generator.get_state(), before) != mended
+    if mended:
+        added = found.points[len(scene.points) :]
+        assert torch.equal(found.points[: len(scene.points)], scene.points)
+        assert len(added) == len(found.point_colors) - len(scene.points) > 100
+        centers = torch.stack([view.camera.center for view in sky.train])
+        assert torch.cdist(added, centers).min() > 1.5 * sky.radius
+
+
+def test_walls_without_a_sky_get_no_points_far_away(room: Scene) -> None:
+    few = worst(room, "points_far_fewer")
+    assert with_far_points(few, NEAR, torch.Generator().manual_seed(0), CPU) is few
 
 
 def test_of_very_many_points_the_last_is_looked_at_too(room: Scene) -> None:
