@@ -157,14 +157,16 @@ def with_far_points(scene: Scene, near: float, generator: torch.Generator, devic
     state = generator.get_state()
     empty, _ = empty_cells(scene, near, device)
     points, colors = _swept(scene, empty, near, generator, device)
-    known = scene.points.detach().cpu().float()
     farther = FAR * (scene.radius or 1.0)
-    found, far = _from_cameras(points, scene) > farther, _from_cameras(known, scene) > farther
-    points, colors = points[found], colors[found]
+    is_far = _from_cameras(points, scene) > farther
+    points, colors = points[is_far], colors[is_far]
+    found, known = points.to(device), scene.points.detach().to(device).float()
+    is_far = _from_cameras(known, scene) > farther
+    far, near_by = known[is_far], known[~is_far]
     covered = missed = 0  # cells that show what is far away, with a point there and without any
-    for view, where in zip(scene.train, empty, strict=True):
-        covered += int((cells_with(known[far], view, near) & ~cells_with(known[~far], view, near)).sum())
-        missed += int((cells_with(points, view, near) & where).sum())
+    for view, where in zip(scene.train, empty.to(device), strict=True):
+        covered += int((cells_with(far, view, near) & ~cells_with(near_by, view, near)).sum())
+        missed += int((cells_with(found, view, near) & where).sum())
     if missed < FAR_MISSING * empty.numel() or missed <= covered:
         generator.set_state(state)
         return scene
@@ -195,9 +197,9 @@ def without_points_at_cameras(scene: Scene, near: float) -> Scene:
 
 def _from_cameras(points: Tensor, scene: Scene) -> Tensor:
     """Distances [P] of the points [P, 3] to the nearest training camera's center."""
-    nearest = torch.full((len(points),), torch.inf)
+    nearest = points.new_full((len(points),), torch.inf)
     for view in scene.train:
-        nearest = torch.minimum(nearest, (points - view.camera.center.float()).norm(dim=1))
+        nearest = torch.minimum(nearest, (points - view.camera.center.to(points)).norm(dim=1))
     return nearest
 
 
