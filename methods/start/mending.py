@@ -91,7 +91,12 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
     """
     start, weight, notes = mended_points(scene, near, generator, device), 1.0, []
     views = MendedViews()
-    if start is scene:  # points that were not in order say nothing of poses and colors
+    if start is not scene:  # points that were not in order say nothing of poses and colors
+        notes.append(
+            f"starts from {len(start.points):,} points in place of {len(scene.points):,}: "
+            "those that the training views support, and others found by a plane sweep over them"
+        )
+    else:
         evidence = Evidence.of(scene, near)
         bright = mended_exposures(evidence)
         views = MendedViews(bright.factors, mended_poses(evidence, device))
@@ -100,18 +105,14 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
                 f"makes {len(views.light)} of {len(scene.train)} training views equally bright, in each channel: what "
                 f"they show at the points is off by {bright.stops:.1f} stops, the median view's"
             )
-    if views.turns:
-        notes.append(f"turns {len(views.turns)} of {len(scene.train)} training views to where they show the points")
-    if start is not scene:
-        notes.append(
-            f"starts from {len(start.points):,} points in place of {len(scene.points):,}: "
-            "those that the training views support, and others found by a plane sweep over them"
-        )
-    elif (start := with_far_points(scene, near, generator, device)) is not scene:
-        notes.append(
-            f"starts from {len(start.points) - len(scene.points):,} points far away too, found by a plane sweep over "
-            "the training views: the scene has none on most of what is there"
-        )
+        if views.turns:
+            notes.append(f"turns {len(views.turns)} of {len(scene.train)} training views to where they show the points")
+        start = with_far_points(scene, near, generator, device)
+        if start is not scene:
+            notes.append(
+                f"starts from {len(start.points) - len(scene.points):,} points far away too, found by a plane sweep "
+                "over the training views: the scene has none on most of what is there"
+            )
     if normals:
         evidence = Evidence.of(replace(start, train=[views(view) for view in scene.train]), near)
         mirrored = frozenset(evidence.mirrored_views())
@@ -154,20 +155,24 @@ def with_far_points(scene: Scene, near: float, generator: torch.Generator, devic
     Of a sky structure from motion may find nothing and of all else enough. Then primitives before the cameras have to
     show it. The generator is as before if nothing is added.
     """
-    state = generator.get_state()
     empty, _ = empty_cells(scene, near, device)
-    points, colors = _swept(scene, empty, near, generator, device)
     farther = FAR * (scene.radius or 1.0)
-    is_far = _from_cameras(points, scene) > farther
-    points, colors = points[is_far], colors[is_far]
-    found, known = points.to(device), scene.points.detach().to(device).float()
+    known = scene.points.detach().to(device).float()
     is_far = _from_cameras(known, scene) > farther
     far, near_by = known[is_far], known[~is_far]
-    covered = missed = 0  # cells that show what is far away, with a point there and without any
-    for view, where in zip(scene.train, empty.to(device), strict=True):
-        covered += int((cells_with(far, view, near) & ~cells_with(near_by, view, near)).sum())
-        missed += int((cells_with(found, view, near) & where).sum())
-    if missed < FAR_MISSING * empty.numel() or missed <= covered:
+    only_far = (cells_with(far, view, near) & ~cells_with(near_by, view, near) for view in scene.train)
+    least = max(FAR_MISSING * empty.numel(), 1 + sum(int(cells.sum()) for cells in only_far))  # cells to be missed
+    if empty.sum() < least:
+        return scene
+    state = generator.get_state()
+    points, colors = _swept(scene, empty, near, generator, device)
+    is_far = _from_cameras(points, scene) > farther
+    points, colors = points[is_far], colors[is_far]
+    found = points.to(device)
+    missed = sum(
+        int((cells_with(found, view, near).cpu() & where).sum()) for view, where in zip(scene.train, empty, strict=True)
+    )
+    if missed < least:
         generator.set_state(state)
         return scene
     return _joined(scene, points, colors)
