@@ -45,9 +45,7 @@ class ResidentViews:
         known = self._copies.get(id(view))
         if known is not None:
             return known[1]
-        image = view.image.to(self.device)
-        normal = None if view.normal is None else view.normal.to(self.device)
-        copy = self._mended(replace(view, image=image, normal=normal, masks={}, depth=None))
+        copy = self._mended(replace(view.pixels_on(self.device), masks={}, depth=None))
         copy = replace(copy, camera=copy.camera.to(self.device))
         made = _bytes_made(copy.image, view.image) + _bytes_made(copy.normal, view.normal)
         if made <= self._room:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -31,6 +31,11 @@ class View:
     def rgb(self, device: torch.device | str = "cpu") -> Tensor:
         """The image as [H, W, 3] float32 in [0, 1], sRGB."""
         return self.image.to(device).float() / 255
+
+    def pixels_on(self, device: torch.device | str) -> View:
+        """The view with its image and normals there, all else where it is."""
+        normal = None if self.normal is None else self.normal.to(device)
+        return replace(self, image=self.image.to(device), normal=normal)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from envgs_bench.core import Scene, View
+from envgs_bench.core import Camera, Scene, View
 from envgs_bench.core.vectors import unit
 
 POINTS = 4_000  # points that are looked at
@@ -246,14 +246,19 @@ def empty_cells(scene: Scene, near: float, device: torch.device | str = "cpu") -
 
 def cells_with(points: Tensor, view: View, near: float) -> Tensor:
     """Which cells of the view, [CELLS, CELLS] by rows and columns, would show any of the points."""
-    at, depths = view.camera.to(points.device).project(points)
-    width, height = view.camera.width / CELLS, view.camera.height / CELLS
+    found = torch.zeros(CELLS * CELLS + 1, dtype=torch.bool, device=points.device)
+    found[cells_of(points, view.camera, near)] = True
+    return found[:-1].reshape(CELLS, CELLS)
+
+
+def cells_of(points: Tensor, camera: Camera, near: float) -> Tensor:
+    """The cell that would show each of the points [P, 3], counted along the rows, [P]; CELLS² where none does."""
+    at, depths = camera.to(points.device).project(points)
+    width, height = camera.width / CELLS, camera.height / CELLS
     column, row = at[:, 0] / width, at[:, 1] / height
     shown = (depths > near) & (column >= 0) & (column < CELLS) & (row >= 0) & (row < CELLS)
     cell = torch.where(shown, row, 0.0).long() * CELLS + torch.where(shown, column, 0.0).long()
-    found = torch.zeros(CELLS * CELLS + 1, dtype=torch.bool, device=points.device)
-    found[torch.where(shown, cell, CELLS * CELLS)] = True
-    return found[:-1].reshape(CELLS, CELLS)
+    return torch.where(shown, cell, CELLS * CELLS)
 
 
 def _textured_cells(view: View, device: torch.device | str) -> Tensor:

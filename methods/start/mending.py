@@ -22,6 +22,7 @@ from .alignment import alignment, turned
 from .evidence import CELLS, Evidence, cells_with, empty_cells, mirrored_normals
 from .exposures import Exposures, equalized, exposures
 from .plane_sweep import swept_points
+from .windows import outside, windows
 
 UNSUPPORTED = 0.04  # `Evidence.support` below which points are where chance put them
 MISSING = 0.7  # share of a view's cells with a point below which pictures show much that no point starts
@@ -30,6 +31,7 @@ FAR_MISSING = 0.01  # share of the views' cells in which points far away must be
 TURNED = 0.12  # share of its differences to the points' colors that the median view must lose when it is turned
 AGREEING = 14.0  # degrees between two views' normals of a point up to which normals count in full: each is off by 10
 CORRECTED = 1.4  # × what two corrected normals differ by at a point: mirrors, which have none, are corrected less
+WINDOWS = 0.05  # share of the views' cells that must show windows: fewer may be chance, and matter little
 PER_CELL = 3  # pixels of each empty cell of a view that are swept
 TRIED = 4  # × as many are drawn, and those with the strongest gradients are taken
 NEAREST, FARTHEST = 0.1, 20.0  # depths that are swept, × the scene radius
@@ -38,19 +40,21 @@ MIN_POINTS = 8  # that a set can start from
 
 @dataclass(frozen=True)
 class MendedViews:
-    """Training views are made as bright as all, turned where poses are off, and then normals mirrored or corrected.
+    """Training views are made as bright as all, turned where poses are off, and normals mirrored, corrected, left out.
 
     Attributes:
         light: by views' names the factors [3] that their pictures' linear light is divided by; none where it is equal.
         turns: by views' names the rotations [3, 3] after their own, none where poses are in order.
         mirrored: names of the views whose normals are to be mirrored from left to right.
         corrections: by views' names what their normals are then `corrected` by.
+        windows: by views' names the cells [CELLS, CELLS] in which normals are of glass, and left out.
     """
 
     light: Mapping[str, Tensor] = field(default_factory=dict)
     turns: Mapping[str, Tensor] = field(default_factory=dict)
     mirrored: frozenset[str] = frozenset()
     corrections: Mapping[str, Tensor] = field(default_factory=dict)
+    windows: Mapping[str, Tensor] = field(default_factory=dict)
 
     def __call__(self, view: View) -> View:
         """What to train on in the view's place; on the device that it is on."""
@@ -62,6 +66,8 @@ class MendedViews:
             view = replace(view, normal=mirrored_normals(view.normal, view))
         if view.normal is not None and view.name in self.corrections:
             view = replace(view, normal=corrected(view.normal, self.corrections[view.name]))
+        if view.normal is not None and view.name in self.windows:
+            view = replace(view, normal=outside(view.normal, self.windows[view.name]))
         return view
 
 
@@ -132,6 +138,14 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
             )
         if weight < 1:
             notes.append(f"counts the training views' normals {weight:.2f} × as much, since these still differ so much")
+        seen = windows((views(view.pixels_on(device)) for view in scene.train), *_depths(scene, near), device)
+        share = sum(float(cells.float().mean()) for cells in seen.values()) / len(scene.train)
+        if share >= WINDOWS:
+            views = replace(views, windows=seen)
+            notes.append(
+                f"learns no normals from {share:.0%} of what the training views show, which lies behind them, as what "
+                "flat mirrors show does"
+            )
     return Mended(start, views, weight, notes)
 
 
@@ -213,8 +227,13 @@ def _swept(
 ) -> tuple[Tensor, Tensor]:
     """Points [P, 3] of what the training views show in their empty cells [V, CELLS, CELLS], and their colors [P, 3]."""
     wanted = [_strongest(view, where, generator) for view, where in zip(scene.train, empty, strict=True)]
+    return swept_points(scene.train, wanted, *_depths(scene, near), generator, device)
+
+
+def _depths(scene: Scene, near: float) -> tuple[float, float]:
+    """Between which a plane sweep looks, world units."""
     scale = scene.radius or 1.0
-    return swept_points(scene.train, wanted, max(near, NEAREST * scale), FARTHEST * scale, generator, device)
+    return max(near, NEAREST * scale), FARTHEST * scale
 
 
 def _joined(scene: Scene, points: Tensor, colors: Tensor) -> Scene:

@@ -32,11 +32,20 @@ DISTANT = 4  # pixels by which the nearest views show what is at infinity beside
 
 
 @dataclass(frozen=True)
-class _Reduced:
+class SweptView:
     """A view as it is swept: its picture [1, 3, h, w], narrower than 2·WIDTH."""
 
     camera: Camera
     picture: Tensor
+
+    @classmethod
+    def of(cls, view: View, device: torch.device) -> SweptView:
+        picture = view.rgb(device).permute(2, 0, 1)[None]
+        factor = view.camera.width // WIDTH
+        if factor > 1:
+            size = (max(1, round(view.camera.height / factor)), round(view.camera.width / factor))
+            picture = functional.interpolate(picture, size, mode="area")
+        return cls(view.camera.to(device), picture)
 
     def colors(self, points: Tensor) -> Tensor:
         """The picture's colors at the points [..., 3], NaN where it does not show them; [..., 3]."""
@@ -47,6 +56,69 @@ class _Reduced:
         )
         shown = (depths > 0) & (at.abs() < 1).all(-1)
         return torch.where(shown[:, None], sampled[0, :, 0].T, torch.nan).reshape(points.shape)
+
+
+@dataclass(frozen=True)
+class Matches:
+    """How the nearest other views show K pixels of a view at each of the depths that are looked at.
+
+    Attributes:
+        differences: [K, DEPTHS] how differently.
+        least, best: [K] the least of these, and its index.
+        clear: [K] whether something lies at that depth: at all others it looks clearly worse.
+    """
+
+    differences: Tensor
+    least: Tensor
+    best: Tensor
+    clear: Tensor
+
+    @classmethod
+    def of(cls, differences: Tensor) -> Matches:
+        least, best = differences.min(dim=1)
+        elsewhere = (torch.arange(DEPTHS, device=best.device) - best[:, None]).abs() > OTHERWISE
+        other = torch.where(elsewhere, differences, torch.inf).amin(dim=1)
+        return cls(differences, least, best, (best > 0) & (best < DEPTHS - 1) & _clearly(least, other))
+
+
+class PlaneSweep:
+    """Views, all on one device, that are swept for the depths of each other's pixels.
+
+    Args:
+        near, far: depths between which something is looked for, world units, 0 < near < far.
+    """
+
+    def __init__(self, views: Sequence[SweptView], near: float, far: float) -> None:
+        self.views, self.near, self.far = views, near, far
+        self._step = (far / near) ** (1 / (DEPTHS - 1))
+        self._centers = torch.stack([each.camera.center for each in self.views])
+        self.depths = near * self._step ** torch.arange(DEPTHS, device=self._centers.device)
+        self._axes = torch.stack([each.camera.world_to_camera[2, :3] for each in self.views])
+
+    def neighbors(self, index: int) -> list[SweptView]:
+        """The views nearest to one of them that look in about the same direction; none if too few do."""
+        distance = (self._centers - self._centers[index]).norm(dim=1)
+        usable = (self._axes @ self._axes[index] > 0.5) & (distance > 1e-6)
+        count = min(NEIGHBORS, int(usable.sum()))
+        rows = torch.where(usable, distance, torch.inf).argsort()[:count].tolist()
+        return [self.views[row] for row in rows] if count >= AGREEING else []
+
+    def matches(self, index: int, pixels: Tensor) -> Matches:
+        """Those of pixel positions (x, y) [K, 2] of a view that has neighbors."""
+        depths = self.depths.expand(len(pixels), -1)
+        return Matches.of(_differences(self.views[index], self.neighbors(index), pixels, depths))
+
+    def finer(self, index: int, pixels: Tensor, best: Tensor) -> Tensor:
+        """Depths [K] of the pixels [K, 2], from a second sweep around the best [K] of the first."""
+        around = self._step ** torch.linspace(-1, 1, FINER, device=pixels.device)
+        depths = self.depths[best][:, None] * around
+        differences = _differences(self.views[index], self.neighbors(index), pixels, depths)
+        return depths.gather(1, differences.argmin(dim=1)[:, None])[:, 0]
+
+    def points(self, index: int, pixels: Tensor, depths: Tensor) -> Tensor:
+        """Points [K, 3], world frame, at the depths [K] of the view's pixels [K, 2]."""
+        camera = self.views[index].camera
+        return camera.center + depths[:, None] * _directions(camera, pixels)
 
 
 @torch.no_grad()
@@ -65,82 +137,46 @@ def swept_points(
         near, far: depths between which it lies, world units, 0 < near < far.
         generator: for the depths, up to `far`, of what is at infinity as far as views can tell.
     """
-    reduced = [_reduced(view, device) for view in views]
-    centers = torch.stack([each.camera.center for each in reduced])
-    axes = torch.stack([each.camera.world_to_camera[2, :3] for each in reduced])
+    sweep = PlaneSweep([SweptView.of(view, device) for view in views], near, far)
     found: list[tuple[Tensor, Tensor]] = [(torch.zeros(0, 3), torch.zeros(0, 3))]
     for index, pixels in enumerate(wanted):
-        if not len(pixels):
-            continue
-        view, others = reduced[index], [reduced[row] for row in _nearest(centers, axes, index)]
-        if len(others) >= AGREEING:
-            everywhere = reduced[:index] + reduced[index + 1 :]
-            points = _swept(view, others, everywhere, pixels.to(device), near, far, generator)
-            found.append((points.cpu(), view.colors(points).nan_to_num(0.5).cpu()))
+        if len(pixels) and sweep.neighbors(index):
+            points = _swept(sweep, index, pixels.to(device), generator)
+            found.append((points.cpu(), sweep.views[index].colors(points).nan_to_num(0.5).cpu()))
     points, colors = (torch.cat(parts) for parts in zip(*found, strict=True))
     return points, colors
 
 
-def _reduced(view: View, device: torch.device) -> _Reduced:
-    picture = view.rgb(device).permute(2, 0, 1)[None]
-    factor = view.camera.width // WIDTH
-    if factor > 1:
-        size = (max(1, round(view.camera.height / factor)), round(view.camera.width / factor))
-        picture = functional.interpolate(picture, size, mode="area")
-    return _Reduced(view.camera.to(device), picture)
-
-
-def _nearest(centers: Tensor, axes: Tensor, index: int) -> list[int]:
-    """The views nearest to one of them that look in about the same direction."""
-    distance = (centers - centers[index]).norm(dim=1)
-    usable = (axes @ axes[index] > 0.5) & (distance > 1e-6)
-    order = torch.where(usable, distance, torch.inf).argsort()[: min(NEIGHBORS, int(usable.sum()))]
-    return order.tolist()
-
-
-def _swept(
-    view: _Reduced,
-    others: list[_Reduced],
-    everywhere: list[_Reduced],
-    pixels: Tensor,
-    near: float,
-    far: float,
-    generator: torch.Generator,
-) -> Tensor:
+def _swept(sweep: PlaneSweep, index: int, pixels: Tensor, generator: torch.Generator) -> Tensor:
     """Points of those of the pixels [K, 2] whose depth is clear, or that are clearly too far away to have one."""
-    step = (far / near) ** (1 / (DEPTHS - 1))
-    coarse = near * step ** torch.arange(DEPTHS, device=pixels.device)
-    differences = _differences(view, others, pixels, coarse.expand(len(pixels), -1))
-    at_infinity = _differences(view, everywhere, pixels, pixels.new_full((len(pixels), 1), INFINITY * far))[:, 0]
+    view, everywhere = sweep.views[index], [*sweep.views[:index], *sweep.views[index + 1 :]]
+    matches = sweep.matches(index, pixels)
+    infinite = pixels.new_full((len(pixels), 1), INFINITY * sweep.far)
+    at_infinity = _differences(view, everywhere, pixels, infinite)[:, 0]
 
-    nearest_distant = min(max(_distant_from(view, others), near), far)
-    nearby = torch.where(coarse < nearest_distant, differences, torch.inf).amin(dim=1)
-    least, best = differences.min(dim=1)
-    elsewhere = (torch.arange(DEPTHS, device=pixels.device) - best[:, None]).abs() > OTHERWISE
-    other = torch.where(elsewhere, differences, torch.inf).amin(dim=1)
-    clear = (best > 0) & (best < DEPTHS - 1) & _clearly(least, other) & (least < CLEARLY * at_infinity)
+    nearest_distant = min(max(_distant_from(view, sweep.neighbors(index)), sweep.near), sweep.far)
+    nearby = torch.where(sweep.depths < nearest_distant, matches.differences, torch.inf).amin(dim=1)
+    clear = matches.clear & (matches.least < CLEARLY * at_infinity)
     distant = ~clear & _clearly(at_infinity, nearby)
 
-    fine = coarse[best[clear]][:, None] * step ** torch.linspace(-1, 1, FINER, device=pixels.device)
-    finest = _differences(view, others, pixels[clear], fine).argmin(dim=1)[:, None]
     drawn = torch.rand(int(distant.sum()), generator=generator).to(pixels)
-    depths = torch.cat([fine.gather(1, finest)[:, 0], nearest_distant * (far / nearest_distant) ** drawn])
-    directions = _directions(view.camera, torch.cat([pixels[clear], pixels[distant]]))
-    return view.camera.center + depths[:, None] * directions
+    far_away = nearest_distant * (sweep.far / nearest_distant) ** drawn
+    depths = torch.cat([sweep.finer(index, pixels[clear], matches.best[clear]), far_away])
+    return sweep.points(index, torch.cat([pixels[clear], pixels[distant]]), depths)
 
 
 def _clearly(least: Tensor, other: Tensor) -> Tensor:
     return other.isfinite() & (least < CLEARLY * other) & (other - least > LEAST_CONTRAST)
 
 
-def _distant_from(view: _Reduced, others: list[_Reduced]) -> float:
+def _distant_from(view: SweptView, others: list[SweptView]) -> float:
     """The depth from which on the other views show something at most DISTANT pixels beside what is at infinity."""
     baseline = torch.stack([(other.camera.center - view.camera.center).norm() for other in others]).median()
     focal = view.camera.intrinsics[0, 0] * view.picture.shape[3] / view.camera.width
     return float(baseline * focal / DISTANT)
 
 
-def _differences(view: _Reduced, others: list[_Reduced], pixels: Tensor, depths: Tensor) -> Tensor:
+def _differences(view: SweptView, others: list[SweptView], pixels: Tensor, depths: Tensor) -> Tensor:
     """How differently the patches around the pixels [K, 2] look in other views at the depths [K, D], [K, D].
 
     The mean absolute difference over the patch in the views that agree best, infinite where too few show all of it.

@@ -1,0 +1,123 @@
+"""Where views' normals are of glass and what they show lies behind it: flat mirrors and panes.
+
+The normals that an estimator, or a scanner, has of a mirror are its glass's. If that is flat, what it shows stands
+still behind it, and photographs have depths of it as of any room; what a curved mirror shows moves with the eye and is
+found in few places. A base set draws such a room as it draws others, unless the normals hold it to the glass.
+
+Between two points of a surface its normals are about the same, and the points lie along these. Behind glass they do
+not. That is asked of random pairs of pixels whose depths a plane sweep makes out, of all views together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from envgs_bench.core import View
+from envgs_bench.core.vectors import unit
+
+from .evidence import CELLS, SAME_COLOR, cells_of
+from .plane_sweep import PlaneSweep, SweptView
+
+PAIRS = 400  # that are drawn in each view
+APART = 0.1  # picture widths from one pixel of a pair to the other
+BETWEEN = 5  # pixels between them whose normals are to be the same too
+ALIKE = 0.95  # cosine above which two normals are about the same
+STEEP = 45.0  # degrees to the surface beyond which two points do not lie along it: depths are good to 15 or so
+MOST = 0.5  # share of pairs that are steep beyond which a cell shows a window
+IN_ORDER = 2.0  # pairs that are not steep, which every cell has besides its own
+AROUND = 1.5  # cells, the deviation of the Gaussian by which a cell counts pairs around it
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """K pairs of a view's pixels between which all normals are about the same.
+
+    Attributes:
+        first, second: [K, 2] pixel positions (x, y).
+        normals: [K, 3] unit.
+    """
+
+    first: Tensor
+    second: Tensor
+    normals: Tensor
+
+    @classmethod
+    def of(cls, view: View, normals: Tensor, generator: torch.Generator, device: torch.device) -> _Pairs:
+        """Those among PAIRS random ones, by the view's normals [H, W, 3]."""
+        size = torch.tensor([view.camera.width, view.camera.height])
+        first = torch.rand(PAIRS, 2, generator=generator) * size
+        angle = 2 * torch.pi * torch.rand(PAIRS, generator=generator)
+        second = first + APART * view.camera.width * torch.stack([angle.cos(), angle.sin()], dim=1)
+        inside = (second >= 0).all(dim=1) & (second < size).all(dim=1)
+        first, second = first[inside].floor() + 0.5, second[inside].floor() + 0.5
+        along = first + torch.linspace(0, 1, BETWEEN + 2)[:, None, None] * (second - first)
+        columns, rows = along.long().to(normals.device).unbind(dim=-1)
+        each = normals[rows, columns].to(device).float()  # [BETWEEN + 2, K, 3]
+        mean = unit(each[0] + each[-1])
+        alike = ((each * mean).sum(dim=-1) > ALIKE).all(dim=0)
+        return cls(first.to(device)[alike], second.to(device)[alike], mean[alike])
+
+    def those(self, wanted: Tensor) -> _Pairs:
+        return _Pairs(self.first[wanted], self.second[wanted], self.normals[wanted])
+
+
+@torch.no_grad()
+def windows(views: Iterable[View], near: float, far: float, device: torch.device) -> dict[str, Tensor]:
+    """Cells of the views that show windows, [CELLS, CELLS] by rows and columns, on the CPU; by names of views with any.
+
+    Args:
+        views: asked for one at a time.
+        near, far: depths between which something is looked for, world units, 0 < near < far.
+    """
+    generator = torch.Generator().manual_seed(0)
+    names, swept, pairs = [], [], {}
+    for index, view in enumerate(views):
+        names.append(view.name)
+        swept.append(SweptView.of(view, device))
+        if view.normal is not None:
+            pairs[index] = _Pairs.of(view, view.normal, generator, device)
+    sweep = PlaneSweep(swept, near, far)
+    found = [_points(sweep, index, each) for index, each in pairs.items() if sweep.neighbors(index)]
+    if not found:
+        return {}
+    points, colors, steep = (torch.cat(parts) for parts in zip(*found, strict=True))
+    cells = {names[index]: _cells(sweep.views[index], near, points, colors, steep).cpu() for index in pairs}
+    return {name: where for name, where in cells.items() if where.any()}
+
+
+def outside(normal: Tensor, windows: Tensor) -> Tensor:
+    """A view's normals [H, W, 3], 0 in the cells [CELLS, CELLS] that show windows."""
+    rows, columns = (torch.arange(size, device=normal.device) * CELLS // size for size in normal.shape[:2])
+    return torch.where(windows.to(normal.device)[rows[:, None], columns, None], 0.0, normal)
+
+
+def _points(sweep: PlaneSweep, index: int, pairs: _Pairs) -> tuple[Tensor, Tensor, Tensor]:
+    """What a view shows at its pairs, [P, 3], in which colors [P, 3], and whether the two of a pair are steep, [P]."""
+    matches = sweep.matches(index, pairs.first)
+    pairs, nearest = pairs.those(matches.clear), matches.best[matches.clear]
+    matches = sweep.matches(index, pairs.second)
+    pairs, best = pairs.those(matches.clear), [nearest[matches.clear], matches.best[matches.clear]]
+    each = zip((pairs.first, pairs.second), best, strict=True)
+    first, second = (sweep.points(index, pixels, sweep.finer(index, pixels, depth)) for pixels, depth in each)
+    sine = (unit(second - first) * pairs.normals).sum(dim=1).abs()
+    steep = sine.clamp(max=1).asin().rad2deg() > STEEP
+    points = torch.cat([first, second])
+    return points, sweep.views[index].colors(points), steep.repeat(2)
+
+
+def _cells(view: SweptView, near: float, points: Tensor, colors: Tensor, steep: Tensor) -> Tensor:
+    """Which cells of the view show windows, [CELLS, CELLS], by the points [P, 3] that it shows in their colors."""
+    shown = (view.colors(points) - colors).abs().mean(dim=1) < SAME_COLOR  # of NaN: no
+    cells = cells_of(points, view.camera, near)
+    counted = [
+        torch.bincount(cells[those], minlength=CELLS * CELLS + 1)[:-1].reshape(CELLS, CELLS).float()
+        for those in (shown, shown & steep)
+    ]
+    row = torch.arange(CELLS, device=points.device)
+    around = torch.exp(-0.5 * ((row[:, None] - row) / AROUND).square())
+    pairs, out_of_order = (around @ count @ around for count in counted)
+    return out_of_order > MOST * (pairs + IN_ORDER)
