@@ -95,8 +95,7 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
         near: nearest depth that is drawn, world units: a point that is nearer to a camera is not where it should be.
         normals: whether the views' own normals are learned from.
     """
-    start, weight, notes = mended_points(scene, near, generator, device), 1.0, []
-    views = MendedViews()
+    start, views, notes = mended_points(scene, near, generator, device), MendedViews(), []
     if start is not scene:  # points that were not in order say nothing of poses and colors
         notes.append(
             f"starts from {len(start.points):,} points in place of {len(scene.points):,}: "
@@ -119,34 +118,40 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
                 f"starts from {len(start.points) - len(scene.points):,} points far away too, found by a plane sweep "
                 "over the training views: the scene has none on most of what is there"
             )
-    if normals:
-        evidence = Evidence.of(replace(start, train=[views(view) for view in scene.train]), near)
-        mirrored = frozenset(evidence.mirrored_views())
-        given = evidence.normals_unmirrored(mirrored)
-        agreed = agreement(evidence, given)
-        views = replace(views, mirrored=mirrored, corrections=agreed.corrections)
-        disagreement = evidence.normal_disagreement(agreed.normals)
-        remaining = disagreement * (CORRECTED if views.corrections else 1)
-        weight = (AGREEING / max(remaining, AGREEING)) ** 2  # as the inverse of their variance
-        if mirrored:
-            notes.append(f"mirrors the normals of {len(mirrored)} of {len(scene.train)} training views back")
-        if views.corrections:
-            notes.append(
-                f"turns the normals of {len(views.corrections)} of {len(scene.train)} training views, smoothly over "
-                f"each picture, to agree: two views' differ by {disagreement:.1f}° at the same point, as given by "
-                f"{evidence.normal_disagreement(given):.1f}°"
-            )
-        if weight < 1:
-            notes.append(f"counts the training views' normals {weight:.2f} × as much, since these still differ so much")
-        seen = windows((views(view.pixels_on(device)) for view in scene.train), *_depths(scene, near), device)
-        share = sum(float(cells.float().mean()) for cells in seen.values()) / len(scene.train)
-        if share >= WINDOWS:
-            views = replace(views, windows=seen)
-            notes.append(
-                f"learns no normals from {share:.0%} of what the training views show, which lies behind them, as what "
-                "flat mirrors show does"
-            )
-    return Mended(start, views, weight, notes)
+    found = Mended(start, views, notes=notes)
+    return _with_mended_normals(found, near, device) if normals else found
+
+
+def _with_mended_normals(start: Mended, near: float, device: torch.device) -> Mended:
+    """The same start with the views' normals mirrored back, brought into agreement, weighed and left out of windows."""
+    scene, views, notes = start.scene, start.views, [*start.notes]
+    evidence = Evidence.of(replace(scene, train=[views(view) for view in scene.train]), near)
+    mirrored = frozenset(evidence.mirrored_views())
+    given = evidence.normals_unmirrored(mirrored)
+    agreed = agreement(evidence, given)
+    views = replace(views, mirrored=mirrored, corrections=agreed.corrections)
+    if mirrored:
+        notes.append(f"mirrors the normals of {len(mirrored)} of {len(scene.train)} training views back")
+    disagreement = evidence.normal_disagreement(agreed.normals)
+    if views.corrections:
+        notes.append(
+            f"turns the normals of {len(views.corrections)} of {len(scene.train)} training views, smoothly over "
+            f"each picture, to agree: two views' differ by {disagreement:.1f}° at the same point, as given by "
+            f"{evidence.normal_disagreement(given):.1f}°"
+        )
+    remaining = disagreement * (CORRECTED if views.corrections else 1)
+    weight = (AGREEING / max(remaining, AGREEING)) ** 2  # as the inverse of their variance
+    if weight < 1:
+        notes.append(f"counts the training views' normals {weight:.2f} × as much, since these still differ so much")
+    seen = windows((views(view.pixels_on(device)) for view in scene.train), *_depths(scene, near), device)
+    share = sum(float(cells.float().mean()) for cells in seen.values()) / len(scene.train)
+    if share >= WINDOWS:
+        views = replace(views, windows=seen)
+        notes.append(
+            f"learns no normals from {share:.0%} of what the training views show, which lies behind them, as what "
+            "flat mirrors show does"
+        )
+    return Mended(scene, views, weight, notes)
 
 
 @torch.no_grad()
