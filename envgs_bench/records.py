@@ -61,6 +61,7 @@ WarningKind = Literal[
     "needles",  # a set's primitives run away along one axis
     "budget",  # of memory
     "capped",  # a set is as large as settings let it be
+    "run_short",  # before any step: too few for its training views
     "views_sparse",  # of the scene, before any step: neighboring views are too far apart
     "views_noisy",
     "views_blurred",  # nothing fine is in them

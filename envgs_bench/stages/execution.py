@@ -71,7 +71,7 @@ def execute(
     scene = _load(settings, results, report)
     check_scene(scene)
     results.steps = method.training_steps(actual.steps)
-    results.warnings = scene_warnings(scene, method.device)
+    results.warnings = scene_warnings(scene, results.steps, method.device)
     for warning in results.warnings:
         report({"stage": "training", "step": 0, "steps": results.steps, "warning": warning.model_dump()})
     log = None

@@ -1,7 +1,8 @@
 """What is wrong with a scene before anything is trained on it, and would not show in a training that fits what it sees.
 
 A run with too few or bad views, or with points or normals that contradict the pictures, learns the training views and
-fails on all others. Its losses know nothing of that; the scene does (`envgs_bench.methods.start`).
+fails on all others. Its losses know nothing of that; the scene does (`envgs_bench.methods.start`). A run that is too
+short for its views looks as sound as any.
 """
 
 from __future__ import annotations
@@ -18,11 +19,17 @@ from envgs_bench.records import TrainingWarning, WarningKind
 
 SPARSE = 12.0  # degrees between the two nearest views of a point from which views are too few to agree on its depth
 DISAGREEING = 18.0  # degrees between two views' normals of a point from which EnvGS lost its lead over 2DGS
+PASSES = 4  # times that a training view is learned from, below which EnvGS was behind 2DGS inside reflections
 POSES_OFF = 0.075  # share of its differences to the points' colors that the median view loses when it is turned
 
 
-def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[TrainingWarning]:
-    """What training views, their poses, points and normals warn of; each of step 0. `device` looks at all pixels."""
+def scene_warnings(scene: Scene, steps: int, device: torch.device | str = "cpu") -> list[TrainingWarning]:
+    """What training views, their poses, points and normals warn of, and few steps for them; each of step 0.
+
+    Args:
+        steps: of the training, a view each.
+        device: where all pixels are looked at.
+    """
     if not len(scene.points):
         return []  # the method refuses them
     evidence = Evidence.of(scene, scene.free_space)
@@ -35,6 +42,12 @@ def scene_warnings(scene: Scene, device: torch.device | str = "cpu") -> list[Tra
     taken = Photographs.of(scene.train)
     disagreement = evidence.normal_disagreement(evidence.normals_unmirrored(mirrored))
     found: list[tuple[WarningKind, bool, str]] = [
+        (
+            "run_short",
+            steps < PASSES * views,
+            f"each of {views} training views is learned from {steps / views:.1f} times, which is no length to judge a "
+            f"method by: take {PASSES * views} steps at least",
+        ),
         (
             "views_sparse",
             parallax > SPARSE and support >= UNSUPPORTED,  # else points say nothing of views

@@ -119,7 +119,8 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
                 "over the training views: the scene has none on most of what is there"
             )
     found = Mended(start, views, notes=notes)
-    return _with_mended_normals(found, near, device) if normals else found
+    has_normals = any(view.normal is not None for view in scene.train)
+    return _with_mended_normals(found, near, device) if normals and has_normals else found
 
 
 def _with_mended_normals(start: Mended, near: float, device: torch.device) -> Mended:

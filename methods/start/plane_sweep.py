@@ -86,33 +86,29 @@ class PlaneSweep:
 
     Args:
         near, far: depths between which something is looked for, world units, 0 < near < far.
+
+    Attributes:
+        neighbors: of each view the nearest ones that look in about the same direction; none if too few do.
     """
 
     def __init__(self, views: Sequence[SweptView], near: float, far: float) -> None:
         self.views, self.near, self.far = views, near, far
         self._step = (far / near) ** (1 / (DEPTHS - 1))
-        self._centers = torch.stack([each.camera.center for each in self.views])
-        self.depths = near * self._step ** torch.arange(DEPTHS, device=self._centers.device)
-        self._axes = torch.stack([each.camera.world_to_camera[2, :3] for each in self.views])
-
-    def neighbors(self, index: int) -> list[SweptView]:
-        """The views nearest to one of them that look in about the same direction; none if too few do."""
-        distance = (self._centers - self._centers[index]).norm(dim=1)
-        usable = (self._axes @ self._axes[index] > 0.5) & (distance > 1e-6)
-        count = min(NEIGHBORS, int(usable.sum()))
-        rows = torch.where(usable, distance, torch.inf).argsort()[:count].tolist()
-        return [self.views[row] for row in rows] if count >= AGREEING else []
+        centers = torch.stack([each.camera.center for each in views])
+        axes = torch.stack([each.camera.world_to_camera[2, :3] for each in views])
+        self.depths = near * self._step ** torch.arange(DEPTHS, device=centers.device)
+        self.neighbors = [[views[row] for row in _nearest(centers, axes, index)] for index in range(len(views))]
 
     def matches(self, index: int, pixels: Tensor) -> Matches:
         """Those of pixel positions (x, y) [K, 2] of a view that has neighbors."""
         depths = self.depths.expand(len(pixels), -1)
-        return Matches.of(_differences(self.views[index], self.neighbors(index), pixels, depths))
+        return Matches.of(_differences(self.views[index], self.neighbors[index], pixels, depths))
 
     def finer(self, index: int, pixels: Tensor, best: Tensor) -> Tensor:
         """Depths [K] of the pixels [K, 2], from a second sweep around the best [K] of the first."""
         around = self._step ** torch.linspace(-1, 1, FINER, device=pixels.device)
         depths = self.depths[best][:, None] * around
-        differences = _differences(self.views[index], self.neighbors(index), pixels, depths)
+        differences = _differences(self.views[index], self.neighbors[index], pixels, depths)
         return depths.gather(1, differences.argmin(dim=1)[:, None])[:, 0]
 
     def points(self, index: int, pixels: Tensor, depths: Tensor) -> Tensor:
@@ -140,11 +136,18 @@ def swept_points(
     sweep = PlaneSweep([SweptView.of(view, device) for view in views], near, far)
     found: list[tuple[Tensor, Tensor]] = [(torch.zeros(0, 3), torch.zeros(0, 3))]
     for index, pixels in enumerate(wanted):
-        if len(pixels) and sweep.neighbors(index):
+        if len(pixels) and sweep.neighbors[index]:
             points = _swept(sweep, index, pixels.to(device), generator)
             found.append((points.cpu(), sweep.views[index].colors(points).nan_to_num(0.5).cpu()))
     points, colors = (torch.cat(parts) for parts in zip(*found, strict=True))
     return points, colors
+
+
+def _nearest(centers: Tensor, axes: Tensor, index: int) -> list[int]:
+    distance = (centers - centers[index]).norm(dim=1)
+    usable = (axes @ axes[index] > 0.5) & (distance > 1e-6)
+    count = min(NEIGHBORS, int(usable.sum()))
+    return torch.where(usable, distance, torch.inf).argsort()[:count].tolist() if count >= AGREEING else []
 
 
 def _swept(sweep: PlaneSweep, index: int, pixels: Tensor, generator: torch.Generator) -> Tensor:
@@ -154,7 +157,7 @@ def _swept(sweep: PlaneSweep, index: int, pixels: Tensor, generator: torch.Gener
     infinite = pixels.new_full((len(pixels), 1), INFINITY * sweep.far)
     at_infinity = _differences(view, everywhere, pixels, infinite)[:, 0]
 
-    nearest_distant = min(max(_distant_from(view, sweep.neighbors(index)), sweep.near), sweep.far)
+    nearest_distant = min(max(_distant_from(view, sweep.neighbors[index]), sweep.near), sweep.far)
     nearby = torch.where(sweep.depths < nearest_distant, matches.differences, torch.inf).amin(dim=1)
     clear = matches.clear & (matches.least < CLEARLY * at_infinity)
     distant = ~clear & _clearly(at_infinity, nearby)

@@ -81,7 +81,7 @@ def windows(views: Iterable[View], near: float, far: float, device: torch.device
         if view.normal is not None:
             pairs[index] = _Pairs.of(view, view.normal, generator, device)
     sweep = PlaneSweep(swept, near, far)
-    found = [_points(sweep, index, each) for index, each in pairs.items() if sweep.neighbors(index)]
+    found = [_points(sweep, index, each) for index, each in pairs.items() if sweep.neighbors[index]]
     if not found:
         return {}
     points, colors, steep = (torch.cat(parts) for parts in zip(*found, strict=True))

@@ -30,7 +30,7 @@ def perturbed(scene: Scene, kind: str, severity: int) -> Scene:
 
 
 def said(scene: Scene) -> set[str]:
-    return {warning.kind for warning in scene_warnings(scene)} & set(KINDS.values())
+    return {warning.kind for warning in scene_warnings(scene, 300)} & set(KINDS.values())
 
 
 @pytest.mark.parametrize("kind", KINDS)

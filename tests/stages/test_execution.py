@@ -114,7 +114,10 @@ def test_what_is_wrong_with_a_scene_and_what_was_mended_are_results(
     at_a_camera = replace(scene, points=scene.train[0].camera.center + 0.01 * scene.points)
     monkeypatch.setattr(gaussian_method, "mended", lambda given, *_: Mended(given, notes=[note]))
     results = execute("2dgs", {"mends_input": True}, 1, monkeypatch, tmp_path, at_a_camera)
-    assert [(warning.kind, warning.step) for warning in results.warnings] == [("points_unsupported", 0)]
+    assert [(warning.kind, warning.step) for warning in results.warnings] == [
+        ("run_short", 0),
+        ("points_unsupported", 0),
+    ]
     assert results.notes[-1] == note
 
 

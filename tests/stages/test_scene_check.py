@@ -37,8 +37,8 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
         return load_scene(toy | {"normal_noise": 5.0}, tmp_path_factory.mktemp("cache"))
 
 
-def said(scene: Scene) -> list[str]:
-    warnings = scene_warnings(scene)
+def said(scene: Scene, steps: int = 300) -> list[str]:
+    warnings = scene_warnings(scene, steps)
     assert all(warning.step == 0 for warning in warnings)
     return [warning.kind for warning in warnings]
 
@@ -64,6 +64,15 @@ def test_nothing_is_said_of_the_worst_of_what_a_training_survives(room: Scene, k
 
 def test_nothing_is_said_of_a_scene_in_order(room: Scene) -> None:
     assert said(room) == []
+
+
+@pytest.mark.parametrize(("times", "short"), [(1, True), (3.99, True), (4, False)])
+def test_a_run_is_short_that_hardly_sees_its_views(room: Scene, times: float, short: bool) -> None:
+    steps = int(times * len(room.train))
+    assert said(room, steps) == ["run_short"] * short
+    if short:
+        (warning,) = scene_warnings(room, steps)
+        assert f"{4 * len(room.train)} steps" in warning.message
 
 
 def test_random_points_that_come_without_colors_are_what_synthetic_scenes_start_from(room: Scene) -> None:
