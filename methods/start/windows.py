@@ -89,10 +89,10 @@ def windows(views: Iterable[View], near: float, far: float, device: torch.device
     return {name: where for name, where in cells.items() if where.any()}
 
 
-def outside(normal: Tensor, windows: Tensor) -> Tensor:
-    """A view's normals [H, W, 3], 0 in the cells [CELLS, CELLS] that show windows."""
+def outside(normal: Tensor, cells: Tensor) -> Tensor:
+    """A view's normals [H, W, 3], 0 in the `windows`' cells [CELLS, CELLS]."""
     rows, columns = (torch.arange(size, device=normal.device) * CELLS // size for size in normal.shape[:2])
-    return torch.where(windows.to(normal.device)[rows[:, None], columns, None], 0.0, normal)
+    return torch.where(cells.to(normal.device)[rows[:, None], columns, None], 0.0, normal)
 
 
 def _points(sweep: PlaneSweep, index: int, pairs: _Pairs) -> tuple[Tensor, Tensor, Tensor]:
@@ -100,7 +100,7 @@ def _points(sweep: PlaneSweep, index: int, pairs: _Pairs) -> tuple[Tensor, Tenso
     matches = sweep.matches(index, pairs.first)
     pairs, nearest = pairs.those(matches.clear), matches.best[matches.clear]
     matches = sweep.matches(index, pairs.second)
-    pairs, best = pairs.those(matches.clear), [nearest[matches.clear], matches.best[matches.clear]]
+    pairs, best = pairs.those(matches.clear), (nearest[matches.clear], matches.best[matches.clear])
     each = zip((pairs.first, pairs.second), best, strict=True)
     first, second = (sweep.points(index, pixels, sweep.finer(index, pixels, depth)) for pixels, depth in each)
     sine = (unit(second - first) * pairs.normals).sum(dim=1).abs()
