@@ -1,11 +1,11 @@
-"""The shared core: `rasterize`, `depth_normals`, `reflect`, `trace`, `trace_color`, and the plain types around them."""
+"""The shared core: `rasterize`, `trace`, their color alone, `depth_normals`, `reflect`, and the plain types around them."""
 
 from .backends import available_backends
 from .camera import Camera
 from .contract import Bvh
 from .gaussians import GaussianSet
 from .normals import depth_normals
-from .rasterize import rasterize
+from .rasterize import rasterize, rasterize_color
 from .reflect import reflect
 from .rendering import Rendering, Statistics
 from .scene import Scene, View
@@ -24,6 +24,7 @@ __all__ = [
     "build_bvh",
     "depth_normals",
     "rasterize",
+    "rasterize_color",
     "reflect",
     "torch_on_one_thread",
     "trace",

@@ -20,11 +20,11 @@ from .contract import Backend
 if TYPE_CHECKING:  # each module is held to what it is to offer
     from . import cpu, cuda, embree
     from . import torch as oracle
-    from .contract import ColorTracer, ImageKernels, Rasterizer
+    from .contract import ColorKernels, ImageKernels, Rasterizer
 
     _TRACERS: tuple[Backend, ...] = (cpu, cuda, oracle, embree)
     _RASTERIZERS: tuple[Rasterizer, ...] = (cpu, cuda, oracle)
-    _COLOR_TRACER: ColorTracer = cuda
+    _COLOR_KERNELS: ColorKernels = cuda
     _IMAGE_KERNELS: ImageKernels = cuda
 
 BACKENDS = ("cpu", "cuda", "torch", "embree")

@@ -1,6 +1,6 @@
 """What a backend is: the functions that its module offers, and what they are given beside the public containers.
 
-`backends` says which there are. Each offers `Backend`, and `Rasterizer`, `ColorTracer` and `ImageKernels` where it can.
+`backends` says which there are. Each offers `Backend`, and `Rasterizer`, `ColorKernels` and `ImageKernels` where it can.
 """
 
 from __future__ import annotations
@@ -62,8 +62,13 @@ class Rasterizer(Protocol):
 
 
 @runtime_checkable
-class ColorTracer(Protocol):
-    """A backend that traces faster what nobody differentiates; elsewhere `trace` serves."""
+class ColorKernels(Protocol):
+    """A backend that draws color alone faster, which nobody differentiates; elsewhere `rasterize` and `trace` serve."""
+
+    def rasterize_color(
+        self, gaussians: GaussianSet, camera: Camera, options: RasterizeOptions
+    ) -> tuple[Tensor, Tensor]:
+        """Color [H, W, 3] and alpha [H, W] of an image."""
 
     def trace_color(
         self, gaussians: GaussianSet, origins: Tensor, directions: Tensor, bvh: Bvh | None, options: TraceOptions

@@ -1,4 +1,4 @@
-"""rasterize(): Gaussians to an image."""
+"""rasterize() and rasterize_color(): Gaussians to an image."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from torch import Tensor
 
 from .backends import load_backend
 from .camera import Camera
-from .contract import RasterizeOptions, Rasterizer
+from .contract import ColorKernels, RasterizeOptions, Rasterizer
 from .gaussians import GaussianSet
 from .rendering import Rendering
 
@@ -46,18 +46,58 @@ def rasterize(
         ValueError: camera and set are on different devices, a bad background, or an unknown backend.
         RuntimeError: the backend does not work on this machine.
     """
+    module, options = _checked(gaussians, camera, background, near, low_pass, transmittance_min, backend)
+    return module.rasterize(gaussians, camera, options)
+
+
+def rasterize_color(
+    gaussians: GaussianSet,
+    camera: Camera,
+    *,
+    background: Tensor | None = None,
+    near: float = 0.2,
+    low_pass: bool = True,
+    transmittance_min: float = 1e-4,
+    backend: str = "auto",
+) -> tuple[Tensor, Tensor]:
+    """`rasterize`'s color [H, W, 3] and alpha [H, W] alone: for pictures that are looked at or timed, not learned from.
+
+    With the arguments of `rasterize`, and no gradients. A GPU draws it faster; both are `rasterize`'s, to rounding.
+
+    Raises:
+        ValueError: as `rasterize`; or gradients are recorded and the set requires one.
+        RuntimeError: the backend does not work on this machine.
+    """
+    module, options = _checked(gaussians, camera, background, near, low_pass, transmittance_min, backend)
+    refuse_gradients("rasterize", gaussians)
+    if isinstance(module, ColorKernels):
+        return module.rasterize_color(gaussians, camera, options)
+    drawn = module.rasterize(gaussians, camera, options)
+    return drawn.color, drawn.alpha
+
+
+def refuse_gradients(function: str, gaussians: GaussianSet, *rays: Tensor) -> None:
+    """Raise ValueError where gradients are recorded of what `<function>_color` is given, which has none."""
+    if torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in (*vars(gaussians).values(), *rays)):
+        raise ValueError(f"{function}_color has no gradients: call it within torch.no_grad(), or call {function}")
+
+
+def _checked(
+    gaussians: GaussianSet,
+    camera: Camera,
+    background: Tensor | None,
+    near: float,
+    low_pass: bool,
+    transmittance_min: float,
+    backend: str,
+) -> tuple[Rasterizer, RasterizeOptions]:
     if camera.device != gaussians.device:
         raise ValueError(f"camera is on {camera.device}, gaussians on {gaussians.device}: move one with .to()")
-    options = RasterizeOptions(
-        background=checked_background(background, gaussians),
-        near=near,
-        low_pass=low_pass,
-        transmittance_min=transmittance_min,
-    )
+    options = RasterizeOptions(checked_background(background, gaussians), near, low_pass, transmittance_min)
     module = load_backend(backend, gaussians.device, gaussians.means.dtype)
     if not isinstance(module, Rasterizer):
         raise ValueError(f"backend {backend!r} traces rays only, it cannot rasterize")
-    return module.rasterize(gaussians, camera, options)
+    return module, options
 
 
 def checked_background(background: Tensor | None, gaussians: GaussianSet) -> Tensor:

@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from .backends import load_backend
-from .contract import Backend, Bvh, ColorTracer, TraceOptions
+from .contract import Backend, Bvh, ColorKernels, TraceOptions
 from .gaussians import GaussianSet
-from .rasterize import checked_background
+from .rasterize import checked_background, refuse_gradients
 from .rendering import Rendering
 
 SH_DIRECTIONS = ("center", "ray")
@@ -92,11 +92,9 @@ def trace_color(
     module, options = _checked(
         gaussians, origins, directions, background, t_min, transmittance_min, sh_direction, bvh, backend
     )
-    inputs = (*vars(gaussians).values(), origins, directions)
-    if torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in inputs):
-        raise ValueError("trace_color has no gradients: call it within torch.no_grad(), or call trace")
+    refuse_gradients("trace", gaussians, origins, directions)
     shape, rays = origins.shape[:-1], (origins.reshape(-1, 3), directions.reshape(-1, 3))
-    if isinstance(module, ColorTracer):
+    if isinstance(module, ColorKernels):
         color, alpha = module.trace_color(gaussians, *rays, bvh, options)
     else:
         drawn = module.trace(gaussians, *rays, bvh, options)

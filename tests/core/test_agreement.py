@@ -29,7 +29,8 @@ from oracle import (
     SINGLE,
     TOLERANCE,
     compare,
-    compare_color,
+    compare_image_color,
+    compare_ray_color,
     drawn_with,
     image,
     oracle_image,
@@ -55,6 +56,12 @@ def test_images(single, scene, as_gaussians_3d, low_pass):
     compare(drawn_with(single, gaussians, image(low_pass), keep, ()), expected, keep)
 
 
+@pytest.mark.parametrize("as_gaussians_3d", [False, True], ids=["surfels", "gaussians_3d"])
+@pytest.mark.parametrize("scene", list(SCENES))
+def test_colors_of_images_alone(single, scene, as_gaussians_3d):
+    compare_image_color(single, scene, as_gaussians_3d)
+
+
 @pytest.mark.parametrize("sh_direction", ["center", "ray"])
 @pytest.mark.parametrize("scene", list(SCENES))
 def test_ray_batches(single, scene, sh_direction):
@@ -66,7 +73,7 @@ def test_ray_batches(single, scene, sh_direction):
 @pytest.mark.parametrize("sh_direction", ["center", "ray"])
 @pytest.mark.parametrize("scene", list(SCENES))
 def test_colors_of_rays_alone(single, scene, sh_direction):
-    compare_color(single, scene, sh_direction)
+    compare_ray_color(single, scene, sh_direction)
 
 
 @pytest.mark.parametrize("scene", list(SCENES))

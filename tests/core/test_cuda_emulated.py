@@ -33,7 +33,8 @@ from cuda_emulator.emulator import ORDERS, EmulatedKernels
 from oracle import (
     TOLERANCE,
     compare,
-    compare_color,
+    compare_image_color,
+    compare_ray_color,
     drawn_with,
     image,
     oracle_image,
@@ -46,6 +47,13 @@ from envgs_bench.bench.tile_lists import tile_list_lengths
 from envgs_bench.core import Camera, GaussianSet, Rendering, build_bvh, cuda
 from envgs_bench.core.cuda import raster_pass, trace_pass
 from envgs_bench.core.differentiable import SetTensors
+
+
+SHARINGS = pytest.mark.parametrize(
+    "sharing",
+    [(1, False), (2, False), (1, True), (2, True)],
+    ids=["a warp an area", "in pairs", "a block an area", "a block an area in pairs"],
+)
 
 
 @pytest.fixture(params=["descending", "shuffled"])
@@ -61,18 +69,25 @@ def dressed(gaussians: GaussianSet) -> GaussianSet:
 
 
 @pytest.mark.parametrize("low_pass", [True, False], ids=["low-pass", "exact"])
-@pytest.mark.parametrize("few_tiles", [0, 1000], ids=["a warp an area", "a block an area"])
+@SHARINGS
 @pytest.mark.parametrize("as_gaussians_3d", [False, True], ids=["surfels", "gaussians_3d"])
-def test_images(backend, as_gaussians_3d, few_tiles, low_pass, monkeypatch):
-    monkeypatch.setattr(raster_pass, "FEW_TILES", few_tiles)
+def test_images(backend, as_gaussians_3d, sharing, low_pass, monkeypatch):
+    monkeypatch.setattr(raster_pass, "_sharing", lambda *_: sharing)
     gaussians, keep, expected = oracle_image("many", as_gaussians_3d, low_pass)
     compare(drawn_with(backend, gaussians, image(low_pass), keep, ()), expected, keep)
 
 
-@pytest.mark.parametrize("few_tiles", [0, 1000], ids=["a warp an area", "a block an area"])
-def test_a_tile_with_more_surfels_than_a_block_fetches_at_once(emulate, few_tiles, monkeypatch):
+@SHARINGS
+@pytest.mark.parametrize("as_gaussians_3d", [False, True], ids=["surfels", "gaussians_3d"])
+def test_colors_of_images_alone(backend, as_gaussians_3d, sharing, monkeypatch):
+    monkeypatch.setattr(raster_pass, "_sharing", lambda *_: sharing)
+    compare_image_color(backend, "many", as_gaussians_3d)
+
+
+@SHARINGS
+def test_a_tile_with_more_surfels_than_a_block_fetches_at_once(emulate, sharing, monkeypatch):
     """Three batches in each of four tiles; no pixel is near a support's edge. The order where warps run ahead."""
-    monkeypatch.setattr(raster_pass, "FEW_TILES", few_tiles)
+    monkeypatch.setattr(raster_pass, "_sharing", lambda *_: sharing)
     count, camera = 600, plain_camera(20, 18)
     means = torch.stack([torch.zeros(count), torch.zeros(count), 2 + 0.01 * torch.arange(count)], 1)
     surfels = dressed(facing_surfels(means, scale=30.0, opacity=0.01))
@@ -112,7 +127,7 @@ def test_ray_batches(backend, scene, sh_direction):
 
 @pytest.mark.parametrize(("scene", "sh_direction"), [("many", "center"), ("opaque", "center"), ("many", "ray")])
 def test_colors_of_rays_alone(backend, scene, sh_direction):
-    compare_color(backend, scene, sh_direction)
+    compare_ray_color(backend, scene, sh_direction)
 
 
 @pytest.mark.parametrize("kind", ["surfels", "gaussians_3d", "rays"])
@@ -150,9 +165,14 @@ def test_a_tree_of_any_size_finds_every_hit(backend, count):
         assert relative_error(getattr(drawn, name)[same], getattr(expected, name)[same]) < 1e-4, name
 
 
-def test_the_order_of_the_threads_changes_no_bit_of_color_alone(emulate):
-    inputs = random_set(300), *random_rays(201)
-    drawn = [emulate(order).trace_color(*inputs) for order in ORDERS]
+@pytest.mark.parametrize("kind", ["image", "rays"])
+def test_the_order_of_the_threads_changes_no_bit_of_color_alone(emulate, kind):
+    def draw(backend: Backend) -> tuple[Tensor, Tensor]:
+        if kind == "rays":
+            return backend.trace_color(random_set(300), *random_rays(201))
+        return backend.rasterize_color(random_set(300), tilted_camera())
+
+    drawn = [draw(emulate(order)) for order in ORDERS]
     for color, alpha in drawn[1:]:
         assert torch.equal(color, drawn[0][0])
         assert torch.equal(alpha, drawn[0][1])
@@ -450,14 +470,15 @@ def test_steps_of_adam_are_torchs(emulate):
     assert_adam_is_torchs("cpu")
 
 
-def test_a_pixel_ends_at_the_same_primitive_however_its_list_is_shared(emulate, monkeypatch):
+@pytest.mark.parametrize("pixels", [1, 2])
+def test_a_pixel_ends_at_the_same_primitive_however_its_list_is_shared(emulate, pixels, monkeypatch):
     """Five hundred veils, of which a pixel sees half: it ends within a warp's eighth, and at its borders."""
     count, camera = 500, plain_camera(20, 18)
     means = torch.stack([torch.zeros(count), torch.zeros(count), 2 + 0.01 * torch.arange(count)], 1)
     surfels = dressed(facing_surfels(means, scale=3.0, opacity=0.06))
     backend, drawn = emulate("shuffled"), []
-    for few_tiles in (0, 1000):
-        monkeypatch.setattr(raster_pass, "FEW_TILES", few_tiles)
+    for sharing in ((pixels, False), (pixels, True)):
+        monkeypatch.setattr(raster_pass, "_sharing", lambda *_: sharing)
         leaves = surfels.map(lambda x: x.clone().requires_grad_())
         rendering = backend.rasterize(leaves, backend.take(camera))
         rendering.color.square().sum().backward()

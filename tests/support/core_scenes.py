@@ -10,7 +10,17 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, GaussianSet, Rendering, depth_normals, rasterize, reflect, trace, trace_color
+from envgs_bench.core import (
+    Camera,
+    GaussianSet,
+    Rendering,
+    depth_normals,
+    rasterize,
+    rasterize_color,
+    reflect,
+    trace,
+    trace_color,
+)
 from envgs_bench.core.ssim import K1, K2, TAPS, ssim_map
 from envgs_bench.core.torch.gaussians_3d import RasterizedGaussians3D
 from envgs_bench.core.torch.intersections import MAX_ALPHA, Intersector, alphas
@@ -52,6 +62,10 @@ class Backend:
 
     def rasterize(self, gaussians: GaussianSet, camera: Camera, **options) -> Rendering:
         return rasterize(gaussians, camera, backend=self.name, **options)
+
+    @torch.no_grad()
+    def rasterize_color(self, gaussians: GaussianSet, camera: Camera, **options) -> tuple[Tensor, Tensor]:
+        return rasterize_color(gaussians, camera, backend=self.name, **options)
 
     def trace(self, gaussians: GaussianSet, origins: Tensor, directions: Tensor, **options) -> Rendering:
         return trace(gaussians, origins, directions, backend=self.name, **options)

@@ -80,7 +80,16 @@ def compare(one: Drawn, other: Drawn, keep: Tensor) -> None:
         assert relative_error(drawn.statistics.weights, expected.statistics.weights) < TOLERANCE
 
 
-def compare_color(backend: Backend, scene: str, sh_direction: str) -> None:
+def compare_image_color(backend: Backend, scene: str, as_gaussians_3d: bool, low_pass: bool = True) -> None:
+    """Hold what `rasterize_color` draws beside the oracle."""
+    gaussians, keep, (expected, _) = oracle_image(scene, as_gaussians_3d, low_pass)
+    inputs = [backend.take(x) for x in (gaussians, CAMERA)]
+    drawn = backend.rasterize_color(*inputs, low_pass=low_pass, background=BACKGROUND)
+    for own, reference in zip(drawn, (expected.color, expected.alpha), strict=True):
+        assert relative_error(own[keep.to(own.device)], reference[keep]) < TOLERANCE / 10
+
+
+def compare_ray_color(backend: Backend, scene: str, sh_direction: str) -> None:
     """Hold what `trace_color` draws beside the oracle, with room for coefficients in half precision."""
     gaussians, rays, (expected, _) = oracle_ray_batch(scene, sh_direction)
     inputs = [backend.take(x) for x in (gaussians, *rays)]

@@ -26,6 +26,7 @@ __all__ = [
     "build_bvh",
     "depth_normals",
     "rasterize",
+    "rasterize_color",
     "reflect",
     "ssim_map",
     "trace",
@@ -38,6 +39,12 @@ def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions)
     with torch.cuda.device(gaussians.device):
         flat = draw(RasterPass(gaussians, camera, options), gaussians)
     return flat.map(lambda plane: plane.unflatten(0, (camera.height, camera.width)))
+
+
+def rasterize_color(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> tuple[Tensor, Tensor]:
+    with torch.cuda.device(gaussians.device):
+        color, alpha = RasterPass(replace(gaussians, extras=None), camera, options, color_alone=True).color()
+    return color.unflatten(0, (camera.height, camera.width)), alpha.unflatten(0, (camera.height, camera.width))
 
 
 def build_bvh(gaussians: GaussianSet) -> Bvh:

@@ -4,7 +4,7 @@
 
 using namespace envgs;
 
-extern "C" __global__ void __launch_bounds__(256) differentiate_tiles(
+extern "C" __global__ void __launch_bounds__(kThreads) differentiate_tiles(
     const uint2* ranges,  // [tiles] first and past-the-last instance
     const u32* instance_slots,  // [instances] slot of the primitive, sorted by tile, then depth
     const VisiblePrimitive* primitives,  // [visible] by slot
@@ -27,50 +27,75 @@ extern "C" __global__ void __launch_bounds__(256) differentiate_tiles(
 ) {
     const PinholeCamera& camera = *camera_at;
     Place place = Place::own();
-    Pixel pixel = own_pixel(camera, place, tiles_x);
-    long pixels = long(camera.width) * camera.height;
-    Planes<const float> out = {color, alpha, depth, normal, extras, pixels};
-    Planes<const float> gradient = {g_color, g_alpha, g_depth, g_normal, g_extras, pixels};
-    UpstreamGradient g(out, gradient, pixel.inside ? pixel.at : 0, load3(background));
-    float x = pixel.x + 0.5f, y = pixel.y + 0.5f, near = camera.near;
-    bool live = pixel.inside;
-    TileList list(ranges, instance_slots, primitives, outlines, place.tile, tiles_x);
+    long plane = long(camera.width) * camera.height;
+    Planes<const float> out = {color, alpha, depth, normal, extras, plane};
+    Planes<const float> gradient = {g_color, g_alpha, g_depth, g_normal, g_extras, plane};
+    Pixel pixels[kPixels];
+    UpstreamGradient g[kPixels];
+    bool lives[kPixels], live = false;
+#pragma unroll
+    for (int k = 0; k < kPixels; ++k) {
+        pixels[k] = own_pixel(camera, place, tiles_x, k);
+        g[k] = UpstreamGradient(out, gradient, pixels[k].inside ? pixels[k].at : 0, load3(background));
+        lives[k] = pixels[k].inside;
+        live |= lives[k];
+    }
+    float x = pixels[0].x + 0.5f, y = pixels[0].y + 0.5f, near = camera.near;
+    TileList list(ranges, instance_slots, primitives, outlines, nullptr, place.tile, tiles_x);
     auto visit = [&](const VisiblePrimitive& p, u32 slot) {
-        auto at = evaluate(p.splat, x, y, near);
-        bool hit = live && at.rho <= p.splat.support;
+        Kind::Response at[kPixels];
+        bool hits[kPixels], hit = false;
+#pragma unroll
+        for (int k = 0; k < kPixels; ++k) {
+            at[k] = evaluate(p.splat, x, y + 4.0f * k, near);
+            hits[k] = lives[k] && at[k].rho <= p.splat.support;
+            hit |= hits[k];
+        }
         if (!__any_sync(kFullWarp, hit)) return;
         PrimitiveSums sum = {};
-        if (hit) {
-            float a = response_alpha(p.splat.opacity, at.rho);
-            auto [weight, g_a] = g.hit(a, p.color, at.t, at.side, p.normal, p.extras);
-            AlphaGradient<float> own = alpha_backward(p.splat.opacity, a, g_a);
-            sum.opacity = own.opacity;
-            sum.color = weight * g.sum.color;
-            sum.normal = (weight * at.side) * g.sum.normal;
+        live = false;
 #pragma unroll
-            for (int k = 0; k < kExtras; ++k) sum.extras[k] = weight * g.extras[k];
-            add_pixel(sum.geometry, at, true, own.rho, weight * g.sum.depth);
-            live = g.transmittance >= transmittance_min;
+        for (int k = 0; k < kPixels; ++k) {
+            if (hits[k]) {
+                float a = response_alpha(p.splat.opacity, at[k].rho);
+                auto [weight, g_a] = g[k].hit(a, p.color, at[k].t, at[k].side, p.normal, p.extras);
+                AlphaGradient<float> own = alpha_backward(p.splat.opacity, a, g_a);
+                sum.opacity += own.opacity;
+                sum.color = sum.color + weight * g[k].sum.color;
+                sum.normal = sum.normal + (weight * at[k].side) * g[k].sum.normal;
+#pragma unroll
+                for (int e = 0; e < kExtras; ++e) sum.extras[e] += weight * g[k].extras[e];
+                add_pixel(sum.geometry, at[k], true, own.rho, weight * g[k].sum.depth);
+                lives[k] = g[k].transmittance >= transmittance_min;
+            }
+            live |= lives[k];
         }
         float total = TransposedSum<kSums>::of(reinterpret_cast<float*>(&sum));
         if (lane_id() < kSums) atomicAdd(sums + long(kSumsStride) * slot + lane_id(), total);
     };
     if constexpr (kSharedArea) {
-        Progress progress = {pixel.inside ? 1.0f : 0.0f, g.remaining};
+        Progress progress[kPixels];
+#pragma unroll
+        for (int k = 0; k < kPixels; ++k) progress[k] = {pixels[k].inside ? 1.0f : 0.0f, g[k].remaining};
         list.share(
             place.area, transmittance_min, progress,
-            [&](const VisiblePrimitive& p, Progress& own) {
-                auto at = evaluate(p.splat, x, y, near);
-                if (at.rho > p.splat.support) return;
-                float a = response_alpha(p.splat.opacity, at.rho);
-                own.remaining += own.transmittance * a * g.value(p.color, at.t, at.side, p.normal, p.extras);
-                own.transmittance *= 1.0f - a;
+            [&](const VisiblePrimitive& p, Progress (&own)[kPixels]) {
+#pragma unroll
+                for (int k = 0; k < kPixels; ++k) {
+                    auto at = evaluate(p.splat, x, y + 4.0f * k, near);
+                    if (at.rho > p.splat.support) continue;
+                    float a = response_alpha(p.splat.opacity, at.rho);
+                    float value = g[k].value(p.color, at.t, at.side, p.normal, p.extras);
+                    own[k].remaining += own[k].transmittance * a * value;
+                    own[k].transmittance *= 1.0f - a;
+                }
             },
-            [&](Progress before) {
-                g.transmittance = before.transmittance, g.remaining = before.remaining;
-                live = before.transmittance >= transmittance_min;
+            [&](int k, Progress before) {
+                g[k].transmittance = before.transmittance, g[k].remaining = before.remaining;
+                lives[k] = before.transmittance >= transmittance_min;
+                live = k == 0 ? lives[0] : live || lives[k];
             },
-            live, visit, [](bool) {});
+            live, visit, [](int, bool) {});
     } else {
         list.walk(live, visit);
     }

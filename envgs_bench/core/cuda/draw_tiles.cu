@@ -1,9 +1,10 @@
-// Draws: a thread a pixel, or eight that share it (see tile_primitives.cuh).
+// Draws: a thread some pixels, or eight that share them (see tile_primitives.cuh). For color alone the planes from depth
+// on, hits, indices and weights are null.
 #include "tile_primitives.cuh"
 
 using namespace envgs;
 
-extern "C" __global__ void __launch_bounds__(256) draw_tiles(
+extern "C" __global__ void __launch_bounds__(kThreads) draw_tiles(
     const uint2* ranges,  // [tiles] first and past-the-last instance
     const u32* instance_slots,  // [instances] slot of the primitive, sorted by tile, then depth
     const VisiblePrimitive* primitives,  // [visible] by slot
@@ -24,59 +25,96 @@ extern "C" __global__ void __launch_bounds__(256) draw_tiles(
 ) {
     const PinholeCamera& camera = *camera_at;
     Place place = Place::own();
-    Pixel pixel = own_pixel(camera, place, tiles_x);
-    float x = pixel.x + 0.5f, y = pixel.y + 0.5f, near = camera.near;
-    BlendedPixel blended = BlendedPixel::initial();
-    bool live = pixel.inside;
-    TileList list(ranges, instance_slots, primitives, outlines, place.tile, tiles_x);
-    auto visit = [&](const VisiblePrimitive& p, u32 slot) {
-        auto at = evaluate(p.splat, x, y, near);
-        bool hit = live && at.rho <= p.splat.support;
-        if (!__any_sync(kFullWarp, hit)) return;
-        float weight = 0.0f;
-        if (hit) {
-            float a = response_alpha(p.splat.opacity, at.rho);
-            weight = blended.transmittance * a;
-            blended.add(weight, p.color, at.t, at.side, p.normal, p.extras);
-            blended.transmittance *= 1.0f - a;
-            live = blended.transmittance >= transmittance_min;
+    Pixel pixels[kPixels];
+    BlendedPixel blended[kPixels];
+    bool lives[kPixels], live = false;
+#pragma unroll
+    for (int k = 0; k < kPixels; ++k) {
+        pixels[k] = own_pixel(camera, place, tiles_x, k);
+        blended[k] = BlendedPixel::initial();
+        lives[k] = pixels[k].inside;
+        live |= lives[k];
+    }
+    float x = pixels[0].x + 0.5f, y = pixels[0].y + 0.5f, near = camera.near;
+    TileList list(ranges, instance_slots, primitives, outlines, indices, place.tile, tiles_x);
+    auto visit = [&](const VisiblePrimitive& p, u32 index) {
+        Kind::Response at[kPixels];
+        bool hits[kPixels], hit = false;
+#pragma unroll
+        for (int k = 0; k < kPixels; ++k) {
+            at[k] = evaluate(p.splat, x, y + 4.0f * k, near);
+            hits[k] = lives[k] && at[k].rho <= p.splat.support;
+            hit |= hits[k];
         }
-        float total = warp_sum_of_weights(weight);
-        if (lane_id() == 0) atomicAdd(weights + indices[slot], total);
+        if (!kColorAlone && !__any_sync(kFullWarp, hit)) return;
+        float sum = 0.0f;
+        live = false;
+#pragma unroll
+        for (int k = 0; k < kPixels; ++k) {
+            if (hits[k]) {
+                float a = response_alpha(p.splat.opacity, at[k].rho), weight = blended[k].transmittance * a;
+                p.blend_into(blended[k], weight, at[k]);
+                blended[k].transmittance *= 1.0f - a;
+                lives[k] = blended[k].transmittance >= transmittance_min;
+                sum += weight;
+            }
+            live |= lives[k];
+        }
+        if constexpr (!kColorAlone) {
+            float total = warp_sum_of_weights<kPixels>(sum);
+            if (lane_id() == 0) atomicAdd(weights + index, total);
+        }
     };
     if constexpr (kSharedArea) {
-        __shared__ float finished_at[32];
-        __shared__ BlendedPixel whole[32];
-        Progress progress = {pixel.inside ? 1.0f : 0.0f, 0.0f};
+        __shared__ float finished_at[kPixels][32];
+        __shared__ BlendedPixel whole[kPixels][32];
+        Progress progress[kPixels];
+#pragma unroll
+        for (int k = 0; k < kPixels; ++k) progress[k] = {pixels[k].inside ? 1.0f : 0.0f, 0.0f};
         list.share(
             place.area, transmittance_min, progress,
-            [&](const VisiblePrimitive& p, Progress& own) {
-                auto at = evaluate(p.splat, x, y, near);
-                if (at.rho <= p.splat.support) own.transmittance *= 1.0f - response_alpha(p.splat.opacity, at.rho);
+            [&](const VisiblePrimitive& p, Progress (&own)[kPixels]) {
+#pragma unroll
+                for (int k = 0; k < kPixels; ++k) {
+                    auto at = evaluate(p.splat, x, y + 4.0f * k, near);
+                    if (at.rho <= p.splat.support)
+                        own[k].transmittance *= 1.0f - response_alpha(p.splat.opacity, at.rho);
+                }
             },
-            [&](Progress before) {
-                blended.transmittance = before.transmittance;
-                live = before.transmittance >= transmittance_min;
+            [&](int k, Progress before) {
+                blended[k].transmittance = before.transmittance;
+                lives[k] = before.transmittance >= transmittance_min;
+                live = k == 0 ? lives[0] : live || lives[k];
             },
             live, visit,
-            [&](bool finished) {
-                if (finished) finished_at[lane_id()] = blended.transmittance;
+            [&](int k, bool finished) {
+                if (finished) finished_at[k][lane_id()] = blended[k].transmittance;
             });
-        for (int warp = 0; warp < kAreas; ++warp) {
+        for (int warp = 0; warp < kWarps; ++warp) {
             __syncthreads();
             if (warp != warp_id()) continue;
-            if (warp > 0) blended.join(whole[lane_id()]);
-            whole[lane_id()] = blended;
+#pragma unroll
+            for (int k = 0; k < kPixels; ++k) {
+                if (warp > 0) blended[k].join(whole[k][lane_id()]);
+                whole[k][lane_id()] = blended[k];
+            }
         }
-        if (warp_id() != kAreas - 1) return;
-        bool finished = progress.transmittance < transmittance_min;
-        blended.transmittance = finished ? finished_at[lane_id()] : progress.transmittance;
+        if (warp_id() != kWarps - 1) return;
+#pragma unroll
+        for (int k = 0; k < kPixels; ++k) {
+            bool finished = progress[k].transmittance < transmittance_min;
+            blended[k].transmittance = finished ? finished_at[k][lane_id()] : progress[k].transmittance;
+        }
     } else {
         list.walk(live, visit);
     }
-    if (!pixel.inside) return;
     // Too little room for the instances, seen only after the fact: an image that cannot be mistaken for the right one.
-    if (counters->instances > counters->drawn_instances) blended.transmittance = __int_as_float(0x7fc00000);
+    bool incomplete = counters->instances > counters->drawn_instances;
     Planes<float> out = {color, alpha, depth, normal, extras, long(camera.width) * camera.height};
-    blended.store(out, hit_counts, pixel.at, load3(background));
+#pragma unroll
+    for (int k = 0; k < kPixels; ++k) {
+        if (!pixels[k].inside) continue;
+        if (incomplete) blended[k].transmittance = __int_as_float(0x7fc00000);
+        blended[k].store(out, hit_counts, pixels[k].at, load3(background));
+    }
 }

@@ -11,6 +11,10 @@ constexpr int kShFloats = 3 * SH_COEFFICIENTS;
 constexpr int kShDegree = SH_COEFFICIENTS == 1 ? 0 : SH_COEFFICIENTS == 4 ? 1 : SH_COEFFICIENTS == 9 ? 2 : 3;
 constexpr int kExtras = EXTRAS;
 
+// Whether color and alpha are drawn alone, for pictures that nobody differentiates.
+constexpr bool kColorAlone = COLOR_ALONE;
+static_assert(!kColorAlone || kExtras == 0);
+
 __host__ __device__ constexpr int padded(int floats) { return (floats + 3) / 4 * 4; }
 
 struct Gaussians {
@@ -53,6 +57,10 @@ struct BlendedPixel {
         hits += other.hits;
     }
     ENVGS_FN void store(const Planes<float>& out, int* hit_counts, long at, Vec3<float> background) const {
+        if constexpr (kColorAlone) {
+            write_color(out, at, sums.color, transmittance, background);
+            return;
+        }
         write_blended(out, at, sums, transmittance, background);
 #pragma unroll
         for (int k = 0; k < kExtras; ++k) out.extras[k * out.pixels + at] = extras[k];
@@ -66,6 +74,7 @@ struct UpstreamGradient {
     float extras[kExtras + 1];
     float transmittance, remaining;
 
+    UpstreamGradient() = default;
     ENVGS_FN UpstreamGradient(const Planes<const float>& out, const Planes<const float>& gradient, long at,
                               Vec3<float> background)
         : transmittance(1.0f) {

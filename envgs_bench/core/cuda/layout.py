@@ -9,7 +9,7 @@ from __future__ import annotations
 CONSTANTS = {
     # rasterizer
     "TILE": 16,  # pixels, both ways
-    "TILE_AREAS": 8,  # of 8×4 pixels
+    "SHARING_WARPS": 8,  # of a block that draws an area of a tile
     "CAMERA_FLOATS": 37,
     "OUTLINE_FLOATS": 12,
     "PRIMITIVE_SUM_FLOATS": 32,  # a primitive's row of sums in the backward pass
@@ -29,10 +29,10 @@ CONSTANTS = {
 }
 
 
-def visible_floats(scale_columns: int, extras: int) -> int:
-    """Floats of a visible primitive: its splat, color, normal and extras."""
-    splat = {2: 18, 3: 9}[scale_columns]
-    return _padded(splat + 3 + 3 + max(extras, 1))
+def visible_floats(scale_columns: int, extras: int, color_alone: bool) -> int:
+    """Floats of a visible primitive: its color, normal and extras, or its color alone, and its splat."""
+    splat, color, normal = {2: 18, 3: 9}[scale_columns], 3, 3
+    return _padded(splat + color if color_alone else splat + color + normal + max(extras, 1))
 
 
 def appearance_floats(sh_coefficients: int, extras: int) -> int:

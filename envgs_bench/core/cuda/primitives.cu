@@ -16,7 +16,8 @@ ENVGS_FN bool pixels_of(const PinholeCamera& camera, PixelBox box, PixelRect& re
 }
 
 // Visible primitives move up in the order of their index: their splats, outlines, depths as sort keys and numbers of
-// tiles; slots [N] tells where a primitive went, −1 where nowhere, and indices [visible] the way back.
+// tiles; slots [N] tells where a primitive went, −1 where nowhere, and indices [visible] the way back. For color alone
+// neither is asked for, nor are the weights.
 extern "C" __global__ void __launch_bounds__(256) prepare_primitives(
     const float* means,  // [N, 3] centers, world units
     const float* quaternions,  // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
@@ -57,30 +58,33 @@ extern "C" __global__ void __launch_bounds__(256) prepare_primitives(
             outline.x = primitive.splat.x, outline.y = primitive.splat.y;
             outline.radius = Kind::low_pass_radius(primitive.splat);
             tiles = count_tiles(outline);
-            primitive.normal = Kind::normal(input);
+            primitive.take(Kind::normal(input), extras + long(kExtras) * i);
             to_center = input.mean - camera.center;
         }
     }
     u32 total, before = block_exclusive_sum(tiles > 0, total);
     u32 block_tiles, unused = block_exclusive_sum(min(tiles, 1u << 22), block_tiles);
-    if (threadIdx.x == 0) {
-        first_slot = sum_before_block(state, block, total);
-        if (block_tiles) atomicAdd(&counters->instances, u64(block_tiles));
-        if (block == gridDim.x - 1) counters->visible = first_slot + total;
+    if (warp_id() == 0) {
+        u32 first = sum_before_block(state, block, total);
+        if (lane_id() == 0) {
+            first_slot = first;
+            if (block_tiles) atomicAdd(&counters->instances, u64(block_tiles));
+            if (block == gridDim.x - 1) counters->visible = first + total;
+        }
     }
     __syncthreads();
     if (i >= count) return;
-    weights[i] = 0.0f;
-    if (tiles == 0) {
-        slots[i] = -1;
-        return;
+    if constexpr (!kColorAlone) {
+        weights[i] = 0.0f;
+        if (tiles == 0) slots[i] = -1;
     }
+    if (tiles == 0) return;
     u32 slot = first_slot + before;
     primitive.color = sh_color<kShDegree>(sh + long(kShFloats) * i, to_center);
-#pragma unroll
-    for (int k = 0; k < kExtras; ++k) primitive.extras[k] = extras[long(kExtras) * i + k];
-    slots[i] = slot;
-    indices[slot] = i;
+    if constexpr (!kColorAlone) {
+        slots[i] = slot;
+        indices[slot] = i;
+    }
     primitives[slot] = primitive;
     outlines[slot] = outline;
     depth_keys[slot] = sortable_bits(primitive.splat.depth);

@@ -8,6 +8,7 @@ namespace envgs {
 // What the rasterizer needs to know of surfels.
 struct SurfelKind {
     using Splat = SurfelSplat;
+    using Response = SurfelPixel<float>;
     using Input = SurfelInput;
     using Sums = SurfelSums<float>;
     static constexpr int scale_count = 2;
@@ -31,6 +32,7 @@ struct SurfelKind {
 // The same for 3D Gaussians.
 struct Gaussian3dKind {
     using Splat = Gaussian3dSplat;
+    using Response = Gaussian3dPixel<float>;
     using Input = Gaussian3dInput;
     using Sums = Gaussian3dSums<float>;
     static constexpr int scale_count = 3;
@@ -50,11 +52,35 @@ struct Gaussian3dKind {
 
 using Kind = KIND;
 
-// A visible primitive, ready to draw.
-struct alignas(16) VisiblePrimitive {
-    Kind::Splat splat;
+// What a primitive adds to the pixels that it covers.
+template <bool ColorAlone>
+struct Look {
     Vec3<float> color, normal;
     float extras[kExtras > 0 ? kExtras : 1];
+
+    ENVGS_FN void take(Vec3<float> own_normal, const float* own_extras) {
+        normal = own_normal;
+#pragma unroll
+        for (int k = 0; k < kExtras; ++k) extras[k] = own_extras[k];
+    }
+    ENVGS_FN void blend_into(BlendedPixel& pixel, float weight, const Kind::Response& at) const {
+        pixel.add(weight, color, at.t, at.side, normal, extras);
+    }
+};
+
+template <>
+struct Look<true> {
+    Vec3<float> color;
+
+    ENVGS_FN void take(Vec3<float>, const float*) {}
+    ENVGS_FN void blend_into(BlendedPixel& pixel, float weight, const Kind::Response&) const {
+        pixel.sums.color = pixel.sums.color + weight * color;
+    }
+};
+
+// A visible primitive, ready to draw.
+struct alignas(16) VisiblePrimitive : Look<kColorAlone> {
+    Kind::Splat splat;
 };
 static_assert(sizeof(VisiblePrimitive) == 4 * VISIBLE_FLOATS);
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 
 import torch
@@ -16,8 +17,9 @@ from .layout import CONSTANTS, visible_floats
 from .sorting import radix_sort
 
 TILE = CONSTANTS["TILE"]
-AREAS = CONSTANTS["TILE_AREAS"]
-FEW_TILES = 5  # for each multiprocessor: an image of fewer shares each of a tile's areas between a block's warps
+FEW_TILES = 7  # for each multiprocessor: an image of fewer shares each of a tile's areas between a block's warps
+SHARED_IN_PAIRS = 1  # tiles for each multiprocessor from which a thread takes two pixels of an area that is shared
+IN_PAIRS = 25  # and of one that is not
 MIN_CAPACITY = 1 << 20
 BYTES_PER_INSTANCE = 24  # keys and slots, before and after a sorting pass
 
@@ -27,28 +29,49 @@ _latest_instances: dict[torch.device, int] = {}
 
 
 class RasterPass:
-    def __init__(self, gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> None:
+    """Draws all that `rasterize` returns; or, made with `color_alone`, what `rasterize_color` does, without extras."""
+
+    def __init__(
+        self, gaussians: GaussianSet, camera: Camera, options: RasterizeOptions, color_alone: bool = False
+    ) -> None:
         tensors = SetTensors.of(gaussians)
         self.tensors = tensors._replace(quaternions=aligned(tensors.quaternions))
-        self.camera, self.options = camera, options
+        self.camera, self.options, self.color_alone = camera, options, color_alone
         self.background = options.background.contiguous()
         self.device = gaussians.device
-        self.visible_floats = visible_floats(tensors.scales.shape[1], tensors.extras.shape[1])
+        self.visible_floats = visible_floats(tensors.scales.shape[1], tensors.extras.shape[1], color_alone)
         self.tiles_x, self.tiles_y = blocks_for(camera.width, TILE), blocks_for(camera.height, TILE)
-        few = self.tiles_x * self.tiles_y < FEW_TILES * _multiprocessors(self.device)
-        self.tile_blocks = AREAS if few else 1
+        self.pixels, shares = _sharing(self.tiles_x * self.tiles_y, self.device)
+        areas = TILE**2 // (32 * self.pixels)  # of a tile, a warp's each
+        self.tile_blocks = areas if shares else 1
+        self.threads = 32 * (CONSTANTS["SHARING_WARPS"] if shares else areas)
 
     def _kernels(self, *sources: str) -> Kernels:
         kind = "SurfelKind" if self.tensors.scales.shape[1] == 2 else "Gaussian3dKind"
         sh, extras = self.tensors.sh.shape[1], self.tensors.extras.shape[1]
         return kernels(sources, self.device, KIND=kind, SH_COEFFICIENTS=sh, EXTRAS=extras,
-                       VISIBLE_FLOATS=self.visible_floats, TILE_BLOCKS=self.tile_blocks)  # fmt: skip
+                       COLOR_ALONE=int(self.color_alone), VISIBLE_FLOATS=self.visible_floats,
+                       TILE_BLOCKS=self.tile_blocks, THREAD_PIXELS=self.pixels)  # fmt: skip
+
+    def color(self) -> tuple[Tensor, Tensor]:
+        """Color [P, 3] and alpha [P]."""
+        pixels = self.camera.width * self.camera.height
+        color, alpha = self.tensors.means.new_empty(3, pixels), self.tensors.means.new_empty(pixels)
+        left_out = [None] * 4  # from depth to hits
+        self._draw((color, alpha, *left_out), None)
+        return color.T, alpha
 
     def forward(self, keep: bool) -> PassOutput:
-        camera, count = self.camera, len(self.tensors.means)
-        planes = Planes.empty(self.tensors.means, camera.width * camera.height, self.tensors.extras.shape[1])
+        planes = Planes.empty(
+            self.tensors.means, self.camera.width * self.camera.height, self.tensors.extras.shape[1]
+        )
         hits = planes.alpha.new_empty(planes.alpha.shape, dtype=torch.int32)
         weights = torch.empty_like(self.tensors.opacities)
+        self._draw((*planes, hits), weights)
+        return PassOutput(planes, hits, weights)
+
+    def _draw(self, results: Sequence[Tensor | None], weights: Tensor | None) -> None:
+        count = len(self.tensors.means)
         launch = self._kernels("camera.cu", "primitives.cu", "tile_instances.cu", "draw_tiles.cu")
         self._prepare(launch, weights)
         order = radix_sort(self.depth_keys, None, self.counters[:1], 32)[1] if count else self.depth_keys
@@ -58,33 +81,34 @@ class RasterPass:
             wanted.copy_(self.counters, non_blocking=True)
             counted = torch.cuda.current_stream().record_event()
         capacity = max(_latest_instances.get(self.device, 4 * count) * 3 // 2, MIN_CAPACITY)
-        self._draw(launch, order, capacity, planes, hits, weights)
+        self._draw_instances(launch, order, capacity, results, weights)
         if not capturing:
             counted.synchronize()  # the drawing is still under way
             instances = int(wanted[2:].view(torch.int64))
             if instances > capacity:
                 _check_memory(instances, self.device)
-                weights.zero_()
-                self._draw(launch, order, instances, planes, hits, weights)
+                if weights is not None:
+                    weights.zero_()
+                self._draw_instances(launch, order, instances, results, weights)
             _latest_instances[self.device] = instances
-        return PassOutput(planes, hits, weights)
 
-    def _prepare(self, launch: Kernels, weights: Tensor) -> None:
+    def _prepare(self, launch: Kernels, weights: Tensor | None) -> None:
         tensors, count = self.tensors, len(self.tensors.means)
         blocks = blocks_for(count, 256)
         empty = tensors.means.new_empty
         self.visible, self.outlines = empty(count, self.visible_floats), empty(count, CONSTANTS["OUTLINE_FLOATS"])
         self.device_camera = make_camera(launch, self.camera, self.options.near, self.options.low_pass)
-        self.depth_keys, self.tile_counts, self.slots, self.indices = (
-            empty(count, dtype=torch.int32) for _ in range(4)
+        self.depth_keys, self.tile_counts = (empty(count, dtype=torch.int32) for _ in range(2))
+        self.slots, self.indices = (
+            None if self.color_alone else empty(count, dtype=torch.int32) for _ in range(2)
         )
         self.counters, state, ticket = zeroed(self.device, CONSTANTS["COUNTER_INTS"], 2 * blocks, 1)
         launch("prepare_primitives", blocks, 256, *tensors, count, self.device_camera, self.visible, self.outlines,
                self.depth_keys, self.tile_counts, self.slots, self.indices, weights, self.counters, state,
                ticket)  # fmt: skip
 
-    def _draw(
-        self, launch: Kernels, order: Tensor, capacity: int, planes: Planes, hits: Tensor, weights: Tensor
+    def _draw_instances(
+        self, launch: Kernels, order: Tensor, capacity: int, results: Sequence[Tensor | None], weights: Tensor | None
     ) -> None:
         count, tiles = len(self.tensors.means), self.tiles_x * self.tiles_y
         blocks = blocks_for(count, 256)
@@ -95,22 +119,32 @@ class RasterPass:
         keys, self.instance_slots = radix_sort(keys, slots, self.counters[1:2], max((tiles - 1).bit_length(), 1))
         launch("find_tile_ranges", blocks_for(capacity, 256), 256, keys, self.counters, self.ranges)
         blocks = self.tile_blocks * tiles
-        launch("draw_tiles", blocks, 256, self.ranges, self.instance_slots, self.visible, self.outlines,
+        launch("draw_tiles", blocks, self.threads, self.ranges, self.instance_slots, self.visible, self.outlines,
                self.device_camera, self.tiles_x, float(self.options.transmittance_min), self.background, self.counters,
-               *planes, hits, self.indices, weights)  # fmt: skip
+               *results, self.indices, weights)  # fmt: skip
 
     def backward(self, planes: Planes, gradients: tuple[Tensor | None, ...]) -> Gradients:
         tensors, count = self.tensors, len(self.tensors.means)
         launch = self._kernels("primitives.cu", "differentiate_tiles.cu")
         sums = tensors.means.new_zeros(count, CONSTANTS["PRIMITIVE_SUM_FLOATS"])
         blocks = self.tile_blocks * self.tiles_x * self.tiles_y
-        launch("differentiate_tiles", blocks, 256, self.ranges, self.instance_slots, self.visible, self.outlines,
+        launch("differentiate_tiles", blocks, self.threads, self.ranges, self.instance_slots, self.visible, self.outlines,
                self.device_camera, self.tiles_x, float(self.options.transmittance_min), self.background,
                *planes, *gradients, sums)  # fmt: skip
         result, position = SetTensors(*map(torch.empty_like, tensors)), torch.empty_like(tensors.means)
         launch("finish_primitives", blocks_for(count, 128), 128, *tensors, count, self.device_camera, self.visible,
                self.slots, sums, *result, position)  # fmt: skip
         return Gradients(result, position)
+
+
+def _sharing(tiles: int, device: torch.device) -> tuple[int, bool]:
+    """How an image of so many tiles is drawn: a thread's pixels, and whether a block's warps share an area.
+
+    Two pixels cost a thread less than twice as much as one, where there are enough of them to fill the GPU.
+    """
+    each = tiles / _multiprocessors(device)
+    shares = each < FEW_TILES
+    return (2 if each >= (SHARED_IN_PAIRS if shares else IN_PAIRS) else 1), shares
 
 
 @cache

@@ -4,6 +4,24 @@
 
 using namespace envgs;
 
+constexpr u32 kAlone = 8;  // tiles up to which a thread writes a primitive's instances alone
+
+// Where instances go.
+struct InstanceWriter {
+    u32* tile_keys;
+    u32* instance_slots;
+    u32 capacity;
+    int tiles_x;
+
+    // The instances of a primitive in some tiles of a row, from place `at` on.
+    ENVGS_FN void write(u64 at, int row, Columns columns, u32 slot) const {
+        for (int column = columns.first; column <= columns.last && at < capacity; ++column, ++at) {
+            tile_keys[at] = row * tiles_x + column;
+            instance_slots[at] = slot;
+        }
+    }
+};
+
 extern "C" __global__ void __launch_bounds__(256) emit_instances(
     const u32* order,  // [visible] slots, nearest first; a thread a primitive
     const Outline* outlines,  // [visible] by slot, pixels
@@ -20,21 +38,39 @@ extern "C" __global__ void __launch_bounds__(256) emit_instances(
     u32 block = take_ticket(ticket), visible = counters->visible;
     if (u64(block) * 256 >= visible) return;
     u32 at = block * 256 + threadIdx.x, total;
-    u32 slot = at < visible ? order[at] : 0;
-    u32 before = block_exclusive_sum(at < visible ? tile_counts[slot] : 0, total);
-    if (threadIdx.x == 0) {
-        first_instance = sum_before_block(state, block, total);
-        if (at + 256 >= visible) counters->drawn_instances = u32(min(first_instance + total, u64(capacity)));
+    u32 slot = at < visible ? order[at] : 0, tiles = at < visible ? tile_counts[slot] : 0;
+    u32 before = block_exclusive_sum(tiles, total);
+    if (warp_id() == 0) {
+        u64 first = sum_before_block(state, block, total);
+        if (lane_id() == 0) {
+            first_instance = first;
+            if (at + 256 >= visible) counters->drawn_instances = u32(min(first + total, u64(capacity)));
+        }
     }
     __syncthreads();
-    if (at >= visible) return;
-    Outline outline = outlines[slot];
-    u64 instance = first_instance + before;
-    for (int row = outline.box.row0 / kTile; row <= outline.box.row1 / kTile; ++row) {
-        Columns columns = tiles_in(outline, row);
-        for (int column = columns.first; column <= columns.last && instance < capacity; ++column, ++instance) {
-            tile_keys[instance] = row * tiles_x + column;
-            instance_slots[instance] = slot;
+    InstanceWriter writer = {tile_keys, instance_slots, capacity, tiles_x};
+    if (tiles > 0 && tiles <= kAlone) {
+        Outline outline = outlines[slot];
+        u64 instance = first_instance + before;
+        for (int row = outline.box.row0 / kTile; row <= outline.box.row1 / kTile; ++row) {
+            Columns columns = tiles_in(outline, row);
+            writer.write(instance, row, columns, slot);
+            instance += columns.last - columns.first + 1;
+        }
+    }
+    // A larger one is its warp's work, a row a thread: one thread would keep the others waiting.
+    for (u32 rest = __ballot_sync(kFullWarp, tiles > kAlone); rest; rest &= rest - 1) {
+        int owner = __ffs(rest) - 1;
+        u32 whose = __shfl_sync(kFullWarp, slot, owner);
+        u64 instance = first_instance + __shfl_sync(kFullWarp, before, owner);
+        Outline outline = outlines[whose];
+        for (int first = outline.box.row0 / kTile, last = outline.box.row1 / kTile; first <= last; first += 32) {
+            int row = first + lane_id();
+            Columns columns = {1, 0};
+            if (row <= last) columns = tiles_in(outline, row);
+            u32 width = columns.last - columns.first + 1, through = warp_inclusive_sum(width);
+            writer.write(instance + through - width, row, columns, whose);
+            instance += __shfl_sync(kFullWarp, through, 31);
         }
     }
 }

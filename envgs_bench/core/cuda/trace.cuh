@@ -5,10 +5,6 @@
 
 namespace envgs {
 
-// Whether rays are drawn to color and alpha only, for pictures that nobody differentiates.
-constexpr bool kColorAlone = COLOR_ALONE;
-static_assert(!kColorAlone || kExtras == 0);
-
 // SH coefficients and extras of a surfel, packed for 16-byte loads, in the BVH's order: floats, and for color alone
 // pairs of halves.
 constexpr int kAppearance = APPEARANCE_FLOATS;

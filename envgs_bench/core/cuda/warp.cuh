@@ -25,9 +25,12 @@ __device__ __forceinline__ float warp_max(float value) {
     return from_sortable_bits(__reduce_max_sync(kFullWarp, sortable_bits(value)));
 }
 
-// The sum over the warp of values in [0, 1], by integer hardware and so in any order the same: steps of 2⁻²⁶.
+// The sum over the warp of values in [0, 1] of which each thread has added up `Of`, by integer hardware and so in any
+// order the same: steps of Of·2⁻²⁶.
+template <int Of>
 __device__ __forceinline__ float warp_sum_of_weights(float value) {
-    return __reduce_add_sync(kFullWarp, u32(value * 67108864.0f)) * (1.0f / 67108864.0f);
+    constexpr float steps = 67108864.0f / Of;
+    return __reduce_add_sync(kFullWarp, u32(value * steps)) * (1.0f / steps);
 }
 
 __device__ __forceinline__ u32 warp_inclusive_sum(u32 value) {
@@ -92,22 +95,24 @@ __device__ __forceinline__ u32 take_ticket(u32* ticket) {
     return number;
 }
 
-// Called by one thread a block: the sum over all blocks before this one.
+// Called by one whole warp of a block: the sum over all blocks before this one. A lane looks at a block, the nearest first.
 __device__ __forceinline__ u64 sum_before_block(volatile u64* state, u32 block, u64 own) {
-    if (block == 0) {
-        state[0] = kComplete | own;
-        return 0;
-    }
-    state[block] = kPartial | own;
+    if (lane_id() == 0) state[block] = (block == 0 ? kComplete : kPartial) | own;
     u64 before = 0;
-    for (long i = long(block) - 1;;) {
-        u64 word = state[i];
-        if (word < kPartial) continue;
-        before += word & kValue;
-        if (word >= kComplete) break;
-        --i;
+    u32 complete = 0;
+    for (long nearest = long(block) - 1; nearest >= 0 && !complete; nearest -= 32) {
+        long other = nearest - lane_id();
+        u64 word = kComplete;
+        do {
+            if (other >= 0) word = state[other];
+        } while (__any_sync(kFullWarp, word < kPartial));
+        complete = __ballot_sync(kFullWarp, word >= kComplete);
+        u64 value = !complete || lane_id() < __ffs(complete) ? word & kValue : 0;  // up to the first that is complete
+#pragma unroll
+        for (int offset = 16; offset > 0; offset /= 2) value += __shfl_xor_sync(kFullWarp, value, offset);
+        before += value;
     }
-    state[block] = kComplete | (before + own);
+    if (lane_id() == 0 && block > 0) state[block] = kComplete | (before + own);
     return before;
 }
 
