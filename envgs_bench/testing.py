@@ -53,6 +53,7 @@ def check_method(kind: str, settings: Mapping[str, Any] | None = None, device: s
     _train_with_perceptual(method, scene, steps)
     camera = scene.test[0].camera.to(device)
     picture = _check_rendering(method.render(camera), camera)
+    _expect_equal(picture, method.picture(camera), 1e-4, "picture() is not render()'s color")
     method.prepare()
     _expect_equal(picture, method.render(camera).color, 0.0, "another prepare() changes the picture")
     _check_counts(method)

@@ -8,7 +8,8 @@ it would have been without a graph.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import torch
 from torch import Tensor
@@ -17,65 +18,95 @@ from envgs_bench.core import Camera, Rendering, Statistics
 
 from .recording import on_own_stream, own_camera, recorded
 
+Drawn = TypeVar("Drawn")
 
-class CapturedFrames:
+
+@dataclass(frozen=True)
+class Drawing(Generic[Drawn]):
+    """What is drawn of a camera.
+
+    Attributes:
+        draw: all of the work on the device, from a camera that is there. It must not wait for the device.
+        copy: what was drawn, in tensors of its own.
+        pixel: values of one pixel of it, [K], NaN where there was too little room.
+    """
+
+    draw: Callable[[Camera], Drawn]
+    copy: Callable[[Drawn], Drawn]
+    pixel: Callable[[Drawn], Tensor]
+
+
+class CapturedFrames(Generic[Drawn]):
     """Draws pictures: the first of a size one kernel after the other, those that follow it from a graph.
 
     One thread at a time: all of them would share a graph's camera.
 
     Args:
-        draw: all of a picture's work on the device, from a camera that is there. It must not wait for the device.
+        drawing: what a picture is.
         device: a GPU.
     """
 
-    def __init__(self, draw: Callable[[Camera], Rendering], device: torch.device) -> None:
-        self._draw, self._device = draw, device
+    def __init__(self, drawing: Drawing[Drawn], device: torch.device) -> None:
+        self._drawing, self._device = drawing, device
         self._size: tuple[int, int] | None = None  # of the latest picture that was drawn without a graph
-        self._graph: _Graph | None = None
+        self._graph: _Graph[Drawn] | None = None
 
     def forget(self) -> None:
         """What is drawn has changed: give back the memory that a graph holds."""
         self._size = self._graph = None
 
-    def draw(self, camera: Camera) -> Rendering:
-        """The picture as `draw` draws it, in tensors of its own."""
+    def draw(self, camera: Camera) -> Drawn:
+        """The picture as it is drawn without a graph, in tensors of its own."""
         size = camera.width, camera.height
         with on_own_stream(self._device):
             if self._size == size:
                 if self._graph is None:
-                    self._graph = _Graph(self._draw, camera.to(self._device))
-                rendering = self._graph.replay(camera)
-                if rendering is not None:
-                    return rendering
+                    self._graph = _Graph(self._drawing, camera.to(self._device))
+                drawn = self._graph.replay(camera)
+                if drawn is not None:
+                    return drawn
             self._size, self._graph = size, None  # kernels are compiled, and lists get their room
-            return self._draw(camera.to(self._device))
+            return self._drawing.draw(camera.to(self._device))
 
 
-class _Graph:
-    """One recording of `draw`, with its own copy of a camera to read."""
+class _Graph(Generic[Drawn]):
+    """One recording of a drawing, with its own copy of a camera to read."""
 
-    def __init__(self, draw: Callable[[Camera], Rendering], camera: Camera) -> None:
-        self._camera = own_camera(camera)
-        self._graph, (self._rendering, self._sample) = recorded(lambda: self._sampled_picture(draw), camera.device)
+    def __init__(self, drawing: Drawing[Drawn], camera: Camera) -> None:
+        self._camera, self._copy = own_camera(camera), drawing.copy
+
+        def sampled() -> tuple[Drawn, Tensor]:
+            drawn = drawing.draw(self._camera)
+            return drawn, drawing.pixel(drawn)
+
+        self._graph, (self._drawn, self._sample) = recorded(sampled, camera.device)
         self._sampled = torch.empty(self._sample.shape, pin_memory=True)
         self._arrived = torch.cuda.Event()
 
-    def _sampled_picture(self, draw: Callable[[Camera], Rendering]) -> tuple[Rendering, Tensor]:
-        rendering = draw(self._camera)
-        return rendering, torch.cat([rendering.color[0, 0], rendering.alpha[0, :1]])
-
-    def replay(self, camera: Camera) -> Rendering | None:
+    def replay(self, camera: Camera) -> Drawn | None:
         """The picture, None where there was too little room: all of it is NaN then, so one pixel tells."""
         self._camera.world_to_camera.copy_(camera.world_to_camera, non_blocking=True)
         self._camera.intrinsics.copy_(camera.intrinsics, non_blocking=True)
         self._graph.replay()
         self._sampled.copy_(self._sample, non_blocking=True)
         self._arrived.record()
-        drawn = self._rendering
-        copied = replace(
-            drawn.map(Tensor.clone),
-            statistics=Statistics(drawn.statistics.weights.clone()),
-            layers={name: layer.clone() for name, layer in drawn.layers.items()},
-        )
+        copied = self._copy(self._drawn)
         self._arrived.synchronize()  # copies are under way meanwhile
         return copied if bool(self._sampled.isfinite().all()) else None
+
+
+def rendering_drawing(draw: Callable[[Camera], Rendering]) -> Drawing[Rendering]:
+    return Drawing(draw, _copied, lambda drawn: torch.cat([drawn.color[0, 0], drawn.alpha[0, :1]]))
+
+
+def color_drawing(draw: Callable[[Camera], Tensor]) -> Drawing[Tensor]:
+    """Of a color [H, W, 3] alone."""
+    return Drawing(draw, Tensor.clone, lambda color: color[0, 0])
+
+
+def _copied(drawn: Rendering) -> Rendering:
+    return replace(
+        drawn.map(Tensor.clone),
+        statistics=Statistics(drawn.statistics.weights.clone()),
+        layers={name: layer.clone() for name, layer in drawn.layers.items()},
+    )

@@ -10,11 +10,11 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, GaussianSet, Rendering, Statistics, rasterize, torch_on_one_thread
+from envgs_bench.core import Camera, GaussianSet, Rendering, Statistics, rasterize, rasterize_color, torch_on_one_thread
 from envgs_bench.parts import BASE, SETS
 
 from .budget import Budget, SharedBudget
-from .captured_frames import CapturedFrames
+from .captured_frames import CapturedFrames, color_drawing, rendering_drawing
 from .checkpoint import read_checkpoint, write_checkpoint
 from .method import Method
 from .parameters import GaussianParameters, LearningRates, primitive_bytes
@@ -34,6 +34,7 @@ class GaussianModel(Method):
     | when | what is called |
     |---|---|
     | an image is drawn, or a training step draws | draw, rasterize_base, base_seen_from, gaussians, sh_from |
+    | an image's color is drawn alone | draw_color, rasterize_base_color |
     | a budget or cap is kept | primitive_bytes, other_bytes, own_bound, cap |
     | a set is new or loaded | initial_learning_rates, initial_beta, initial_materials |
     | a checkpoint is written or read | state, restore |
@@ -63,7 +64,8 @@ class GaussianModel(Method):
         self.background = torch.zeros(3, device=self.device)
         self.max_base = settings.max_primitives
         self._budget: SharedBudget | None = None
-        self._frames = CapturedFrames(lambda camera: self.draw(camera, None)[0], self.device)
+        self._frames = CapturedFrames(rendering_drawing(lambda camera: self.draw(camera, None)[0]), self.device)
+        self._pictures = CapturedFrames(color_drawing(self.draw_color), self.device)
 
     # What is drawn
 
@@ -77,6 +79,15 @@ class GaussianModel(Method):
             return self.draw(camera.to(self.device), None)[0]
 
     @torch.no_grad()
+    def picture(self, camera: Camera) -> Tensor:
+        if not self.prepared:
+            self.prepare()
+        if self._captures():
+            return self._pictures.draw(camera)
+        with self._suited_threads(camera):
+            return self.draw_color(camera.to(self.device))
+
+    @torch.no_grad()
     def prepare(self) -> None:
         self.forget_prepared()
         self.prepared = {name: trained.parameters.gaussians() for name, trained in self.sets.items()}
@@ -85,6 +96,7 @@ class GaussianModel(Method):
         """What images are drawn from is no more what the sets are."""
         self.prepared.clear()
         self._frames.forget()
+        self._pictures.forget()
 
     def _captures(self) -> bool:
         return self.captured and self.device.type == "cuda"
@@ -105,6 +117,20 @@ class GaussianModel(Method):
         """
         rendering = self.rasterize_base(camera, step)
         return rendering, {BASE: rendering.statistics}
+
+    def draw_color(self, camera: Camera) -> Tensor:
+        """The color [H, W, 3] that `draw` gives an image, without gradients: where a method needs less for it."""
+        return self.draw(camera, None)[0].color
+
+    def rasterize_base_color(self, camera: Camera) -> Tensor:
+        """The color [H, W, 3] of `rasterize_base` for an image."""
+        return rasterize_color(
+            self.base_seen_from(camera, None),
+            camera,
+            background=self.background,
+            near=self.near,
+            backend=self.settings.backend,
+        )[0]
 
     def rasterize_base(self, camera: Camera, step: int | None) -> Rendering:
         """The base set alone, [H, W, …], with `draw`'s arguments."""

@@ -124,6 +124,10 @@ class Method(ABC):
         method's own; "normal", "depth" and "error" are added by the harness.
         """
 
+    def picture(self, camera: Camera) -> Tensor:
+        """`render`'s color [H, W, 3] alone, to rounding: what is timed. Overridden where less does for it."""
+        return self.render(camera).color
+
     def reflected(self, origins: Tensor, directions: Tensor) -> Tensor | None:
         """What reflected rays would see, [N, 3] sRGB without gradients, once the method is prepared.
 

@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from torch import Tensor
+
+from envgs_bench.core import Camera
+
 from .gaussian_method import GaussianMethod
 from .settings import PublishedSettings
 
@@ -29,3 +33,6 @@ class TwoDGS(GaussianMethod):
     Settings: ClassVar[type] = TwoDGSSettings
     axes = 2
     captured: ClassVar[bool] = True
+
+    def draw_color(self, camera: Camera) -> Tensor:
+        return self.rasterize_base_color(camera)

@@ -57,7 +57,7 @@ class MethodTraining:
         self.method.settle()
 
     def picture(self, camera: Camera) -> Tensor:
-        return self.method.render(camera).color
+        return self.method.picture(camera)
 
 
 @dataclass(frozen=True)

@@ -161,7 +161,7 @@ def _rendering(workload: Workload) -> Work:
     method = workload.model().method
     method.prepare()
     alphas = [method.render(view.camera).alpha for view in workload.views]
-    calls = [partial(method.render, view.camera) for view in workload.views]
+    calls = [partial(method.picture, view.camera) for view in workload.views]
     return Work(calls, sum(method.primitives().values()), alpha=_mean(alphas))
 
 

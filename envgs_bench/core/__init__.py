@@ -1,4 +1,4 @@
-"""The shared core: `rasterize`, `trace`, their color alone, `depth_normals`, `reflect`, and the plain types around them."""
+"""The shared core: `rasterize`, `trace`, both for color alone, `depth_normals`, `reflect`, and the plain types."""
 
 from .backends import available_backends
 from .camera import Camera

@@ -1,6 +1,6 @@
 """What a backend is: the functions that its module offers, and what they are given beside the public containers.
 
-`backends` says which there are. Each offers `Backend`, and `Rasterizer`, `ColorKernels` and `ImageKernels` where it can.
+`backends` says which there are. Each offers `Backend`; and `Rasterizer`, `ColorKernels`, `ImageKernels` where it can.
 """
 
 from __future__ import annotations

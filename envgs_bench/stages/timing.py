@@ -43,7 +43,7 @@ class FrameTimes:
 
 
 def time_frames(method: Method, views: Sequence[View], settings: TimingSettings) -> Timing:
-    """The timing of a trained method on `views`; `Method.prepare` is timed apart, once.
+    """The timing of a trained method's pictures of `views`; `Method.prepare` is timed apart, once.
 
     Raises:
         ValueError: there are no views.
@@ -53,7 +53,7 @@ def time_frames(method: Method, views: Sequence[View], settings: TimingSettings)
     device = method.device
     cameras = [view.camera.to(device) for view in views]
     prepare_ms = time_calls(method.prepare, device, 1, float("inf"))[0]
-    frames = time_views(method.render, cameras, device, settings.frames, settings.seconds)
+    frames = time_views(method.picture, cameras, device, settings.frames, settings.seconds)
     return Timing(
         frame_ms=frames.frame_ms,
         frame_ms_p95=frames.frame_ms_p95,

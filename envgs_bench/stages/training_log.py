@@ -67,7 +67,7 @@ class TrainingLog:
         self._method.prepare()
         psnr = []
         for view in self._views:
-            target, image = view.rgb(), self._method.render(view.camera.to(self._method.device)).color.cpu()
+            target, image = view.rgb(), self._method.picture(view.camera.to(self._method.device)).cpu()
             psnr.append(float(training_psnr(image, target)))
             error = error_picture(image, target)[..., None].expand_as(image)
             self._logger.picture(step, f"{self._group}/{view.name}", as_bytes(torch.cat([target, image, error], dim=1)))

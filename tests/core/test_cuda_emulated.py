@@ -48,7 +48,6 @@ from envgs_bench.core import Camera, GaussianSet, Rendering, build_bvh, cuda
 from envgs_bench.core.cuda import raster_pass, trace_pass
 from envgs_bench.core.differentiable import SetTensors
 
-
 SHARINGS = pytest.mark.parametrize(
     "sharing",
     [(1, False), (2, False), (1, True), (2, True)],
@@ -478,7 +477,7 @@ def test_a_pixel_ends_at_the_same_primitive_however_its_list_is_shared(emulate, 
     surfels = dressed(facing_surfels(means, scale=3.0, opacity=0.06))
     backend, drawn = emulate("shuffled"), []
     for sharing in ((pixels, False), (pixels, True)):
-        monkeypatch.setattr(raster_pass, "_sharing", lambda *_: sharing)
+        monkeypatch.setattr(raster_pass, "_sharing", lambda *_, sharing=sharing: sharing)
         leaves = surfels.map(lambda x: x.clone().requires_grad_())
         rendering = backend.rasterize(leaves, backend.take(camera))
         rendering.color.square().sum().backward()

@@ -8,7 +8,7 @@ from recordable import CAPTURED, WaitsForTheDevice, pinhole, points_scene
 
 from envgs_bench.core import Camera, Rendering, Statistics
 from envgs_bench.methods import captured_frames
-from envgs_bench.methods.captured_frames import CapturedFrames
+from envgs_bench.methods.captured_frames import CapturedFrames, rendering_drawing
 from envgs_bench.methods.registry import create_method
 
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
@@ -26,8 +26,8 @@ class PlainGraph:
     recorded = 0
     spoils = 0
 
-    def __init__(self, draw, camera):
-        self.draw = draw
+    def __init__(self, drawing, camera):
+        self.draw = drawing.draw
         PlainGraph.recorded += 1
 
     def replay(self, camera):
@@ -46,7 +46,7 @@ def plain_graphs(monkeypatch):
 
 @pytest.fixture
 def frames():
-    return CapturedFrames(picture_of, torch.device("cpu"))
+    return CapturedFrames(rendering_drawing(picture_of), torch.device("cpu"))
 
 
 def picture_of(camera: Camera) -> Rendering:
@@ -111,6 +111,7 @@ def test_no_picture_waits_for_the_device(kind, settings):
     method.prepare()
     with torch.no_grad(), WaitsForTheDevice() as waits:
         method.draw(scene.test[0].camera, None)
+        method.draw_color(scene.test[0].camera)
     assert waits.found == []
 
 
@@ -131,6 +132,10 @@ def test_a_recorded_picture_is_the_picture_cuda(kind, settings):
         for name, layer in picture.layers.items():
             assert torch.equal(layer, plain.layers[name]), name
         torch.testing.assert_close(picture.statistics.weights, plain.statistics.weights)
+    colors = [method.picture(camera) for camera in [*cameras, *cameras]]
+    assert method._pictures._graph is not None
+    for color, plain in zip(colors, expected * 2, strict=True):
+        torch.testing.assert_close(color, plain.color, atol=1e-5, rtol=0)
 
 
 @needs_cuda

@@ -62,9 +62,7 @@ class RasterPass:
         return color.T, alpha
 
     def forward(self, keep: bool) -> PassOutput:
-        planes = Planes.empty(
-            self.tensors.means, self.camera.width * self.camera.height, self.tensors.extras.shape[1]
-        )
+        planes = Planes.empty(self.tensors.means, self.camera.width * self.camera.height, self.tensors.extras.shape[1])
         hits = planes.alpha.new_empty(planes.alpha.shape, dtype=torch.int32)
         weights = torch.empty_like(self.tensors.opacities)
         self._draw((*planes, hits), weights)
@@ -99,9 +97,7 @@ class RasterPass:
         self.visible, self.outlines = empty(count, self.visible_floats), empty(count, CONSTANTS["OUTLINE_FLOATS"])
         self.device_camera = make_camera(launch, self.camera, self.options.near, self.options.low_pass)
         self.depth_keys, self.tile_counts = (empty(count, dtype=torch.int32) for _ in range(2))
-        self.slots, self.indices = (
-            None if self.color_alone else empty(count, dtype=torch.int32) for _ in range(2)
-        )
+        self.slots, self.indices = (None if self.color_alone else empty(count, dtype=torch.int32) for _ in range(2))
         self.counters, state, ticket = zeroed(self.device, CONSTANTS["COUNTER_INTS"], 2 * blocks, 1)
         launch("prepare_primitives", blocks, 256, *tensors, count, self.device_camera, self.visible, self.outlines,
                self.depth_keys, self.tile_counts, self.slots, self.indices, weights, self.counters, state,
@@ -128,9 +124,9 @@ class RasterPass:
         launch = self._kernels("primitives.cu", "differentiate_tiles.cu")
         sums = tensors.means.new_zeros(count, CONSTANTS["PRIMITIVE_SUM_FLOATS"])
         blocks = self.tile_blocks * self.tiles_x * self.tiles_y
-        launch("differentiate_tiles", blocks, self.threads, self.ranges, self.instance_slots, self.visible, self.outlines,
-               self.device_camera, self.tiles_x, float(self.options.transmittance_min), self.background,
-               *planes, *gradients, sums)  # fmt: skip
+        launch("differentiate_tiles", blocks, self.threads, self.ranges, self.instance_slots, self.visible,
+               self.outlines, self.device_camera, self.tiles_x, float(self.options.transmittance_min),
+               self.background, *planes, *gradients, sums)  # fmt: skip
         result, position = SetTensors(*map(torch.empty_like, tensors)), torch.empty_like(tensors.means)
         launch("finish_primitives", blocks_for(count, 128), 128, *tensors, count, self.device_camera, self.visible,
                self.slots, sums, *result, position)  # fmt: skip
