@@ -40,7 +40,7 @@ class Renderer:
     def __init__(self, clock, *seconds):
         self.clock, self.seconds, self.drawn, self.prepared = clock, list(seconds), [], 0
 
-    def render(self, camera):
+    def picture(self, camera):
         self.drawn.append(camera)
         self.clock.now += self.seconds.pop(0) if len(self.seconds) > 1 else self.seconds[0]
 
@@ -52,15 +52,15 @@ class Renderer:
 def test_the_first_frame_of_every_view_is_not_counted(clock):
     cameras = [camera(), camera()]
     renderer = Renderer(clock, 0.5, 0.01, 0.01, 0.01, 0.7, 0.02)
-    times = time_views(renderer.render, cameras, "cpu", frames=3, seconds=10).times_ms
+    times = time_views(renderer.picture, cameras, "cpu", frames=3, seconds=10).times_ms
     np.testing.assert_allclose(times, [[10] * 3, [20] * 3])
     assert [c is cameras[0] for c in renderer.drawn] == [True] * 4 + [False] * 4
 
 
 def test_the_time_limit_can_end_a_view_before_the_frame_limit(clock):
-    times = time_views(Renderer(clock, 0.3).render, [camera()], "cpu", frames=50, seconds=1.0).times_ms
+    times = time_views(Renderer(clock, 0.3).picture, [camera()], "cpu", frames=50, seconds=1.0).times_ms
     np.testing.assert_allclose(times, [[300] * 4])
-    one = time_views(Renderer(clock, 5.0).render, [camera()], "cpu", frames=50, seconds=1.0).times_ms
+    one = time_views(Renderer(clock, 5.0).picture, [camera()], "cpu", frames=50, seconds=1.0).times_ms
     np.testing.assert_allclose(one, [[5000]])
 
 
@@ -68,9 +68,9 @@ def test_slow_work_is_timed_as_often_as_was_asked_for(clock):
     """At least so often, however few repeats were wanted and however long each takes."""
     renderer = Renderer(clock, 5.0)
     for repeats, expected in ((1, 3), (2, 3), (9, 3)):
-        times = time_calls(lambda: renderer.render(None), torch.device("cpu"), repeats, 1.0, at_least=3)
+        times = time_calls(lambda: renderer.picture(None), torch.device("cpu"), repeats, 1.0, at_least=3)
         np.testing.assert_allclose(times, [5000] * expected)
-    assert len(time_calls(lambda: renderer.render(None), torch.device("cpu"), 4, 100.0, at_least=3)) == 4
+    assert len(time_calls(lambda: renderer.picture(None), torch.device("cpu"), 4, 100.0, at_least=3)) == 4
 
 
 def test_a_scenes_value_is_the_mean_of_medians_and_a_hiccup_shows_in_p95_only():
