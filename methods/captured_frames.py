@@ -47,7 +47,7 @@ class CapturedFrames(Generic[Drawn]):
     """
 
     def __init__(self, drawing: Drawing[Drawn], device: torch.device) -> None:
-        self._drawing, self._device = drawing, device
+        self.drawing, self._device = drawing, device
         self._size: tuple[int, int] | None = None  # of the latest picture that was drawn without a graph
         self._graph: _Graph[Drawn] | None = None
 
@@ -61,12 +61,12 @@ class CapturedFrames(Generic[Drawn]):
         with on_own_stream(self._device):
             if self._size == size:
                 if self._graph is None:
-                    self._graph = _Graph(self._drawing, camera.to(self._device))
+                    self._graph = _Graph(self.drawing, camera.to(self._device))
                 drawn = self._graph.replay(camera)
                 if drawn is not None:
                     return drawn
             self._size, self._graph = size, None  # kernels are compiled, and lists get their room
-            return self._drawing.draw(camera.to(self._device))
+            return self.drawing.draw(camera.to(self._device))
 
 
 class _Graph(Generic[Drawn]):

@@ -14,7 +14,7 @@ from envgs_bench.core import Camera, GaussianSet, Rendering, Statistics, rasteri
 from envgs_bench.parts import BASE, SETS
 
 from .budget import Budget, SharedBudget
-from .captured_frames import CapturedFrames, color_drawing, rendering_drawing
+from .captured_frames import CapturedFrames, Drawn, color_drawing, rendering_drawing
 from .checkpoint import read_checkpoint, write_checkpoint
 from .method import Method
 from .parameters import GaussianParameters, LearningRates, primitive_bytes
@@ -69,23 +69,21 @@ class GaussianModel(Method):
 
     # What is drawn
 
-    @torch.no_grad()
     def render(self, camera: Camera) -> Rendering:
-        if not self.prepared:
-            self.prepare()
-        if self._captures():
-            return self._frames.draw(camera)
-        with self._suited_threads(camera):
-            return self.draw(camera.to(self.device), None)[0]
+        return self._shown(self._frames, camera)
+
+    def picture(self, camera: Camera) -> Tensor:
+        return self._shown(self._pictures, camera)
 
     @torch.no_grad()
-    def picture(self, camera: Camera) -> Tensor:
+    def _shown(self, frames: CapturedFrames[Drawn], camera: Camera) -> Drawn:
+        """What `frames` draw of the camera, from a graph where that can be."""
         if not self.prepared:
             self.prepare()
         if self._captures():
-            return self._pictures.draw(camera)
+            return frames.draw(camera)
         with self._suited_threads(camera):
-            return self.draw_color(camera.to(self.device))
+            return frames.drawing.draw(camera.to(self.device))
 
     @torch.no_grad()
     def prepare(self) -> None:

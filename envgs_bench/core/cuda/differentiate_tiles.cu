@@ -30,45 +30,31 @@ extern "C" __global__ void __launch_bounds__(kThreads) differentiate_tiles(
     long plane = long(camera.width) * camera.height;
     Planes<const float> out = {color, alpha, depth, normal, extras, plane};
     Planes<const float> gradient = {g_color, g_alpha, g_depth, g_normal, g_extras, plane};
-    Pixel pixels[kPixels];
+    OwnPixels own(camera, place, tiles_x);
     UpstreamGradient g[kPixels];
-    bool lives[kPixels], live = false;
 #pragma unroll
-    for (int k = 0; k < kPixels; ++k) {
-        pixels[k] = own_pixel(camera, place, tiles_x, k);
-        g[k] = UpstreamGradient(out, gradient, pixels[k].inside ? pixels[k].at : 0, load3(background));
-        lives[k] = pixels[k].inside;
-        live |= lives[k];
-    }
-    float x = pixels[0].x + 0.5f, y = pixels[0].y + 0.5f, near = camera.near;
+    for (int k = 0; k < kPixels; ++k)
+        g[k] = UpstreamGradient(out, gradient, own.lives[k] ? own.pixels[k].at : 0, load3(background));
     TileList list(ranges, instance_slots, primitives, outlines, nullptr, place.tile, tiles_x);
     auto visit = [&](const VisiblePrimitive& p, u32 slot) {
         Kind::Response at[kPixels];
-        bool hits[kPixels], hit = false;
-#pragma unroll
-        for (int k = 0; k < kPixels; ++k) {
-            at[k] = evaluate(p.splat, x, y + 4.0f * k, near);
-            hits[k] = lives[k] && at[k].rho <= p.splat.support;
-            hit |= hits[k];
-        }
+        bool hits[kPixels], hit = own.hit(p.splat, at, hits);
         if (!__any_sync(kFullWarp, hit)) return;
         PrimitiveSums sum = {};
-        live = false;
 #pragma unroll
         for (int k = 0; k < kPixels; ++k) {
             if (hits[k]) {
                 float a = response_alpha(p.splat.opacity, at[k].rho);
                 auto [weight, g_a] = g[k].hit(a, p.color, at[k].t, at[k].side, p.normal, p.extras);
-                AlphaGradient<float> own = alpha_backward(p.splat.opacity, a, g_a);
-                sum.opacity += own.opacity;
+                AlphaGradient<float> through = alpha_backward(p.splat.opacity, a, g_a);
+                sum.opacity += through.opacity;
                 sum.color = sum.color + weight * g[k].sum.color;
                 sum.normal = sum.normal + (weight * at[k].side) * g[k].sum.normal;
 #pragma unroll
                 for (int e = 0; e < kExtras; ++e) sum.extras[e] += weight * g[k].extras[e];
-                add_pixel(sum.geometry, at[k], true, own.rho, weight * g[k].sum.depth);
-                lives[k] = g[k].transmittance >= transmittance_min;
+                add_pixel(sum.geometry, at[k], true, through.rho, weight * g[k].sum.depth);
             }
-            live |= lives[k];
+            own.goes_on(k, own.lives[k] && g[k].transmittance >= transmittance_min);
         }
         float total = TransposedSum<kSums>::of(reinterpret_cast<float*>(&sum));
         if (lane_id() < kSums) atomicAdd(sums + long(kSumsStride) * slot + lane_id(), total);
@@ -76,27 +62,26 @@ extern "C" __global__ void __launch_bounds__(kThreads) differentiate_tiles(
     if constexpr (kSharedArea) {
         Progress progress[kPixels];
 #pragma unroll
-        for (int k = 0; k < kPixels; ++k) progress[k] = {pixels[k].inside ? 1.0f : 0.0f, g[k].remaining};
+        for (int k = 0; k < kPixels; ++k) progress[k] = {own.lives[k] ? 1.0f : 0.0f, g[k].remaining};
         list.share(
             place.area, transmittance_min, progress,
-            [&](const VisiblePrimitive& p, Progress (&own)[kPixels]) {
+            [&](const VisiblePrimitive& p, Progress (&through)[kPixels]) {
 #pragma unroll
                 for (int k = 0; k < kPixels; ++k) {
-                    auto at = evaluate(p.splat, x, y + 4.0f * k, near);
+                    auto at = own.response(p.splat, k);
                     if (at.rho > p.splat.support) continue;
                     float a = response_alpha(p.splat.opacity, at.rho);
                     float value = g[k].value(p.color, at.t, at.side, p.normal, p.extras);
-                    own[k].remaining += own[k].transmittance * a * value;
-                    own[k].transmittance *= 1.0f - a;
+                    through[k].remaining += through[k].transmittance * a * value;
+                    through[k].transmittance *= 1.0f - a;
                 }
             },
             [&](int k, Progress before) {
                 g[k].transmittance = before.transmittance, g[k].remaining = before.remaining;
-                lives[k] = before.transmittance >= transmittance_min;
-                live = k == 0 ? lives[0] : live || lives[k];
+                own.goes_on(k, before.transmittance >= transmittance_min);
             },
-            live, visit, [](int, bool) {});
+            own.live, visit, [](int, bool) {});
     } else {
-        list.walk(live, visit);
+        list.walk(own.live, visit);
     }
 }

@@ -25,40 +25,25 @@ extern "C" __global__ void __launch_bounds__(kThreads) draw_tiles(
 ) {
     const PinholeCamera& camera = *camera_at;
     Place place = Place::own();
-    Pixel pixels[kPixels];
+    OwnPixels own(camera, place, tiles_x);
     BlendedPixel blended[kPixels];
-    bool lives[kPixels], live = false;
 #pragma unroll
-    for (int k = 0; k < kPixels; ++k) {
-        pixels[k] = own_pixel(camera, place, tiles_x, k);
-        blended[k] = BlendedPixel::initial();
-        lives[k] = pixels[k].inside;
-        live |= lives[k];
-    }
-    float x = pixels[0].x + 0.5f, y = pixels[0].y + 0.5f, near = camera.near;
+    for (int k = 0; k < kPixels; ++k) blended[k] = BlendedPixel::initial();
     TileList list(ranges, instance_slots, primitives, outlines, indices, place.tile, tiles_x);
     auto visit = [&](const VisiblePrimitive& p, u32 index) {
         Kind::Response at[kPixels];
-        bool hits[kPixels], hit = false;
-#pragma unroll
-        for (int k = 0; k < kPixels; ++k) {
-            at[k] = evaluate(p.splat, x, y + 4.0f * k, near);
-            hits[k] = lives[k] && at[k].rho <= p.splat.support;
-            hit |= hits[k];
-        }
+        bool hits[kPixels], hit = own.hit(p.splat, at, hits);
         if (!kColorAlone && !__any_sync(kFullWarp, hit)) return;
         float sum = 0.0f;
-        live = false;
 #pragma unroll
         for (int k = 0; k < kPixels; ++k) {
             if (hits[k]) {
                 float a = response_alpha(p.splat.opacity, at[k].rho), weight = blended[k].transmittance * a;
                 p.blend_into(blended[k], weight, at[k]);
                 blended[k].transmittance *= 1.0f - a;
-                lives[k] = blended[k].transmittance >= transmittance_min;
                 sum += weight;
             }
-            live |= lives[k];
+            own.goes_on(k, own.lives[k] && blended[k].transmittance >= transmittance_min);
         }
         if constexpr (!kColorAlone) {
             float total = warp_sum_of_weights<kPixels>(sum);
@@ -70,23 +55,22 @@ extern "C" __global__ void __launch_bounds__(kThreads) draw_tiles(
         __shared__ BlendedPixel whole[kPixels][32];
         Progress progress[kPixels];
 #pragma unroll
-        for (int k = 0; k < kPixels; ++k) progress[k] = {pixels[k].inside ? 1.0f : 0.0f, 0.0f};
+        for (int k = 0; k < kPixels; ++k) progress[k] = {own.lives[k] ? 1.0f : 0.0f, 0.0f};
         list.share(
             place.area, transmittance_min, progress,
-            [&](const VisiblePrimitive& p, Progress (&own)[kPixels]) {
+            [&](const VisiblePrimitive& p, Progress (&through)[kPixels]) {
 #pragma unroll
                 for (int k = 0; k < kPixels; ++k) {
-                    auto at = evaluate(p.splat, x, y + 4.0f * k, near);
+                    auto at = own.response(p.splat, k);
                     if (at.rho <= p.splat.support)
-                        own[k].transmittance *= 1.0f - response_alpha(p.splat.opacity, at.rho);
+                        through[k].transmittance *= 1.0f - response_alpha(p.splat.opacity, at.rho);
                 }
             },
             [&](int k, Progress before) {
                 blended[k].transmittance = before.transmittance;
-                lives[k] = before.transmittance >= transmittance_min;
-                live = k == 0 ? lives[0] : live || lives[k];
+                own.goes_on(k, before.transmittance >= transmittance_min);
             },
-            live, visit,
+            own.live, visit,
             [&](int k, bool finished) {
                 if (finished) finished_at[k][lane_id()] = blended[k].transmittance;
             });
@@ -106,15 +90,16 @@ extern "C" __global__ void __launch_bounds__(kThreads) draw_tiles(
             blended[k].transmittance = finished ? finished_at[k][lane_id()] : progress[k].transmittance;
         }
     } else {
-        list.walk(live, visit);
+        list.walk(own.live, visit);
     }
     // Too little room for the instances, seen only after the fact: an image that cannot be mistaken for the right one.
     bool incomplete = counters->instances > counters->drawn_instances;
     Planes<float> out = {color, alpha, depth, normal, extras, long(camera.width) * camera.height};
 #pragma unroll
     for (int k = 0; k < kPixels; ++k) {
-        if (!pixels[k].inside) continue;
+        const Pixel& pixel = own.pixels[k];
+        if (!pixel.inside) continue;
         if (incomplete) blended[k].transmittance = __int_as_float(0x7fc00000);
-        blended[k].store(out, hit_counts, pixels[k].at, load3(background));
+        blended[k].store(out, hit_counts, pixel.at, load3(background));
     }
 }

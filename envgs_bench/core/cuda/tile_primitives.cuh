@@ -37,15 +37,46 @@ struct Pixel {
     bool inside;
 };
 
-// A thread's pixel k.
-ENVGS_FN Pixel own_pixel(const PinholeCamera& camera, Place place, int tiles_x, int k) {
-    Pixel p;
-    p.x = place.tile % tiles_x * kTile + (place.area & 1) * 8 + (lane_id() & 7);
-    p.y = place.tile / tiles_x * kTile + (place.area >> 1) * kAreaRows + 4 * k + (lane_id() >> 3);
-    p.at = long(p.y) * camera.width + p.x;
-    p.inside = p.x < camera.width && p.y < camera.height;
-    return p;
-}
+// A thread's pixels, and which of them are not finished.
+struct OwnPixels {
+    Pixel pixels[kPixels];
+    bool lives[kPixels], live;  // each, and whether any is
+    float x, y, near;  // the first one's center
+
+    ENVGS_FN OwnPixels(const PinholeCamera& camera, Place place, int tiles_x) : live(false), near(camera.near) {
+#pragma unroll
+        for (int k = 0; k < kPixels; ++k) {
+            Pixel& p = pixels[k];
+            p.x = place.tile % tiles_x * kTile + (place.area & 1) * 8 + (lane_id() & 7);
+            p.y = place.tile / tiles_x * kTile + (place.area >> 1) * kAreaRows + 4 * k + (lane_id() >> 3);
+            p.at = long(p.y) * camera.width + p.x;
+            p.inside = p.x < camera.width && p.y < camera.height;
+            lives[k] = p.inside;
+            live |= p.inside;
+        }
+        x = pixels[0].x + 0.5f, y = pixels[0].y + 0.5f;
+    }
+
+    ENVGS_FN Kind::Response response(const Kind::Splat& splat, int k) const {
+        return evaluate(splat, x, y + 4.0f * k, near);
+    }
+    // Whether any pixel that is not finished is hit, which of them, and the responses of all.
+    ENVGS_FN bool hit(const Kind::Splat& splat, Kind::Response (&at)[kPixels], bool (&hits)[kPixels]) const {
+        bool any = false;
+#pragma unroll
+        for (int k = 0; k < kPixels; ++k) {
+            at[k] = response(splat, k);
+            hits[k] = lives[k] && at[k].rho <= splat.support;
+            any |= hits[k];
+        }
+        return any;
+    }
+    // Takes note of whether pixel k goes on; of all of them in turn.
+    ENVGS_FN void goes_on(int k, bool lives_on) {
+        lives[k] = lives_on;
+        live = k == 0 ? lives_on : live || lives_on;
+    }
+};
 
 // Bit a: whether pixels of area a may be touched.
 ENVGS_FN u32 touched_areas(const Outline& outline, int x0, int y0) {
