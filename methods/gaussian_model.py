@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -34,7 +34,6 @@ class GaussianModel(Method):
     | when | what is called |
     |---|---|
     | an image is drawn, or a training step draws | draw, rasterize_base, base_seen_from, gaussians, sh_from |
-    | an image's color is drawn alone | draw_color, rasterize_base_color |
     | a budget or cap is kept | primitive_bytes, other_bytes, own_bound, cap |
     | a set is new or loaded | initial_learning_rates, initial_beta, initial_materials |
     | a checkpoint is written or read | state, restore |
@@ -65,7 +64,7 @@ class GaussianModel(Method):
         self.max_base = settings.max_primitives
         self._budget: SharedBudget | None = None
         self._frames = CapturedFrames(rendering_drawing(lambda camera: self.draw(camera, None)[0]), self.device)
-        self._pictures = CapturedFrames(color_drawing(self.draw_color), self.device)
+        self._pictures = CapturedFrames(color_drawing(self._draw_color), self.device)
 
     # What is drawn
 
@@ -116,29 +115,18 @@ class GaussianModel(Method):
         rendering = self.rasterize_base(camera, step)
         return rendering, {BASE: rendering.statistics}
 
-    def draw_color(self, camera: Camera) -> Tensor:
-        """The color [H, W, 3] that `draw` gives an image, without gradients: where a method needs less for it."""
-        return self.draw(camera, None)[0].color
-
-    def rasterize_base_color(self, camera: Camera) -> Tensor:
-        """The color [H, W, 3] of `rasterize_base` for an image."""
-        return rasterize_color(
-            self.base_seen_from(camera, None),
-            camera,
-            background=self.background,
-            near=self.near,
-            backend=self.settings.backend,
-        )[0]
-
     def rasterize_base(self, camera: Camera, step: int | None) -> Rendering:
         """The base set alone, [H, W, …], with `draw`'s arguments."""
-        return rasterize(
-            self.base_seen_from(camera, step),
-            camera,
-            background=self.background,
-            near=self.near,
-            backend=self.settings.backend,
-        )
+        return rasterize(self.base_seen_from(camera, step), camera, **self._rasterizing())
+
+    def _draw_color(self, camera: Camera) -> Tensor:
+        """The color [H, W, 3] of `draw` for an image: drawn alone, unless a subclass has its own way to draw."""
+        if type(self).draw is GaussianModel.draw and type(self).rasterize_base is GaussianModel.rasterize_base:
+            return rasterize_color(self.base_seen_from(camera, None), camera, **self._rasterizing())[0]
+        return self.draw(camera, None)[0].color
+
+    def _rasterizing(self) -> dict[str, Any]:
+        return {"background": self.background, "near": self.near, "backend": self.settings.backend}
 
     def base_seen_from(self, camera: Camera, step: int | None) -> GaussianSet:
         """The base set as it is drawn for this camera, with `draw`'s arguments: where a method shades primitives."""

@@ -8,10 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from torch import Tensor
-
-from envgs_bench.core import Camera
-
 from .gaussian_method import GaussianMethod
 from .settings import PublishedSettings
 
@@ -32,6 +28,3 @@ class ThreeDGS(GaussianMethod):
     Settings: ClassVar[type] = ThreeDGSSettings
     axes = 3
     captured: ClassVar[bool] = True
-
-    def draw_color(self, camera: Camera) -> Tensor:
-        return self.rasterize_base_color(camera)

@@ -5,10 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from torch import Tensor
-
-from envgs_bench.core import Camera
-
 from .gaussian_method import GaussianMethod
 from .settings import PublishedSettings
 
@@ -33,6 +29,3 @@ class TwoDGS(GaussianMethod):
     Settings: ClassVar[type] = TwoDGSSettings
     axes = 2
     captured: ClassVar[bool] = True
-
-    def draw_color(self, camera: Camera) -> Tensor:
-        return self.rasterize_base_color(camera)

@@ -111,7 +111,7 @@ def test_no_picture_waits_for_the_device(kind, settings):
     method.prepare()
     with torch.no_grad(), WaitsForTheDevice() as waits:
         method.draw(scene.test[0].camera, None)
-        method.draw_color(scene.test[0].camera)
+        method._draw_color(scene.test[0].camera)
     assert waits.found == []
 
 
