@@ -10,7 +10,7 @@ import torch
 from core_scenes import colored, facing_surfels, plain_camera, random_set, tilted_camera
 from scipy.spatial.transform import Rotation
 
-from envgs_bench.core import GaussianSet
+from envgs_bench.core import GaussianSet, rasterize_color
 
 QUATERNION = torch.tensor([0.9, 0.2, -0.3, 0.15]) * 2.5
 
@@ -184,6 +184,25 @@ def test_an_empty_set_is_background(rasterizer, columns):
         assert not getattr(drawn, name).any()
     assert drawn.extras.shape == (4, 5, 2)
     assert drawn.statistics.weights.shape == (0,)
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+def test_color_alone_of_an_empty_set_is_background(rasterizer, columns):
+    background = torch.tensor([0.2, 0.4, 0.8])
+    gaussians = rasterizer.take(random_set(0, columns=columns, extras=2))
+    color, alpha = rasterizer.rasterize_color(gaussians, rasterizer.take(plain_camera(5, 4)), background=background)
+    torch.testing.assert_close(color.cpu().float(), background.expand(4, 5, 3))
+    assert alpha.shape == (4, 5)
+    assert not alpha.any()
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+def test_color_alone_refuses_gradients(rasterizer, columns):
+    gaussians, camera = rasterizer.take(random_set(9, columns=columns)), rasterizer.take(plain_camera(5, 4))
+    with pytest.raises(ValueError, match=r"rasterize_color has no gradients: call it within torch.no_grad\(\)"):
+        rasterize_color(gaussians, camera, backend=rasterizer.name)
+    color, _ = rasterize_color(gaussians.map(torch.Tensor.detach), camera, backend=rasterizer.name)
+    assert not color.requires_grad
 
 
 @pytest.mark.parametrize("columns", [2, 3])
