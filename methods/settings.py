@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+LEARNING_RATES = ("_lr", "_lr_final")  # how the names of settings end that are learning rates
+
 
 @dataclass(frozen=True)
 class GaussianSettings:
@@ -105,6 +107,16 @@ def make_settings(settings_type: type, values: Mapping[str, Any], owner: str) ->
     if unknown:
         raise ValueError(f"{owner} has no setting {', '.join(unknown)}; its settings are {', '.join(sorted(known))}")
     return settings_type(**{key: _checked(owner, key, value, getattr(defaults, key)) for key, value in values.items()})
+
+
+def quickness(settings: Any) -> float:
+    """How quickly a method learns beside its own rates: the largest of its settings' rates over their defaults, to 1.
+
+    1 where one of them is at its default or above, and where there are none.
+    """
+    own, usual = dataclasses.asdict(settings), dataclasses.asdict(type(settings)())
+    ratios = [own[name] / usual[name] for name in own if name.endswith(LEARNING_RATES) and usual[name] > 0]
+    return min([1.0, max(ratios, default=1.0)])
 
 
 def check_words(settings: Any, words: Mapping[str, Sequence[str]]) -> None:

@@ -14,6 +14,7 @@ from envgs_bench.core.cuda.compiler import keep_kernels_in
 from envgs_bench.datasets.notes import collecting, note
 from envgs_bench.datasets.progress import listening
 from envgs_bench.methods.method import Method
+from envgs_bench.methods.settings import quickness
 from envgs_bench.metrics import Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
 from envgs_bench.parts import PERCEPTUAL
 from envgs_bench.probe import write_probe
@@ -71,7 +72,7 @@ def execute(
     scene = _load(settings, results, report)
     check_scene(scene)
     results.steps = method.training_steps(actual.steps)
-    results.warnings = scene_warnings(scene, results.steps, method.device)
+    results.warnings = scene_warnings(scene, results.steps, quickness(method.settings), method.device)
     for warning in results.warnings:
         report({"stage": "training", "step": 0, "steps": results.steps, "warning": warning.model_dump()})
     log = None

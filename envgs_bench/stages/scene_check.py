@@ -2,10 +2,12 @@
 
 A run with too few or bad views, or with points or normals that contradict the pictures, learns the training views and
 fails on all others. Its losses know nothing of that; the scene does (`envgs_bench.methods.start`). A run that is too
-short for its views looks as sound as any.
+short for its views, or is told to learn too slowly, looks as sound as any.
 """
 
 from __future__ import annotations
+
+import math
 
 import torch
 
@@ -23,11 +25,14 @@ PASSES = 4  # times that a training view is learned from, below which EnvGS was 
 POSES_OFF = 0.075  # share of its differences to the points' colors that the median view loses when it is turned
 
 
-def scene_warnings(scene: Scene, steps: int, device: torch.device | str = "cpu") -> list[TrainingWarning]:
+def scene_warnings(
+    scene: Scene, steps: int, quickness: float = 1.0, device: torch.device | str = "cpu"
+) -> list[TrainingWarning]:
     """What training views, their poses, points and normals warn of, and few steps for them; each of step 0.
 
     Args:
         steps: of the training, a view each.
+        quickness: learning rates beside the method's own: steps at a third of them count as a third of the steps.
         device: where all pixels are looked at.
     """
     if not len(scene.points):
@@ -44,9 +49,10 @@ def scene_warnings(scene: Scene, steps: int, device: torch.device | str = "cpu")
     found: list[tuple[WarningKind, bool, str]] = [
         (
             "run_short",
-            steps < PASSES * views,
-            f"each of {views} training views is learned from {steps / views:.1f} times, which is no length to judge a "
-            f"method by: take {PASSES * views} steps at least",
+            steps * quickness < PASSES * views,
+            f"each of {views} training views is learned from {steps / views:.1f} times"
+            + f", at {quickness:.2g} times the method's own learning rates" * (quickness < 1)
+            + f", which is no length to judge a method by: take {math.ceil(PASSES * views / quickness)} steps at least",
         ),
         (
             "views_sparse",

@@ -9,16 +9,16 @@ import numpy as np
 
 from envgs_bench.datasets.perturbations.perturbation import Perturbation
 from envgs_bench.methods.registry import method_class
+from envgs_bench.methods.settings import LEARNING_RATES
 from envgs_bench.records import RENDERS
 from envgs_bench.settings import RunSettings, SettingsError
 
-RATES = ("_lr", "_lr_final")  # how the names of learning rates end
 MIN_PIXELS = 16  # a toy picture's smallest edge: LPIPS is defined from there on
 
 
 def _scale_rates(settings: RunSettings, factor: float, rng: np.random.Generator) -> RunSettings:
     own = _method_settings(settings)
-    return _with_method(settings, {key: factor * value for key, value in own.items() if key.endswith(RATES)})
+    return _with_method(settings, {key: factor * value for key, value in own.items() if key.endswith(LEARNING_RATES)})
 
 
 def _scale_scale_rate(settings: RunSettings, factor: float, rng: np.random.Generator) -> RunSettings:

@@ -23,7 +23,7 @@ from envgs_bench.methods.envgs import EnvGS
 from envgs_bench.methods.reflection import ReflectionSettings
 from envgs_bench.methods.registry import BUILT_IN, create_method, method_class
 from envgs_bench.methods.schedule import Schedule
-from envgs_bench.methods.settings import make_settings, setting_comments
+from envgs_bench.methods.settings import make_settings, quickness, setting_comments
 from envgs_bench.settings import read_settings
 from envgs_bench.testing import tiny_scene
 
@@ -269,6 +269,20 @@ def test_the_synthetic_scenes_have_a_schedule_of_their_own() -> None:
     assert found.pop("reset_beta") == list(range(9000, 21_000, 3000))
     assert found.pop("reset_env_opacity") == list(range(9000, 42_000, 3000))
     assert not found
+
+
+@pytest.mark.parametrize("name", [name for name in config_names("method") if name != "renders"])
+def test_no_configuration_learns_slowly_by_itself(name: str) -> None:
+    method = composed(name)
+    assert quickness(make_settings(method_class(method["kind"]).Settings, method["settings"], name)) == 1
+
+
+def test_what_has_no_learning_rates_is_not_slow() -> None:
+    @dataclass(frozen=True)
+    class Settings:
+        samples: int = 3
+
+    assert quickness(Settings(1)) == 1
 
 
 def test_every_configuration_is_tested() -> None:

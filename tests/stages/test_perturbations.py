@@ -10,6 +10,8 @@ import torch
 from fakes.runs import only_folder, records, run, set_environment
 
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS as OF_SCENES
+from envgs_bench.methods.envgs import EnvGS
+from envgs_bench.methods.settings import make_settings, quickness
 from envgs_bench.records import Perturbed
 from envgs_bench.runs.identity import run_id
 from envgs_bench.settings import RunSettings, SettingsError, parse_settings
@@ -106,6 +108,15 @@ def test_settings_of_a_method_are_perturbed(kind: str, severity: int, expected: 
     assert {key: changed[key] for key in expected} == pytest.approx(expected)
     assert all(key in expected or key.endswith(("_lr", "_lr_final")) for key in changed)
     assert (actual.steps, actual.dataset) == (given.steps, given.dataset)
+
+
+@pytest.mark.parametrize(
+    ("kind", "severity", "share"),
+    [("rates_down", 1, 1 / 3), ("rates_down", 3, 1 / 30), ("rates_up", 3, 1.0), ("needles", 3, 1.0)],
+)
+def test_a_method_is_as_slow_as_the_quickest_of_its_rates(kind: str, severity: int, share: float) -> None:
+    changed = perturbed_settings(settings(kind, severity)).method.settings
+    assert quickness(make_settings(EnvGS.Settings, changed, "envgs")) == pytest.approx(share)
 
 
 def test_steps_and_sizes_are_perturbed() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -37,8 +38,8 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
         return load_scene(toy | {"normal_noise": 5.0}, tmp_path_factory.mktemp("cache"))
 
 
-def said(scene: Scene, steps: int = 300) -> list[str]:
-    warnings = scene_warnings(scene, steps)
+def said(scene: Scene, steps: int = 300, quickness: float = 1.0) -> list[str]:
+    warnings = scene_warnings(scene, steps, quickness)
     assert all(warning.step == 0 for warning in warnings)
     return [warning.kind for warning in warnings]
 
@@ -73,6 +74,18 @@ def test_a_run_is_short_that_hardly_sees_its_views(room: Scene, times: float, sh
     if short:
         (warning,) = scene_warnings(room, steps)
         assert f"{4 * len(room.train)} steps" in warning.message
+
+
+@pytest.mark.parametrize(("quickness", "short"), [(0.5, True), (0.99, True), (1.0, False)])
+def test_steps_at_lower_rates_are_fewer_steps(room: Scene, quickness: float, short: bool) -> None:
+    views = len(room.train)
+    assert said(room, 4 * views, quickness) == ["run_short"] * short
+    if short:
+        (warning,) = scene_warnings(room, 4 * views, quickness)
+        assert f"{quickness:.2g} times the method's own learning rates" in warning.message
+        steps = int(re.search(r"take (\d+) steps", warning.message)[1])
+        assert said(room, steps, quickness) == []
+        assert said(room, steps - 1, quickness) == ["run_short"]
 
 
 def test_random_points_that_come_without_colors_are_what_synthetic_scenes_start_from(room: Scene) -> None:
