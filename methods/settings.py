@@ -6,6 +6,7 @@ import ast
 import dataclasses
 import inspect
 import io
+import statistics
 import textwrap
 import tokenize
 from collections.abc import Mapping, Sequence
@@ -110,13 +111,13 @@ def make_settings(settings_type: type, values: Mapping[str, Any], owner: str) ->
 
 
 def quickness(settings: Any) -> float:
-    """How quickly a method learns beside its own rates: the largest of its settings' rates over their defaults, to 1.
+    """How quickly a method learns beside its own rates: the median of its rates over their defaults, at most 1.
 
-    1 where one of them is at its default or above, and where there are none.
+    So a recipe that lowers one rate is not slow, and one that lowers all of them is. 1 where there are no rates.
     """
     own, usual = dataclasses.asdict(settings), dataclasses.asdict(type(settings)())
     ratios = [own[name] / usual[name] for name in own if name.endswith(LEARNING_RATES) and usual[name] > 0]
-    return min([1.0, max(ratios, default=1.0)])
+    return min(1.0, statistics.median(ratios or [1.0]))
 
 
 def check_words(settings: Any, words: Mapping[str, Sequence[str]]) -> None:

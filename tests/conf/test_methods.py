@@ -23,7 +23,7 @@ from envgs_bench.methods.envgs import EnvGS
 from envgs_bench.methods.reflection import ReflectionSettings
 from envgs_bench.methods.registry import BUILT_IN, create_method, method_class
 from envgs_bench.methods.schedule import Schedule
-from envgs_bench.methods.settings import make_settings, quickness, setting_comments
+from envgs_bench.methods.settings import LEARNING_RATES, make_settings, quickness, setting_comments
 from envgs_bench.settings import read_settings
 from envgs_bench.testing import tiny_scene
 
@@ -272,9 +272,14 @@ def test_the_synthetic_scenes_have_a_schedule_of_their_own() -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in config_names("method") if name != "renders"])
-def test_no_configuration_learns_slowly_by_itself(name: str) -> None:
+def test_a_configuration_is_slow_only_once_its_rates_are_lowered(name: str) -> None:
     method = composed(name)
-    assert quickness(make_settings(method_class(method["kind"]).Settings, method["settings"], name)) == 1
+    settings = make_settings(method_class(method["kind"]).Settings, method["settings"], name)
+    rates = {key: value for key, value in dataclasses.asdict(settings).items() if key.endswith(LEARNING_RATES)}
+    assert quickness(settings) == 1
+    assert quickness(dataclasses.replace(settings, **{key: 3 * rate for key, rate in rates.items()})) == 1
+    slow = dataclasses.replace(settings, **{key: rate / 3 for key, rate in rates.items()})
+    assert quickness(slow) == pytest.approx(1 / 3)
 
 
 def test_what_has_no_learning_rates_is_not_slow() -> None:
