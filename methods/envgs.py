@@ -15,10 +15,11 @@ from envgs_bench.parts import BASE, ENV
 
 from .densification import DensificationRule, spatial_criterion
 from .parameters import primitive_bytes
-from .reflection_trial import BOOTSTRAP, PLAIN, SHORTEST_RUN, TrialOutcome, reflection_trial
+from .reflection_trial import BOOTSTRAP, PLAIN, TrialOutcome, reflection_trial
 from .schedule import DENSIFY_FLOOR, ENV_RESET_FLOOR, RECOVERY
 from .start.initialization import quantile_box, random_points_in_grid, random_points_on_sphere
 from .traced import TracedReflection, TracedSettings
+from .trial import SHORTEST_RUN
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping
 from contextlib import nullcontext
+from dataclasses import asdict, replace
 from fractions import Fraction
 from typing import Any, cast
 
@@ -30,6 +31,8 @@ from .settings import GaussianSettings, check_words
 from .start.initialization import ORIENTATIONS, Orientation, half_diagonal
 from .start.mending import Mended, mended
 from .training_loss import TrainingLoss, lacking_normals
+from .trial import SHORTEST_RUN
+from .windows_trial import WindowsOutcome, windows_trial
 
 WORDS = {  # of settings that choose
     "normal_reference": ("unit", "alpha"),
@@ -71,6 +74,7 @@ class GaussianMethod(GaussianModel):
         self._gradients = RememberedGradients()
         self._views = ResidentViews(self.device, room=0)
         self._steps = CapturedSteps(self._learn, self._learn_again)
+        self._windows: WindowsOutcome | None = None
 
     # From start to end
 
@@ -90,10 +94,28 @@ class GaussianMethod(GaussianModel):
         found = Mended(scene)
         if s.mends_input:
             found = mended(scene, self.near, s.mono_weight > 0, self.generator, self.device)
+            found = self._outside_windows(found, steps)
         self.started_from, self.mended, self._normal_weight = found.scene, list(found.notes), found.normal_weight
         self._start(found.scene)
         self._views = ResidentViews.of(self.device, found.views)
         self._steps = CapturedSteps(self._learn, self._learn_again)
+
+    def _outside_windows(self, found: Mended, steps: int) -> Mended:
+        """The same without normals from what lies behind them: by a trial where the run is long enough for one."""
+        if not found.windows.likely or steps < SHORTEST_RUN:
+            return found.outside_sure_windows()
+        if self._windows is None:
+            self._windows = windows_trial(found, self._tried_once(), self._tried_once())
+        cells = found.windows.likely if self._windows.lies_behind else {}
+        return found.outside(cells, self._windows.sentence)
+
+    def _tried_once(self) -> GaussianMethod:
+        """A new method like this one, to be trained on a scene that is mended already."""
+        settings = replace(self.settings, mends_input=False)
+        method = type(self)(settings, self.device, self.generator.initial_seed())
+        if self._budget is not None:
+            method.limit(self._budget.budget)
+        return method
 
     def _start(self, scene: Scene) -> None:
         """Become a base set with a primitive at each of the scene's points."""
@@ -122,9 +144,11 @@ class GaussianMethod(GaussianModel):
             "skipped_steps": skipped.clone() if isinstance(skipped, Tensor) else skipped,
             "gradients": self._gradients.training_state(),
             "budget": self._budget.training_state() if self._budget is not None else None,
+            "windows": asdict(self._windows) if self._windows is not None else None,
         }
 
     def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
+        self._windows = WindowsOutcome(**state["windows"]) if state["windows"] is not None else None
         self.initialize(scene, steps)
         for name, trained in state["sets"].items():
             if name not in self.sets:  # made during the training: of any row, as all rows are replaced

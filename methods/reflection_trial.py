@@ -5,8 +5,6 @@ A second set of primitives makes any picture better, as texture, whether or not 
 rays and the same training, but whose rays leave along the surface's normal: what they see is the same from everywhere.
 Where something mirrors, only mirrored rays can explain it. Where nothing does, training gives more weight to the
 control's, which move less while normals are still being learned.
-
-Both are trained from the start, for as many steps whatever the run's length, on the run's training views made small.
 """
 
 from __future__ import annotations
@@ -16,14 +14,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
-from torch import Tensor
-from torch.nn import functional
 
-from envgs_bench.core import Scene, View
-from envgs_bench.core.vectors import unit
+from envgs_bench.core import Scene
 from envgs_bench.parts import BASE, BETA
 
 from .method import Method
+from .trial import smaller, train_briefly
 
 NEVER = 10**12  # a step that no run has
 PLAIN: dict[str, Any] = {  # of a base set that reflects nothing: what `2dgs_tuned` has in the place of EnvGS's
@@ -39,11 +35,7 @@ PLAIN: dict[str, Any] = {  # of a base set that reflects nothing: what `2dgs_tun
     "prune_from": 14_000,  # `2dgs_lean`'s
 }
 
-SCHEDULE = 600  # steps of the run whose beginning a trial is
 BOOTSTRAP = 3_000  # steps of a run of 30,000 with the base set alone: 60 of a trial
-STEPS = 200  # that it takes
-PIXELS = 7_000  # of a view, at most
-SHORTEST_RUN = 2_000  # steps of a run that can afford a trial
 LEAST_WEIGHT = 0.85  # scenes of the tuning suite have 0.95 and more, `diffuse_room` 0.75
 LEAST_GAIN = 0.8  # dB; `diffuse_room` has up to 0.3
 TINY = 1e-12
@@ -87,7 +79,7 @@ def reflection_trial(scene: Scene, mirrored: Method, control: Method) -> TrialOu
     """
     small = replace(scene, train=[smaller(view) for view in scene.train], test=[])
     for method in (mirrored, control):
-        _train(method, small)
+        train_briefly(method, small)
     sums = torch.zeros(2, 2, dtype=torch.float64)  # of β and of w·e, for either method
     for view in small.train:
         target, drawn = view.rgb(mirrored.device), [method.render(view.camera) for method in (mirrored, control)]
@@ -98,31 +90,3 @@ def reflection_trial(scene: Scene, mirrored: Method, control: Method) -> TrialOu
             sums[row] += torch.stack([picture.layers[BETA].mean(), (more * error).sum()]).double().cpu()
     (weight, error), (of_control, error_of_control) = sums.clamp_min(TINY).tolist()
     return TrialOutcome(weight / of_control, 10 * math.log10(error_of_control / error))
-
-
-def smaller(view: View) -> View:
-    """The view with at most PIXELS pixels, by area averaging, of what training reads of it."""
-    shrink = math.sqrt(PIXELS / (view.camera.width * view.camera.height))
-    if shrink >= 1:
-        return view
-    width, height = (max(1, int(shrink * size)) for size in (view.camera.width, view.camera.height))
-
-    def averaged(pixels: Tensor) -> Tensor:
-        return functional.interpolate(pixels.movedim(2, 0)[None], (height, width), mode="area")[0].movedim(0, 2)
-
-    image = averaged(view.rgb() * 255).round().to(torch.uint8)
-    normal = None if view.normal is None else unit(averaged(view.normal.float()))
-    camera = view.camera.resized(width, height)
-    return View(view.name, camera, image, normal=normal)
-
-
-def _train(method: Method, scene: Scene) -> None:
-    method.initialize(scene, SCHEDULE)
-    order = torch.Generator().manual_seed(0)
-    rows: list[int] = []
-    for step in range(1, STEPS + 1):
-        if not rows:
-            rows = torch.randperm(len(scene.train), generator=order).tolist()
-        method.training_step(scene.train[rows.pop()], step)
-    method.settle()
-    method.prepare()

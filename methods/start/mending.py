@@ -22,7 +22,7 @@ from .alignment import alignment, turned
 from .evidence import CELLS, Evidence, cells_with, empty_cells, mirrored_normals
 from .exposures import Exposures, equalized, exposures
 from .plane_sweep import swept_points
-from .windows import outside, windows
+from .windows import Windows, outside, share_of, windows
 
 UNSUPPORTED = 0.04  # `Evidence.support` below which points are where chance put them
 MISSING = 0.7  # share of a view's cells with a point below which pictures show much that no point starts
@@ -31,7 +31,8 @@ FAR_MISSING = 0.01  # share of the views' cells in which points far away must be
 TURNED = 0.12  # share of its differences to the points' colors that the median view must lose when it is turned
 AGREEING = 14.0  # degrees between two views' normals of a point up to which normals count in full: each is off by 10
 CORRECTED = 1.4  # × what two corrected normals differ by at a point: mirrors, which have none, are corrected less
-WINDOWS = 0.05  # share of the views' cells that must show windows: fewer may be chance, and matter little
+WINDOWS = 0.05  # share of the views' cells that must surely show windows: fewer may be chance, and matter little
+LIKELY_WINDOWS = 0.1  # … that must be likely to
 PER_CELL = 3  # pixels of each empty cell of a view that are swept
 TRIED = 4  # × as many are drawn, and those with the strongest gradients are taken
 NEAREST, FARTHEST = 0.1, 20.0  # depths that are swept, × the scene radius
@@ -80,12 +81,30 @@ class Mended:
         views: what becomes of the training views.
         normal_weight: how much the views' normals count, in (0, 1].
         notes: what is not as it was given, a sentence each.
+        windows: what lies behind its normals, as far as pictures tell; none of a kind of which there is too little.
     """
 
     scene: Scene
     views: MendedViews = MendedViews()
     normal_weight: float = 1.0
     notes: Sequence[str] = ()
+    windows: Windows = field(default_factory=Windows)
+
+    def outside(self, cells: Mapping[str, Tensor], note: str) -> Mended:
+        """The same without the normals in these windows' cells, and what is to be said of it."""
+        return replace(self, views=replace(self.views, windows=cells), notes=[*self.notes, note])
+
+    def outside_sure_windows(self) -> Mended:
+        """Without the normals in windows that nothing else looks like, where there are any."""
+        cells = self.windows.sure
+        if not cells:
+            return self
+        share = share_of(cells, len(self.scene.train))
+        return self.outside(
+            cells,
+            f"learns no normals from {share:.0%} of what the training views show, which lies behind them, as what "
+            "flat mirrors show does",
+        )
 
 
 def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator, device: torch.device) -> Mended:
@@ -124,7 +143,7 @@ def mended(scene: Scene, near: float, normals: bool, generator: torch.Generator,
 
 
 def _with_mended_normals(start: Mended, near: float, device: torch.device) -> Mended:
-    """The same start with the views' normals mirrored back, brought into agreement, weighed and left out of windows."""
+    """The same start with the views' normals mirrored back, brought into agreement and weighed, and windows told."""
     scene, views, notes = start.scene, start.views, [*start.notes]
     evidence = Evidence.of(replace(scene, train=[views(view) for view in scene.train]), near)
     mirrored = frozenset(evidence.mirrored_views())
@@ -145,14 +164,9 @@ def _with_mended_normals(start: Mended, near: float, device: torch.device) -> Me
     if weight < 1:
         notes.append(f"counts the training views' normals {weight:.2f} × as much, since these still differ so much")
     seen = windows((views(view.pixels_on(device)) for view in scene.train), *_depths(scene, near), device)
-    share = sum(float(cells.float().mean()) for cells in seen.values()) / len(scene.train)
-    if share >= WINDOWS:
-        views = replace(views, windows=seen)
-        notes.append(
-            f"learns no normals from {share:.0%} of what the training views show, which lies behind them, as what "
-            "flat mirrors show does"
-        )
-    return Mended(scene, views, weight, notes)
+    least = ((seen.sure, WINDOWS), (seen.likely, LIKELY_WINDOWS))
+    enough = (cells if share_of(cells, len(scene.train)) >= share else {} for cells, share in least)
+    return Mended(scene, views, weight, notes, Windows(*enough))
 
 
 @torch.no_grad()

@@ -5,13 +5,14 @@ still behind it, and photographs have depths of it as of any room; what a curved
 found in few places. A base set draws such a room as it draws others, unless the normals hold it to the glass.
 
 Between two points of a surface its normals are about the same, and the points lie along these. Behind glass they do
-not. That is asked of random pairs of pixels whose depths a plane sweep makes out, of all views together.
+not. That is asked of random pairs of pixels whose depths a plane sweep makes out, of all views together. Where few of
+them lie steeply behind, or not so steeply, it may be a curved mirror, whose normals a method needs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -26,10 +27,37 @@ PAIRS = 400  # that are drawn in each view
 APART = 0.1  # picture widths from one pixel of a pair to the other
 BETWEEN = 5  # pixels between them whose normals are to be the same too
 ALIKE = 0.95  # cosine above which two normals are about the same
-STEEP = 45.0  # degrees to the surface beyond which two points do not lie along it: depths are good to 15 or so
-MOST = 0.5  # share of pairs that are steep beyond which a cell shows a window
 IN_ORDER = 2.0  # pairs that are not steep, which every cell has besides its own
 AROUND = 1.5  # cells, the deviation of the Gaussian by which a cell counts pairs around it
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """When a cell shows a window.
+
+    Attributes:
+        steep: degrees to the surface beyond which two points do not lie along it: depths are good to 15 or so.
+        most: share of pairs that are steep beyond which it does.
+    """
+
+    steep: float
+    most: float
+
+
+SURE, LIKELY = Criterion(45.0, 0.5), Criterion(30.0, 0.3)
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Cells of views that show windows, [CELLS, CELLS] by rows and columns, on the CPU; by names of views with any.
+
+    Attributes:
+        sure: what nothing but windows looks like.
+        likely: these, and what curved mirrors look like here and there.
+    """
+
+    sure: Mapping[str, Tensor] = field(default_factory=dict)
+    likely: Mapping[str, Tensor] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -66,8 +94,8 @@ class _Pairs:
 
 
 @torch.no_grad()
-def windows(views: Iterable[View], near: float, far: float, device: torch.device) -> dict[str, Tensor]:
-    """Cells of the views that show windows, [CELLS, CELLS] by rows and columns, on the CPU; by names of views with any.
+def windows(views: Iterable[View], near: float, far: float, device: torch.device) -> Windows:
+    """What of the views shows windows.
 
     Args:
         views: asked for one at a time.
@@ -83,20 +111,38 @@ def windows(views: Iterable[View], near: float, far: float, device: torch.device
     sweep = PlaneSweep(swept, near, far)
     found = [_points(sweep, index, each) for index, each in pairs.items() if sweep.neighbors[index]]
     if not found:
-        return {}
-    points, colors, steep = (torch.cat(parts) for parts in zip(*found, strict=True))
-    cells = {names[index]: _cells(sweep.views[index], near, points, colors, steep).cpu() for index in pairs}
-    return {name: where for name, where in cells.items() if where.any()}
+        return Windows()
+    points, colors, angles = (torch.cat(parts) for parts in zip(*found, strict=True))
+
+    def by(criterion: Criterion) -> dict[str, Tensor]:
+        steep = angles > criterion.steep
+        cells = {
+            names[index]: _cells(sweep.views[index], near, points, colors, steep, criterion.most).cpu()
+            for index in pairs
+        }
+        return {name: where for name, where in cells.items() if where.any()}
+
+    return Windows(by(SURE), by(LIKELY))
+
+
+def share_of(cells: Mapping[str, Tensor], views: int) -> float:
+    """The share of what so many views show that these cells are."""
+    return sum(float(where.float().mean()) for where in cells.values()) / views
+
+
+def inside(cells: Tensor, height: int, width: int) -> Tensor:
+    """Which pixels of a picture lie in the cells [CELLS, CELLS], [H, W]."""
+    rows, columns = (torch.arange(size, device=cells.device) * CELLS // size for size in (height, width))
+    return cells[rows[:, None], columns]
 
 
 def outside(normal: Tensor, cells: Tensor) -> Tensor:
     """A view's normals [H, W, 3], 0 in the `windows`' cells [CELLS, CELLS]."""
-    rows, columns = (torch.arange(size, device=normal.device) * CELLS // size for size in normal.shape[:2])
-    return torch.where(cells.to(normal.device)[rows[:, None], columns, None], 0.0, normal)
+    return torch.where(inside(cells.to(normal.device), *normal.shape[:2])[..., None], 0.0, normal)
 
 
 def _points(sweep: PlaneSweep, index: int, pairs: _Pairs) -> tuple[Tensor, Tensor, Tensor]:
-    """What a view shows at its pairs, [P, 3], in which colors [P, 3], and whether the two of a pair are steep, [P]."""
+    """What a view shows at its pairs, [P, 3], in which colors [P, 3], and a pair's degrees to its surface [P]."""
     matches = sweep.matches(index, pairs.first)
     pairs, nearest = pairs.those(matches.clear), matches.best[matches.clear]
     matches = sweep.matches(index, pairs.second)
@@ -104,12 +150,12 @@ def _points(sweep: PlaneSweep, index: int, pairs: _Pairs) -> tuple[Tensor, Tenso
     each = zip((pairs.first, pairs.second), best, strict=True)
     first, second = (sweep.points(index, pixels, sweep.finer(index, pixels, depth)) for pixels, depth in each)
     sine = (unit(second - first) * pairs.normals).sum(dim=1).abs()
-    steep = sine.clamp(max=1).asin().rad2deg() > STEEP
+    angle = sine.clamp(max=1).asin().rad2deg()
     points = torch.cat([first, second])
-    return points, sweep.views[index].colors(points), steep.repeat(2)
+    return points, sweep.views[index].colors(points), angle.repeat(2)
 
 
-def _cells(view: SweptView, near: float, points: Tensor, colors: Tensor, steep: Tensor) -> Tensor:
+def _cells(view: SweptView, near: float, points: Tensor, colors: Tensor, steep: Tensor, most: float) -> Tensor:
     """Which cells of the view show windows, [CELLS, CELLS], by the points [P, 3] that it shows in their colors."""
     shown = (view.colors(points) - colors).abs().mean(dim=1) < SAME_COLOR  # of NaN: no
     cells = cells_of(points, view.camera, near)
@@ -120,4 +166,4 @@ def _cells(view: SweptView, near: float, points: Tensor, colors: Tensor, steep: 
     row = torch.arange(CELLS, device=points.device)
     around = torch.exp(-0.5 * ((row[:, None] - row) / AROUND).square())
     pairs, out_of_order = (around @ count @ around for count in counted)
-    return out_of_order > MOST * (pairs + IN_ORDER)
+    return out_of_order > most * (pairs + IN_ORDER)

@@ -15,20 +15,13 @@ from sweeps import one_run
 from tuned_baselines import TUNED_2DGS
 
 from envgs_bench.core import Scene, View
-from envgs_bench.methods import envgs, reflection_trial
+from envgs_bench.methods import envgs, reflection_trial, trial
 from envgs_bench.methods.budget import Budget
 from envgs_bench.methods.envgs import AlongNormals, EnvGS, EnvGSSettings
 from envgs_bench.methods.gaussian_method import GaussianMethod
-from envgs_bench.methods.reflection_trial import (
-    LEAST_GAIN,
-    LEAST_WEIGHT,
-    PIXELS,
-    PLAIN,
-    SHORTEST_RUN,
-    TrialOutcome,
-    smaller,
-)
+from envgs_bench.methods.reflection_trial import LEAST_GAIN, LEAST_WEIGHT, PLAIN, TrialOutcome
 from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.trial import SHORTEST_RUN
 from envgs_bench.testing import tiny_scene
 
 SMALL = {"env_grid": 3, "env_far_count": 50, "reflection_trial": True}
@@ -76,8 +69,8 @@ def test_either_of_both_numbers_shows_a_reflection(weight: float, gain: float, r
 def short_runs(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """Runs of any length begin with a trial, of few steps."""
     monkeypatch.setattr(envgs, "SHORTEST_RUN", 0)
-    monkeypatch.setattr(reflection_trial, "SCHEDULE", 60)
-    monkeypatch.setattr(reflection_trial, "STEPS", 9)
+    monkeypatch.setattr(trial, "SCHEDULE", 60)
+    monkeypatch.setattr(trial, "STEPS", 9)
     return monkeypatch
 
 
@@ -206,21 +199,3 @@ def test_what_becomes_plain_has_the_settings_of_tuned_2dgs(
     shared = baseline.keys() & method.keys() - unused
     assert {key: (method | PLAIN)[key] for key in shared} == {key: baseline[key] for key in shared}
     assert PLAIN.keys() <= asdict(EnvGSSettings()).keys()
-
-
-@pytest.mark.parametrize(
-    ("size", "expected"), [((96, 72), (96, 72)), ((320, 240), (96, 72)), ((200, 3_000), (21, 324))]
-)
-def test_views_are_made_small_by_area(size: tuple[int, int], expected: tuple[int, int]) -> None:
-    width, height = size
-    camera = tiny_scene().train[0].camera.resized(width, height)
-    image = torch.arange(width).expand(height, width)[..., None].expand(-1, -1, 3) * 255 / width
-    normal = torch.tensor([0.0, 0.6, 0.8]).expand(height, width, 3)
-    small = smaller(View("view", camera, image.byte(), normal=normal))
-    assert (small.camera.width, small.camera.height) == expected
-    assert small.image.shape == (expected[1], expected[0], 3)
-    assert expected[0] * expected[1] <= PIXELS
-    ramp = (torch.arange(expected[0]) + 0.5) * 255 / expected[0]
-    assert (small.image[0, :, 0] - ramp).abs().max() < 3
-    assert small.normal is not None
-    torch.testing.assert_close(small.normal[0], normal[0, : expected[0]])

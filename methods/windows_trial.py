@@ -1,0 +1,85 @@
+"""A trial of windows: whether views show more truly where no normals are learned from what may lie behind them.
+
+What a flat mirror or a pane shows lies behind its normals, and so do here and there the pictures of a curved mirror
+(`start.windows`). The one a base set draws as it draws any room, once no normals hold it to the glass. The other needs
+its normals. A training of some steps tells them apart, on views that it has not seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from envgs_bench.core import View
+
+from .method import Method
+from .start.mending import Mended
+from .start.windows import inside, outside, share_of
+from .trial import smaller, train_briefly
+
+HELD_OUT = 8  # every eighth training view, the fourth first, is drawn and not trained on
+LEAST_GAIN = 0.5  # dB; what lies behind has 1.2 to 3.1, curved mirrors up to −0.2
+
+
+@dataclass(frozen=True)
+class WindowsOutcome:
+    """What leaving out the normals brought.
+
+    Attributes:
+        share: of what the training views show that was asked about.
+        gain: how much nearer to the views held out it was drawn, in dB; 0 where they show none of it.
+    """
+
+    share: float
+    gain: float
+
+    @property
+    def lies_behind(self) -> bool:
+        return self.gain > LEAST_GAIN
+
+    @property
+    def sentence(self) -> str:
+        found = (
+            f"trial before the first step: {self.share:.0%} of what the training views show may lie behind its normals,"
+            f" and is drawn {self.gain:+.2f} dB better without them; windows do from {LEAST_GAIN:+} dB on"
+        )
+        return found + (": no normals are learned there" if self.lies_behind else "")
+
+
+def windows_trial(found: Mended, held: Method, free: Method) -> WindowsOutcome:
+    """Train both methods on the training views, `free` without normals in likely windows, and compare them there.
+
+    Args:
+        found: what a run starts from.
+        held, free: new, with the same settings and seed, and nothing mended by themselves.
+    """
+    cells, views = found.windows.likely, [found.views(view) for view in found.scene.train]
+    shown = [index for index in range(len(views)) if index % HELD_OUT == HELD_OUT // 2]
+    errors = []
+    for method, seen in ((held, views), (free, [_without(view, cells) for view in views])):
+        small = [smaller(view) for view in seen]
+        learned = [view for index, view in enumerate(small) if index not in shown]
+        train_briefly(method, replace(found.scene, train=learned, test=[], val=[]))
+        errors.append(sum(_error(method, small[index], cells) for index in shown))
+    with_normals, without = errors
+    gain = 10 * math.log10(with_normals / without) if with_normals > 0 and without > 0 else 0.0
+    return WindowsOutcome(share_of(cells, len(views)), gain)
+
+
+def _without(view: View, cells: Mapping[str, Tensor]) -> View:
+    if view.normal is None or view.name not in cells:
+        return view
+    return replace(view, normal=outside(view.normal, cells[view.name]))
+
+
+@torch.no_grad()
+def _error(method: Method, view: View, cells: Mapping[str, Tensor]) -> float:
+    """The sum of squared errors of the view's pixels in the cells."""
+    if view.name not in cells:
+        return 0.0
+    error = (method.render(view.camera).color.clamp(0, 1).cpu() - view.rgb()).square().mean(dim=-1)
+    return float(error[inside(cells[view.name], *error.shape)].double().sum())
