@@ -24,7 +24,7 @@ from envgs_bench.run_folder import SNAPSHOT_NAME
 
 from .stop import Stop
 
-LAYOUT = 1
+LAYOUT = 2
 TENSOR = "tensor"  # the key of a tensor's name in the JSON
 
 State = dict[str, Any]  # tensors, numbers, strings, None, and lists and dictionaries of them
