@@ -57,17 +57,24 @@ def windows_trial(found: Mended, held: Method, free: Method) -> WindowsOutcome:
         found: what a run starts from.
         held, free: new, with the same settings and seed, and nothing mended by themselves.
     """
-    cells, views = found.windows.likely, [found.views(view) for view in found.scene.train]
-    shown = [index for index in range(len(views)) if index % HELD_OUT == HELD_OUT // 2]
-    errors = []
-    for method, seen in ((held, views), (free, [_without(view, cells) for view in views])):
-        small = [smaller(view) for view in seen]
-        learned = [view for index, view in enumerate(small) if index not in shown]
-        train_briefly(method, replace(found.scene, train=learned, test=[], val=[]))
-        errors.append(sum(_error(method, small[index], cells) for index in shown))
-    with_normals, without = errors
+    cells = found.windows.likely
+    with_normals, without = (_held_out_error(method, found, left) for method, left in ((held, {}), (free, cells)))
     gain = 10 * math.log10(with_normals / without) if with_normals > 0 and without > 0 else 0.0
-    return WindowsOutcome(share_of(cells, len(views)), gain)
+    return WindowsOutcome(share_of(cells, len(found.scene.train)), gain)
+
+
+def _held_out_error(method: Method, found: Mended, left_out: Mapping[str, Tensor]) -> float:
+    """The sum of squared errors in likely windows of the views held out, once the method has learned the others.
+
+    Args:
+        left_out: by views' names the cells whose normals it learns without.
+    """
+    small = [smaller(_without(found.views(view), left_out)) for view in found.scene.train]
+    held_out = [index % HELD_OUT == HELD_OUT // 2 for index in range(len(small))]
+    learned = [view for view, out in zip(small, held_out, strict=True) if not out]
+    train_briefly(method, replace(found.scene, train=learned, test=[], val=[]))
+    shown = (view for view, out in zip(small, held_out, strict=True) if out)
+    return sum(_error(method, view, found.windows.likely) for view in shown)
 
 
 def _without(view: View, cells: Mapping[str, Tensor]) -> View:
