@@ -80,11 +80,7 @@ class EnvGS(TracedReflection):
         settings = replace(
             s, reflection_trial=False, bootstrap=BOOTSTRAP, env_from_points=False, env_grid=2 * s.env_grid
         )
-        seed = self.generator.initial_seed()
-        mirrored, control = (kind(settings, self.device, seed) for kind in (EnvGS, AlongNormals))
-        if self._budget is not None:
-            mirrored.limit(self._budget.budget)
-            control.limit(self._budget.budget)
+        mirrored, control = (self.for_trial(kind, settings) for kind in (EnvGS, AlongNormals))
         return reflection_trial(scene, mirrored, control)
 
     def start_reflection(self) -> None:

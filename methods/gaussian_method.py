@@ -105,14 +105,15 @@ class GaussianMethod(GaussianModel):
         if not found.windows.likely or steps < SHORTEST_RUN:
             return found.outside_sure_windows()
         if self._windows is None:
-            self._windows = windows_trial(found, self._tried_once(), self._tried_once())
+            settings = replace(self.settings, mends_input=False)  # the trial's scene is mended
+            held, free = (self.for_trial(type(self), settings) for _ in range(2))
+            self._windows = windows_trial(found, held, free)
         cells = found.windows.likely if self._windows.lies_behind else {}
         return found.outside(cells, self._windows.sentence)
 
-    def _tried_once(self) -> GaussianMethod:
-        """A new method like this one, to be trained on a scene that is mended already."""
-        settings = replace(self.settings, mends_input=False)
-        method = type(self)(settings, self.device, self.generator.initial_seed())
+    def for_trial(self, kind: type[GaussianMethod], settings: GaussianSettings) -> GaussianMethod:
+        """A new method that a trial may train, with this one's device, seed and budget."""
+        method = kind(settings, self.device, self.generator.initial_seed())
         if self._budget is not None:
             method.limit(self._budget.budget)
         return method

@@ -46,13 +46,13 @@ def scene_warnings(
     mirrored, views = evidence.mirrored_views(), len(scene.train)
     taken = Photographs.of(scene.train)
     disagreement = evidence.normal_disagreement(evidence.normals_unmirrored(mirrored))
+    slowly = f", at {quickness:.2g} times the method's own learning rates" if quickness < 1 else ""
     found: list[tuple[WarningKind, bool, str]] = [
         (
             "run_short",
             steps * quickness < PASSES * views,
-            f"each of {views} training views is learned from {steps / views:.1f} times"
-            + f", at {quickness:.2g} times the method's own learning rates" * (quickness < 1)
-            + f", which is no length to judge a method by: take {math.ceil(PASSES * views / quickness)} steps at least",
+            f"each of {views} training views is learned from {steps / views:.1f} times{slowly}, which is no length to "
+            f"judge a method by: take {math.ceil(PASSES * views / quickness)} steps at least",
         ),
         (
             "views_sparse",

@@ -113,16 +113,13 @@ def windows(views: Iterable[View], near: float, far: float, device: torch.device
     if not found:
         return Windows()
     points, colors, angles = (torch.cat(parts) for parts in zip(*found, strict=True))
-
-    def by(criterion: Criterion) -> dict[str, Tensor]:
-        steep = angles > criterion.steep
-        cells = {
-            names[index]: _cells(sweep.views[index], near, points, colors, steep, criterion.most).cpu()
-            for index in pairs
-        }
-        return {name: where for name, where in cells.items() if where.any()}
-
-    return Windows(by(SURE), by(LIKELY))
+    sure, likely = dict[str, Tensor](), dict[str, Tensor]()
+    for index in pairs:
+        each = _cells(sweep.views[index], near, points, colors, angles)
+        for cells, where in zip((sure, likely), each, strict=True):
+            if where.any():
+                cells[names[index]] = where.cpu()
+    return Windows(sure, likely)
 
 
 def share_of(cells: Mapping[str, Tensor], views: int) -> float:
@@ -155,15 +152,19 @@ def _points(sweep: PlaneSweep, index: int, pairs: _Pairs) -> tuple[Tensor, Tenso
     return points, sweep.views[index].colors(points), angle.repeat(2)
 
 
-def _cells(view: SweptView, near: float, points: Tensor, colors: Tensor, steep: Tensor, most: float) -> Tensor:
-    """Which cells of the view show windows, [CELLS, CELLS], by the points [P, 3] that it shows in their colors."""
+def _cells(view: SweptView, near: float, points: Tensor, colors: Tensor, angles: Tensor) -> list[Tensor]:
+    """Which cells of the view are sure and likely windows, by the points [P, 3] that it shows in their colors.
+
+    Each is [CELLS, CELLS].
+    """
     shown = (view.colors(points) - colors).abs().mean(dim=1) < SAME_COLOR  # of NaN: no
     cells = cells_of(points, view.camera, near)
-    counted = [
-        torch.bincount(cells[those], minlength=CELLS * CELLS + 1)[:-1].reshape(CELLS, CELLS).float()
-        for those in (shown, shown & steep)
-    ]
     row = torch.arange(CELLS, device=points.device)
     around = torch.exp(-0.5 * ((row[:, None] - row) / AROUND).square())
-    pairs, out_of_order = (around @ count @ around for count in counted)
-    return out_of_order > most * (pairs + IN_ORDER)
+
+    def counted(those: Tensor) -> Tensor:
+        count = torch.bincount(cells[those], minlength=CELLS * CELLS + 1)[:-1]
+        return around @ count.reshape(CELLS, CELLS).float() @ around
+
+    pairs = counted(shown) + IN_ORDER
+    return [counted(shown & (angles > each.steep)) > each.most * pairs for each in (SURE, LIKELY)]

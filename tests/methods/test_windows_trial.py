@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
+from fakes.methods import MeanColor, Settings
 from torch import Tensor
 
-from envgs_bench.core import Camera, Rendering, Scene, Statistics, View
+from envgs_bench.core import Camera, Rendering, Scene, View
 from envgs_bench.datasets import load_scene
 from envgs_bench.methods import gaussian_method
 from envgs_bench.methods.budget import Budget
 from envgs_bench.methods.gaussian_method import GaussianMethod
-from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.start.evidence import CELLS
 from envgs_bench.methods.start.mending import Mended
@@ -29,48 +27,25 @@ from envgs_bench.testing import tiny_scene
 SETTINGS = {"mono_weight": 0.01, "mends_input": True}
 
 
-@dataclass(frozen=True)
-class NoSettings:
-    pass
-
-
-class Flat(Method):
-    """Draws one gray everywhere, and remembers what it was trained on."""
-
-    Settings = NoSettings
+class Flat(MeanColor):
+    """Draws one gray in the upper half and another below, and remembers what it was trained on."""
 
     def __init__(self, gray: float, elsewhere: float = 0.5) -> None:
-        super().__init__(NoSettings())
+        super().__init__(Settings())
         self.gray, self.elsewhere, self.seen = gray, elsewhere, dict[str, View]()
 
     def initialize(self, scene: Scene, steps: int) -> None:
+        super().initialize(scene, steps)
         self.scene = scene
 
-    def training_step(self, view: View, step: int) -> Mapping[str, float | Tensor]:
+    def training_step(self, view: View, step: int) -> dict[str, float]:
         self.seen[view.name] = view
-        return {"loss": 0.0}
-
-    def prepare(self) -> None:
-        pass
+        return super().training_step(view, step)
 
     def render(self, camera: Camera) -> Rendering:
         color = torch.full((camera.height, camera.width, 3), self.elsewhere)
         color[: camera.height // 2] = self.gray
-        empty = torch.zeros(camera.height, camera.width)
-        hits = torch.zeros(camera.height, camera.width, dtype=torch.int32)
-        return Rendering(color, empty, empty, color, color[..., :0], hits, Statistics(torch.zeros(0)))
-
-    def primitives(self) -> dict[str, int]:
-        return {}
-
-    def model_bytes(self) -> dict[str, int]:
-        return {}
-
-    def save(self, folder: Any) -> None:
-        raise NotImplementedError
-
-    def load(self, folder: Any) -> None:
-        raise NotImplementedError
+        return replace(super().render(camera), color=color)
 
 
 def upper_half() -> Tensor:
