@@ -8,17 +8,18 @@ from itertools import product
 
 Size = tuple[int, int]
 
-PEERS = ("gsplat",)
 DIRECTIONS = ("forward", "forward_backward")
 RASTERIZED = ("rasterize_2d", "rasterize_3d")
+PICTURED = ("rasterize_2d_color", "rasterize_3d_color")
+PEERS = {"gsplat": RASTERIZED, "higs": PICTURED[1:]}  # and what they can be asked for
 DRAWN = ("trace", *RASTERIZED)
 LOOKUPS = ("cubemap", "prefiltered")
 METHODS = ("2dgs", "3dgs", "envmap", "envgs")  # forward: an image; forward_backward: a training step
-OPERATIONS = ("trace", "trace_color", *RASTERIZED, "build", "refit", "adam", "ssim", *LOOKUPS, *METHODS)
-OF_GPUS = ("refit", "trace_color")
+OPERATIONS = ("trace", "trace_color", *RASTERIZED, *PICTURED, "build", "refit", "adam", "ssim", *LOOKUPS, *METHODS)
+OF_GPUS = ("refit", "trace_color", *PICTURED)
 WITHOUT_SET = ("ssim", *LOOKUPS)
 WITHOUT_PICTURE = ("build", "refit", "adam")
-WITHOUT_GRADIENTS = (*WITHOUT_PICTURE, "trace_color")
+WITHOUT_GRADIENTS = (*WITHOUT_PICTURE, "trace_color", *PICTURED)
 OF_THE_CORE = (*DRAWN, "build")  # what is timed where sizes are given and no operation is named
 OFFERED = {  # by each backend
     "torch": DRAWN,
@@ -83,10 +84,10 @@ def chosen_cases(
     return list(dict.fromkeys(cases))
 
 
-def peer_cases(cases: Sequence[Case]) -> list[Case]:
-    """What the peers can be asked for of the GPU's cases."""
-    drawn = [case for case in cases if case.backend == "cuda" and case.op in RASTERIZED]
-    return [replace(case, backend=peer) for peer in PEERS for case in drawn]
+def peer_cases(cases: Sequence[Case], peers: Sequence[str]) -> list[Case]:
+    """What these peers can be asked for of the GPU's cases."""
+    on_gpu = [case for case in cases if case.backend == "cuda"]
+    return [replace(case, backend=peer) for peer in peers for case in on_gpu if case.op in PEERS[peer]]
 
 
 def sweep_cases(backends: Sequence[str]) -> list[Case]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .arguments import positive, size
-from .cases import OPERATIONS, Case, chosen_cases, peer_cases, sweep_cases
+from .cases import OPERATIONS, PEERS, Case, chosen_cases, peer_cases, sweep_cases
 
 if TYPE_CHECKING:
     from .run_workload import TimedRun
@@ -84,10 +84,7 @@ def _chosen(options: argparse.Namespace) -> tuple[list[Case], TimedRun | None]:
         wanted = " ".join(["--op", *(unknown or options.op or ())])
         raise ValueError(f"{wanted}: expected some of {', '.join(known)}, and a backend that has them")
     if options.peers:
-        reason = _without_peers(backends)
-        if reason:
-            raise ValueError(f"--peers: {reason}")
-        cases += peer_cases(cases)
+        cases += peer_cases(cases, _peers(backends))
     if options.chart is not None and not (options.primitives or options.size):
         cases = list(dict.fromkeys([*cases, *sweep_cases([name for name in backends if name in ("cpu", "cuda")])]))
     return cases, run
@@ -107,10 +104,19 @@ def _backends(options: argparse.Namespace) -> list[str]:
     return options.backend or works
 
 
-def _without_peers(backends: Sequence[str]) -> str | None:
+def _peers(backends: Sequence[str]) -> list[str]:
+    """Those that are installed; why the others are left out goes to stderr. Raises ValueError where none is."""
     from .peers import why_unavailable
 
-    return why_unavailable() or (None if "cuda" in backends else "needs the cuda backend")
+    if "cuda" not in backends:
+        raise ValueError("--peers: needs the cuda backend")
+    reasons = {peer: why_unavailable(peer) for peer in PEERS}
+    found = [peer for peer, reason in reasons.items() if reason is None]
+    if not found:
+        raise ValueError(f"--peers: {'; '.join(filter(None, reasons.values()))}")
+    for reason in filter(None, reasons.values()):
+        print(f"envgs-bench bench core: without {reason}", file=sys.stderr)
+    return found
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -131,7 +137,7 @@ def _parser() -> argparse.ArgumentParser:
         help="default: the native ones that work here, and torch; of a run the fastest of the native ones",
     )
     parser.add_argument("--repeats", type=positive, default=20, metavar="N", help="timed calls a case (default: 20)")
-    parser.add_argument("--peers", action="store_true", help="also time gsplat's rasterizers, where it is installed")
+    parser.add_argument("--peers", action="store_true", help="also time gsplat's rasterizers and HiGS, where installed")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows here")
     parser.add_argument("--chart", type=Path, metavar="FILE", help="sweep primitives and sizes, and draw them (png)")
     return parser

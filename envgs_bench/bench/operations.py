@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from envgs_bench.core import GaussianSet, Rendering, build_bvh, rasterize, trace, trace_color
+from envgs_bench.core import Camera, GaussianSet, Rendering, build_bvh, rasterize, rasterize_color, trace, trace_color
 from envgs_bench.core.differentiable import SetTensors
 from envgs_bench.core.ssim import ssim
+from envgs_bench.methods.captured_frames import CapturedFrames, color_drawing
 from envgs_bench.methods.lighting.cubemap import CubemapLayout, layout_of, sample_cubemap
 from envgs_bench.methods.lighting.prefiltered_cubemap import prefilter_of, rough_map
 from envgs_bench.parts import ALPHA
 
-from .cases import LOOKUPS, PEERS, RASTERIZED, Case
-from .peers import PeerImage, peer_drawing
+from .cases import LOOKUPS, PEERS, PICTURED, RASTERIZED, Case
+from .peers import PeerImage, gsplat_drawing, higs_drawing
 from .tile_lists import tile_list_lengths
 from .workload import Workload
 
@@ -41,6 +43,8 @@ def work_of(case: Case, workload: Workload) -> Work:
     """The case's calls on the workload. Whatever is kept between calls (a BVH, prepared sets) is made here."""
     if case.op in RASTERIZED:
         return _rasterizing(case, workload)
+    if case.op in PICTURED:
+        return _picturing(case, workload)
     if case.op in LOOKUPS:
         return _looking_up(case, workload)
     match case.op:
@@ -68,7 +72,7 @@ def _rasterizing(case: Case, workload: Workload) -> Work:
         count = len(plain)
         if case.backend in PEERS:
             leaves = _leaves(replace(plain, extras=None))
-            draw: Callable[[], Rendering | PeerImage] = peer_drawing(leaves, view.camera, workload.near)
+            draw: Callable[[], Rendering | PeerImage] = gsplat_drawing(leaves, view.camera, workload.near)
         else:
             leaves = _leaves(plain)
             draw = partial(rasterize, leaves, view.camera, near=workload.near, backend=case.backend)
@@ -80,6 +84,32 @@ def _rasterizing(case: Case, workload: Workload) -> Work:
             lists.append(tile_list_lengths(plain, view.camera, workload.near, case.backend))
         calls.append(_timed(case, partial(_outputs, draw), _fields(leaves)))
     return Work(calls, count, torch.cat(hits) if hits else None, _mean(alphas), torch.cat(lists) if lists else None)
+
+
+@torch.no_grad()
+def _picturing(case: Case, workload: Workload) -> Work:
+    """Color and alpha alone: ours as a method's picture is drawn, from the second on replayed from a graph."""
+    calls: list[Call] = []
+    alphas, lists = [], []
+    count = 0
+    for view in workload.views:
+        plain, camera = replace(workload.rasterized(view), extras=None), view.camera
+        count = len(plain)
+        if case.backend in PEERS:
+            draw = higs_drawing(plain, camera, workload.near)
+            alphas.append(draw().alpha)
+            calls.append(draw)
+        else:
+            options: dict[str, Any] = {"near": workload.near, "backend": case.backend}
+            alphas.append(rasterize_color(plain, camera, **options)[1])
+            lists.append(tile_list_lengths(plain, camera, workload.near, case.backend))
+            frames = CapturedFrames(color_drawing(partial(_color, plain, **options)), camera.device)
+            calls.append(torch.no_grad()(partial(frames.draw, camera)))
+    return Work(calls, count, alpha=_mean(alphas), lists=torch.cat(lists) if lists else None)
+
+
+def _color(gaussians: GaussianSet, camera: Camera, **options: Any) -> Tensor:
+    return rasterize_color(gaussians, camera, **options)[0]
 
 
 def _tracing(case: Case, workload: Workload) -> Work:

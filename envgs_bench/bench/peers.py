@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
-from torch.nn.functional import pad
+from torch.nn.functional import normalize, pad
 
 from envgs_bench.core import Camera, GaussianSet
 
@@ -22,16 +23,36 @@ class PeerImage:
     hits: Tensor | None = None
 
 
-def why_unavailable() -> str | None:
+@dataclass
+class PackedImage:
+    """HiGS's picture in half precision, which is taken apart when somebody asks, not when it is drawn."""
+
+    frame: Tensor  # [H, W, 4], color and transmittance
+
+    @property
+    def color(self) -> Tensor:
+        return self.frame[..., :3]
+
+    @property
+    def alpha(self) -> Tensor:
+        return 1 - self.frame[..., 3]
+
+
+def why_unavailable(peer: str = "gsplat") -> str | None:
+    """Why a peer cannot be asked here, None if it can."""
     try:
-        import gsplat  # noqa: F401
+        if peer == "gsplat":
+            import gsplat  # noqa: F401
+        else:
+            from gsplat.experimental import GaussianInferenceRenderer  # noqa: F401
     except ImportError as error:
-        return f"gsplat cannot be imported ({error}): pip install gsplat ninja, with CUDA's compiler present"
+        where = "pip install gsplat" if peer == "gsplat" else "HiGS is in gsplat's main branch, since 1.5.3"
+        return f"{peer} cannot be imported ({error}): {where}, with ninja and CUDA's compiler present"
     return None
 
 
-def peer_drawing(gaussians: GaussianSet, camera: Camera, near: float) -> Callable[[], PeerImage]:
-    """A call of gsplat's rasterizer for this kind of Gaussian.
+def gsplat_drawing(gaussians: GaussianSet, camera: Camera, near: float) -> Callable[[], PeerImage]:
+    """A call of gsplat's rasterizer for this kind of Gaussian, as for training.
 
     It is asked for no depth and for none of the set's extras, which ours returns too.
     """
@@ -55,3 +76,29 @@ def peer_drawing(gaussians: GaussianSet, camera: Camera, near: float) -> Callabl
         return PeerImage(color[0], alpha[0, ..., 0])
 
     return surfels if gaussians.is_surfels else gaussians_3d
+
+
+def higs_drawing(gaussians: GaussianSet, camera: Camera, near: float) -> Callable[[], PackedImage]:
+    """A call of gsplat's renderer for inference. It packs the set, of 3D Gaussians, here and not in the call."""
+    from gsplat.experimental import GaussianInferenceRenderer, GaussianInferenceScene
+
+    with torch.inference_mode():
+        scene = GaussianInferenceScene.from_gaussian_tensors(
+            gaussians.means,
+            normalize(gaussians.quaternions, dim=-1),
+            gaussians.scales,
+            gaussians.opacities,
+            gaussians.sh,
+            gaussians.sh_degree,
+            "none",  # no compression of colors
+            id="workload",
+        )
+    renderer = GaussianInferenceRenderer(scene)
+    view, intrinsics = (x.float().contiguous() for x in (camera.world_to_camera, camera.intrinsics))
+
+    @torch.inference_mode()
+    def draw() -> PackedImage:
+        drawn = renderer.render(viewmat=view, K=intrinsics, width=camera.width, height=camera.height, near_plane=near)
+        return PackedImage(drawn.frame[0])
+
+    return draw

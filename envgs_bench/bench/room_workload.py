@@ -39,7 +39,7 @@ class RoomWorkload(Workload):
         self.views = [self._view()]
 
     def rasterized(self, view: View) -> GaussianSet:
-        columns = 3 if self._case.op == "rasterize_3d" else 2
+        columns = 3 if self._case.op in ("rasterize_3d", "rasterize_3d_color") else 2
         return _room(self._case.primitives, columns).to(self._device)
 
     def traced(self) -> GaussianSet:

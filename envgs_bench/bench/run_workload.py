@@ -80,7 +80,8 @@ class TimedRun:
 
 def _counts(method: GaussianMethod, name: str) -> dict[str, int]:
     base, everything = method.primitives()[BASE], sum(method.primitives().values())
-    counts = {"rasterize_2d" if method.axes == 2 else "rasterize_3d": base}
+    drawn = "rasterize_2d" if method.axes == 2 else "rasterize_3d"
+    counts = {drawn: base, f"{drawn}_color": base}
     if method.axes == 2:
         counts |= dict.fromkeys(("trace", "trace_color", "build", "refit"), method.primitives()[_traced_set(method)])
     counts |= {"adam": everything, **dict.fromkeys(WITHOUT_SET, 0), name: everything}

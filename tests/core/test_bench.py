@@ -6,19 +6,21 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
 from trained_runs import trained_run
 
-from envgs_bench.bench.cases import Case, chosen_cases, sweep_cases
+from envgs_bench.bench.cases import Case, chosen_cases, peer_cases, sweep_cases
 from envgs_bench.bench.core import main
+from envgs_bench.bench.peers import higs_drawing
 from envgs_bench.bench.room import LOWER, SPHERES, UPPER, first_hits, reflected_rays, room_camera, room_gaussians
 from envgs_bench.bench.rows import time_case
 from envgs_bench.bench.tile_lists import tile_list_lengths
 from envgs_bench.bench.tracers import compare, pixel_along
 from envgs_bench.core import GaussianSet, rasterize, trace
-from envgs_bench.core.backends import BACKENDS
+from envgs_bench.core.backends import BACKENDS, available_backends
 from envgs_bench.core.torch.rotation import rotation_matrices
 from envgs_bench.testing import tiny_scene
 
@@ -193,6 +195,61 @@ def test_the_rows_of_envgs_belong_to_the_gpu():
     assert not [c for c in chosen_cases(["cpu"], None, None) + chosen_cases(["cuda"], [10], None) if c.op == "envgs"]
 
 
+@pytest.mark.skipif(available_backends()["cuda"] is not None, reason="needs the cuda backend")
+@pytest.mark.parametrize("op", ["rasterize_2d_color", "rasterize_3d_color"])
+def test_a_picture_of_color_alone_is_timed_on_cuda(op):
+    row = time_case(Case(op, "forward", "cuda", 300, 64, 48), repeats=3)
+    assert row["median_ms"] > 0
+    assert 0.9 < row["alpha"] <= 1
+    assert 0 < row["lists_p50"] <= row["lists_max"] <= 300
+
+
+def test_peers_are_asked_for_what_they_can_draw():
+    cases = chosen_cases(["cuda", "cpu"], None, None)
+    asked = peer_cases(cases, ["gsplat", "higs"])
+    assert {(c.backend, c.op, c.direction) for c in asked} == {
+        ("gsplat", "rasterize_2d", "forward"),
+        ("gsplat", "rasterize_2d", "forward_backward"),
+        ("gsplat", "rasterize_3d", "forward"),
+        ("gsplat", "rasterize_3d", "forward_backward"),
+        ("higs", "rasterize_3d_color", "forward"),
+    }
+    assert {replace(c, backend="cuda") for c in asked} <= set(cases)
+    assert not peer_cases(cases, [])
+
+
+def test_higs_is_told_of_unit_quaternions_and_answers_with_transmittance(monkeypatch):
+    """A stand-in for its two classes: what it is given, and that its fourth channel becomes alpha."""
+    told = {}
+
+    class Scene:
+        @staticmethod
+        def from_gaussian_tensors(means, quaternions, scales, opacities, sh, degree, compression, id):
+            told.update(quaternions=quaternions, degree=degree, compression=compression, inference=means.is_inference())
+            return id
+
+    class Renderer:
+        def __init__(self, scene):
+            self.scene = scene
+
+        def render(self, *, viewmat, K, width, height, near_plane):
+            told.update(viewmat=viewmat, K=K, near=near_plane, inference=torch.is_inference_mode_enabled())
+            frame = torch.full((1, height, width, 4), 0.25, dtype=torch.half)
+            return SimpleNamespace(frame=frame)
+
+    stand_in = SimpleNamespace(GaussianInferenceScene=Scene, GaussianInferenceRenderer=Renderer)
+    monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(experimental=stand_in))
+    monkeypatch.setitem(sys.modules, "gsplat.experimental", stand_in)
+    room, camera = room_gaussians(20, columns=3), room_camera(8, 6)
+    room = replace(room, quaternions=2 * room.quaternions)
+    drawn = higs_drawing(room, camera, 0.2)()
+    assert drawn.color.shape == (6, 8, 3)
+    assert torch.equal(drawn.alpha.float(), torch.full((6, 8), 0.75))
+    torch.testing.assert_close(told["quaternions"].norm(dim=1), torch.ones(20))
+    assert (told["degree"], told["compression"], told["near"], told["inference"]) == (2, "none", 0.2, True)
+    assert torch.equal(told["viewmat"], camera.world_to_camera)
+
+
 def test_color_alone_is_timed_without_gradients_and_on_a_gpu():
     row = time_case(Case("trace_color", "forward", "cpu", 100, 20, 14), repeats=3)
     assert row["median_ms"] > 0
@@ -216,7 +273,7 @@ def test_what_a_training_step_takes_is_timed_alone(op):
 def test_a_backend_is_asked_for_what_it_has():
     default = {backend: {c.op for c in chosen_cases([backend], None, None)} for backend in ("cpu", "cuda", "torch")}
     assert {"adam", "ssim", "cubemap", "prefiltered"} <= default["cpu"] & default["cuda"]
-    assert {"refit", "2dgs", "3dgs", "envmap"} <= default["cuda"] - default["cpu"]
+    assert {"refit", "rasterize_3d_color", "2dgs", "3dgs", "envmap"} <= default["cuda"] - default["cpu"]
     assert default["torch"] == {"trace", "rasterize_2d", "rasterize_3d"}
     chosen = chosen_cases(["cpu", "torch"], [10], [(4, 3)], ["envgs", "ssim", "refit"])
     assert {(c.op, c.backend, c.primitives) for c in chosen} == {("envgs", "cpu", 10), ("ssim", "cpu", 0)}
@@ -278,6 +335,7 @@ def test_a_trained_run_is_timed_on_its_own_views(tmp_path, capsys):
     [
         (["--op", "sorting"], "--op sorting: expected some of trace, "),
         (["--op", "refit", "--backend", "cpu"], "and a backend that has them"),
+        (["--peers", "--backend", "cpu"], "--peers: needs the cuda backend"),
         (["--scene", "nowhere"], "nowhere: holds no config.yaml"),
         (["--scene", "nowhere", "--size", "8x6"], "a run has its own primitives and sizes"),
     ],
