@@ -115,7 +115,7 @@ def _peers(backends: Sequence[str]) -> list[str]:
     if not found:
         raise ValueError(f"--peers: {'; '.join(filter(None, reasons.values()))}")
     for reason in filter(None, reasons.values()):
-        print(f"envgs-bench bench core: without {reason}", file=sys.stderr)
+        print(f"envgs-bench bench core: left out, {reason}", file=sys.stderr)
     return found
 
 

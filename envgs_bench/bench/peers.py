@@ -46,7 +46,7 @@ def why_unavailable(peer: str = "gsplat") -> str | None:
         else:
             from gsplat.experimental import GaussianInferenceRenderer  # noqa: F401
     except ImportError as error:
-        where = "pip install gsplat" if peer == "gsplat" else "HiGS is in gsplat's main branch, since 1.5.3"
+        where = "pip install gsplat" if peer == "gsplat" else "it needs gsplat newer than 1.5.3, from its main branch"
         return f"{peer} cannot be imported ({error}): {where}, with ninja and CUDA's compiler present"
     return None
 

@@ -225,7 +225,7 @@ def test_higs_is_told_of_unit_quaternions_and_answers_with_transmittance(monkeyp
     class Scene:
         @staticmethod
         def from_gaussian_tensors(means, quaternions, scales, opacities, sh, degree, compression, id):
-            told.update(quaternions=quaternions, degree=degree, compression=compression, inference=means.is_inference())
+            told.update(quaternions=quaternions, degree=degree, compression=compression)
             return id
 
     class Renderer:
