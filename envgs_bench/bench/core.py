@@ -84,7 +84,7 @@ def _chosen(options: argparse.Namespace) -> tuple[list[Case], TimedRun | None]:
         wanted = " ".join(["--op", *(unknown or options.op or ())])
         raise ValueError(f"{wanted}: expected some of {', '.join(known)}, and a backend that has them")
     if options.peers:
-        cases += peer_cases(cases, _peers(backends))
+        cases += peer_cases(cases, _peers(cases))
     if options.chart is not None and not (options.primitives or options.size):
         cases = list(dict.fromkeys([*cases, *sweep_cases([name for name in backends if name in ("cpu", "cuda")])]))
     return cases, run
@@ -104,13 +104,17 @@ def _backends(options: argparse.Namespace) -> list[str]:
     return options.backend or works
 
 
-def _peers(backends: Sequence[str]) -> list[str]:
-    """Those that are installed; why the others are left out goes to stderr. Raises ValueError where none is."""
+def _peers(cases: Sequence[Case]) -> list[str]:
+    """Those that are installed and have any of the cases; why others of these are left out goes to stderr.
+
+    Raises ValueError where there is none.
+    """
     from .peers import why_unavailable
 
-    if "cuda" not in backends:
-        raise ValueError("--peers: needs the cuda backend")
-    reasons = {peer: why_unavailable(peer) for peer in PEERS}
+    reasons = {peer: why_unavailable(peer) for peer in PEERS if peer_cases(cases, [peer])}
+    if not reasons:
+        drawn = ", ".join(dict.fromkeys(op for operations in PEERS.values() for op in operations))
+        raise ValueError(f"--peers: needs the cuda backend, and some of {drawn}, which is what they have")
     found = [peer for peer, reason in reasons.items() if reason is None]
     if not found:
         raise ValueError(f"--peers: {'; '.join(filter(None, reasons.values()))}")

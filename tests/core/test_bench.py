@@ -12,6 +12,7 @@ import pytest
 import torch
 from trained_runs import trained_run
 
+from envgs_bench.bench import core, peers
 from envgs_bench.bench.cases import Case, chosen_cases, peer_cases, sweep_cases
 from envgs_bench.bench.core import main
 from envgs_bench.bench.peers import higs_drawing
@@ -216,6 +217,22 @@ def test_peers_are_asked_for_what_they_can_draw():
     }
     assert {replace(c, backend="cuda") for c in asked} <= set(cases)
     assert not peer_cases(cases, [])
+
+
+def test_only_peers_that_could_be_asked_are_missed(monkeypatch, capsys):
+    monkeypatch.setattr(peers, "why_unavailable", {"gsplat": None, "higs": "higs: no such package"}.get)
+
+    def found(*operations):
+        return core._peers(chosen_cases(["cuda"], None, None, operations))
+
+    assert found("rasterize_2d") == ["gsplat"]
+    assert not capsys.readouterr().err
+    assert found("rasterize_3d", "rasterize_3d_color") == ["gsplat"]
+    assert "left out, higs: no such package" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="--peers: higs: no such package"):
+        found("rasterize_3d_color")
+    with pytest.raises(ValueError, match="needs the cuda backend, and some of rasterize_2d, rasterize_3d, rast"):
+        found("trace")
 
 
 def test_higs_is_told_of_unit_quaternions_and_answers_with_transmittance(monkeypatch):
