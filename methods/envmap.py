@@ -33,7 +33,8 @@ class EnvMap(MapMethod, ReflectiveMethod):
 
     Settings: ClassVar[type] = EnvMapSettings
     settings: EnvMapSettings
-    captured: ClassVar[bool] = True
+    captured_pictures: ClassVar[bool] = True
+    captured_steps: ClassVar[bool] = True
 
     def __init__(self, settings: EnvMapSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)

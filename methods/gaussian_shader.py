@@ -59,6 +59,8 @@ class GaussianShader(MapMethod):
     Settings: ClassVar[type] = GaussianShaderSettings
     settings: GaussianShaderSettings
     axes = 3
+    captured_pictures: ClassVar[bool] = True
+    captured_steps: ClassVar[bool] = True
 
     def __init__(self, settings: GaussianShaderSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)

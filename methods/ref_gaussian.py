@@ -7,6 +7,7 @@ the split-sum approximation, L the map filtered for its roughness, and V how fre
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -89,7 +90,6 @@ class RefGaussian(EnvMap):
 
     Settings: ClassVar[type] = RefGaussianSettings
     settings: RefGaussianSettings
-    captured: ClassVar[bool] = False  # the host learns how many surfels may hide the map
 
     def __init__(self, settings: RefGaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
@@ -98,7 +98,7 @@ class RefGaussian(EnvMap):
         self.deferred = self.indirect = False
         self._near = Ball(torch.zeros(3), math.inf)
         self._light: RoughMap | None = None
-        self._bvh: Bvh | None = None
+        self._hides: tuple[GaussianSet, Bvh] | None = None  # what hides the map in an image
 
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
@@ -115,6 +115,9 @@ class RefGaussian(EnvMap):
                 self._forget_materials()
         self.indirect = self.deferred and step > at(s.indirect_from)
 
+    def phase(self, step: int) -> Hashable:
+        return super().phase(step), self.deferred, self.indirect
+
     def _forget_materials(self) -> None:
         """Materials and the map start again: a surfel's own shading found the shape, and may be wrong about these."""
         parameters = self.sets[BASE].parameters
@@ -128,7 +131,10 @@ class RefGaussian(EnvMap):
     def prepare(self) -> None:
         super().prepare()
         self._light = self._filtered_map()
-        self._bvh = build_bvh(self._near_set(None), backend=self.settings.backend) if self.indirect else None
+        self._hides = None
+        if self.indirect:
+            near = self._near_set(None)
+            self._hides = near, build_bvh(near, backend=self.settings.backend)
 
     def _filtered_map(self) -> RoughMap:
         return rough_map(self.texels.sigmoid(), prefilter_of(self.texels.shape[1], self.device))
@@ -197,21 +203,24 @@ class RefGaussian(EnvMap):
     @torch.no_grad()
     def _hidden(self, origins: Tensor, directions: Tensor, step: int | None) -> Tensor:
         """How much of the map the base set hides from each ray, [H, W] from 0 to 1."""
+        hides = self._hides if step is None else (self._near_set(step), None)
+        assert hides is not None
+        near, bvh = hides
         return trace_color(
-            self._near_set(step),
+            near,
             origins.detach(),
             directions.detach(),
             t_min=OWN_SURFACE * self.radius,
-            bvh=self._bvh if step is None else None,
+            bvh=bvh,
             backend=self.settings.backend,
         )[1]
 
     def _near_set(self, step: int | None) -> GaussianSet:
         """The surfels that may hide the map, which is what lies beyond them: a far sky among them would hide it all."""
-        base = self.gaussians(BASE, step)
-        near = (base.means.detach() - self._near.center).norm(dim=1) <= self._near.radius
-        rows = torch.nonzero(near)[:, 0]  # once: by a mask, each field would wait for the device to count them
-        return replace(base, sh=base.sh[:, :1], extras=None).map(lambda values: values.detach()[rows])
+        base = self.gaussians(BASE, step).map(torch.detach)
+        near = (base.means - self._near.center).norm(dim=1) <= self._near.radius
+        # Without the others, but as many: the host would have to wait for their number.
+        return replace(base, sh=base.sh[:, :1], extras=None, opacities=torch.where(near, base.opacities, 0.0))
 
     def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
         terms, s = super().losses(rendering, target, view, step), self.settings

@@ -20,7 +20,8 @@ class SingleSet(TracedReflection):
     """
 
     traced: ClassVar[str] = BASE
-    captured: ClassVar[bool] = True
+    captured_pictures: ClassVar[bool] = True
+    captured_steps: ClassVar[bool] = True
 
     def start_reflection(self) -> None:
         pass

@@ -27,4 +27,5 @@ class ThreeDGS(GaussianMethod):
 
     Settings: ClassVar[type] = ThreeDGSSettings
     axes = 3
-    captured: ClassVar[bool] = True
+    captured_pictures: ClassVar[bool] = True
+    captured_steps: ClassVar[bool] = True

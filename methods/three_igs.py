@@ -8,6 +8,7 @@ network that sees the viewing direction ω blurred by the Gaussian's roughness. 
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -61,7 +62,6 @@ class ThreeIGS(ThreeDGS):
 
     Settings: ClassVar[type] = ThreeIGSSettings
     settings: ThreeIGSSettings
-    captured: ClassVar[bool] = False  # whether a graph can hold the lookup's gradient was not tried
 
     def __init__(self, settings: ThreeIGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
@@ -85,6 +85,9 @@ class ThreeIGS(ThreeDGS):
     def before_step(self, step: int) -> None:
         super().before_step(step)
         self.shines = step > self.schedule.at(self.settings.diffuse_until)
+
+    def phase(self, step: int) -> Hashable:
+        return super().phase(step), self.shines
 
     def base_seen_from(self, camera: Camera, step: int | None) -> GaussianSet:
         """The shaded Gaussians; those of an image have what their color is more than diffuse as extras, [N, 3]."""

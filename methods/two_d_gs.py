@@ -28,4 +28,5 @@ class TwoDGS(GaussianMethod):
 
     Settings: ClassVar[type] = TwoDGSSettings
     axes = 2
-    captured: ClassVar[bool] = True
+    captured_pictures: ClassVar[bool] = True
+    captured_steps: ClassVar[bool] = True

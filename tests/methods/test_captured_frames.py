@@ -9,7 +9,7 @@ from recordable import CAPTURED, WaitsForTheDevice, pinhole, points_scene
 from envgs_bench.core import Camera, Rendering, Statistics
 from envgs_bench.methods import captured_frames
 from envgs_bench.methods.captured_frames import CapturedFrames, rendering_drawing
-from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.registry import create_method, method_names
 
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 STEPS = 80
@@ -96,9 +96,8 @@ def test_a_method_draws_what_its_last_step_left(plain_graphs, monkeypatch):
         method = create_method("2dgs", {"backend": "cpu"})
         method.initialize(scene, 1000)
         for step in range(1, 4):
-            monkeypatch.setattr(method, "_captures", lambda: False)  # steps are another matter
             method.training_step(scene.train[0], step)
-            monkeypatch.setattr(method, "_captures", lambda captures=captures: captures)
+            monkeypatch.setattr(method, "_captures_pictures", lambda captures=captures: captures)
             colors += [method.render(view.camera).color for view in scene.train]
     assert plain_graphs.recorded == 3
     for with_graphs, without in zip(pictures[True], pictures[False], strict=True):
@@ -113,6 +112,11 @@ def test_no_picture_waits_for_the_device(kind, settings):
         method.draw(scene.test[0].camera, None)
         method._draw_color(scene.test[0].camera)
     assert waits.found == []
+
+
+def test_only_methods_whose_pictures_are_tested_here_are_recorded():
+    classes = {kind: create_method(kind, {}) for kind in method_names()}
+    assert {kind for kind, method in classes.items() if method.captured_pictures} == set(CAPTURED)
 
 
 @needs_cuda

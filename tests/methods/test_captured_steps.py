@@ -143,7 +143,7 @@ def test_steps_from_graphs_are_those_without(kind, plain_graphs, monkeypatch):
     scene, trained = points_scene(), {}
     for captures in (False, True):
         method = create_method(kind, {"backend": "cpu", **CAPTURED[kind]})
-        monkeypatch.setattr(method, "_captures", lambda captures=captures: captures)
+        monkeypatch.setattr(method, "_captures_steps", lambda captures=captures: captures)
         trained[captures] = method, train(method, scene)
     (plain, expected), (method, losses) = trained[False], trained[True]
     assert plain_graphs.recorded > 1
@@ -156,7 +156,7 @@ def test_a_step_that_lacked_room_is_taken_again_before_a_picture_is_drawn(plain_
     monkeypatch.setattr(captured_steps, "_Graph", CrampedGraph)
     monkeypatch.setattr(CrampedGraph, "replays", 0)
     method, scene = create_method("2dgs", {"backend": "cpu"}), points_scene()
-    monkeypatch.setattr(method, "_captures", lambda: True)
+    monkeypatch.setattr(method, "_captures_steps", lambda: True)
     method.initialize(scene, 1000)
     rows = [method.training_step(scene.train[step % 4], step) for step in range(1, 6)]  # the last one from a graph
     method.render(scene.test[0].camera)
@@ -169,7 +169,7 @@ def test_a_picture_that_lacked_room_is_no_skipped_step(plain_graphs, monkeypatch
     monkeypatch.setattr(captured_steps, "_Graph", CrampedGraph)
     monkeypatch.setattr(CrampedGraph, "replays", 0)
     method, scene = create_method("2dgs", {"backend": "cpu"}), points_scene()
-    monkeypatch.setattr(method, "_captures", lambda: True)
+    monkeypatch.setattr(method, "_captures_steps", lambda: True)
     losses = train(method, scene, steps=12, of=1000)
     assert CrampedGraph.recorded == 2
     assert int(method.skipped_steps) == 0
@@ -184,7 +184,7 @@ def test_a_recorded_step_learns_what_the_step_without_a_graph_does_cuda(kind, mo
     scene, curves = points_scene(width=96, height=72), {}
     for captures in (False, True):
         method = create_method(kind, CAPTURED[kind], device="cuda")
-        monkeypatch.setattr(method, "_captures", lambda captures=captures: captures)
+        monkeypatch.setattr(method, "_captures_steps", lambda captures=captures: captures)
         curves[captures] = torch.tensor([row["loss"] for row in train(method, scene)])
         if captures:
             assert method._steps._graph is not None
@@ -304,7 +304,7 @@ def test_no_step_waits_for_the_device(kind, settings):
 def test_only_methods_whose_steps_are_tested_here_are_recorded():
     """A subclass that decides more on the host than its parent's `phase` tells has to say that it is not."""
     classes = {kind: create_method(kind, {}) for kind in method_names()}
-    assert {kind for kind, method in classes.items() if getattr(method, "captured", False)} == set(CAPTURED)
+    assert {kind for kind, method in classes.items() if method.captured_steps} == set(CAPTURED)
 
 
 def train(method: GaussianMethod, scene: Scene, steps: int = STEPS, of: int = STEPS) -> list[dict[str, float]]:

@@ -12,7 +12,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from envgs_bench.core import Camera, Scene, View
 
-CAPTURED = {kind: SMALL[kind] for kind in ("2dgs", "3dgs", "envmap", "envgs", "envgs_single_set", "3dgs_dr")}
+KINDS = ("2dgs", "3dgs", "envmap", "envgs", "envgs_single_set", "3dgs_dr", "gaussian_shader", "3igs", "ref_gaussian")
+CAPTURED = {kind: SMALL[kind] for kind in KINDS}
 WAITING = {
     "aten::_local_scalar_dense": "reads a number",
     "aten::nonzero": "makes a size of values",
