@@ -7,7 +7,6 @@ the split-sum approximation, L the map filtered for its roughness, and V how fre
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -90,6 +89,7 @@ class RefGaussian(EnvMap):
 
     Settings: ClassVar[type] = RefGaussianSettings
     settings: RefGaussianSettings
+    captured_steps: ClassVar[bool] = False  # the host learns how many surfels may hide the map
 
     def __init__(self, settings: RefGaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
@@ -114,9 +114,6 @@ class RefGaussian(EnvMap):
             if s.shade_until > s.bootstrap:
                 self._forget_materials()
         self.indirect = self.deferred and step > at(s.indirect_from)
-
-    def phase(self, step: int) -> Hashable:
-        return super().phase(step), self.deferred, self.indirect
 
     def _forget_materials(self) -> None:
         """Materials and the map start again: a surfel's own shading found the shape, and may be wrong about these."""
@@ -217,10 +214,10 @@ class RefGaussian(EnvMap):
 
     def _near_set(self, step: int | None) -> GaussianSet:
         """The surfels that may hide the map, which is what lies beyond them: a far sky among them would hide it all."""
-        base = self.gaussians(BASE, step).map(torch.detach)
-        near = (base.means - self._near.center).norm(dim=1) <= self._near.radius
-        # Without the others, but as many: the host would have to wait for their number.
-        return replace(base, sh=base.sh[:, :1], extras=None, opacities=torch.where(near, base.opacities, 0.0))
+        base = self.gaussians(BASE, step)
+        near = (base.means.detach() - self._near.center).norm(dim=1) <= self._near.radius
+        rows = torch.nonzero(near)[:, 0]  # once: by a mask, each field would wait for the device to count them
+        return replace(base, sh=base.sh[:, :1], extras=None).map(lambda values: values.detach()[rows])
 
     def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
         terms, s = super().losses(rendering, target, view, step), self.settings

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from recordable import CAPTURED, WaitsForTheDevice, pinhole, points_scene
+from recordable import PICTURES_CAPTURED, WaitsForTheDevice, pinhole, points_scene
 
 from envgs_bench.core import Camera, Rendering, Statistics
 from envgs_bench.methods import captured_frames
@@ -14,7 +14,7 @@ from envgs_bench.methods.registry import create_method, method_names
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 STEPS = 80
 DRAWN = [
-    *((kind, {}) for kind in CAPTURED),
+    *((kind, {}) for kind in PICTURES_CAPTURED),
     ("envgs", {"beta_filter": 0.5, "reflect_alpha": 0.5}),
     ("envgs", {"supersampling": 2}),
 ]
@@ -116,7 +116,7 @@ def test_no_picture_waits_for_the_device(kind, settings):
 
 def test_only_methods_whose_pictures_are_tested_here_are_recorded():
     classes = {kind: create_method(kind, {}) for kind in method_names()}
-    assert {kind for kind, method in classes.items() if method.captured_pictures} == set(CAPTURED)
+    assert {kind for kind, method in classes.items() if method.captured_pictures} == set(PICTURES_CAPTURED)
 
 
 @needs_cuda
@@ -161,7 +161,7 @@ def test_a_picture_that_outgrows_its_graph_is_drawn_all_the_same_cuda(monkeypatc
 
 def trained(kind, device, **settings):
     scene = points_scene(width=96, height=72) if device == "cuda" else points_scene()
-    method = create_method(kind, {**CAPTURED[kind], **settings}, device=device)
+    method = create_method(kind, {**PICTURES_CAPTURED[kind], **settings}, device=device)
     method.initialize(scene, STEPS)
     for step in range(1, STEPS + 1):
         method.training_step(scene.train[step % len(scene.train)], step)
