@@ -50,8 +50,7 @@ class EnvGS(TracedReflection):
     Settings: ClassVar[type] = EnvGSSettings
     settings: EnvGSSettings
     traced: ClassVar[str] = ENV
-    captured_pictures: ClassVar[bool] = True
-    captured_steps: ClassVar[bool] = True
+    captured: ClassVar[bool] = True
 
     def __init__(self, settings: EnvGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)

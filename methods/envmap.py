@@ -33,8 +33,7 @@ class EnvMap(MapMethod, ReflectiveMethod):
 
     Settings: ClassVar[type] = EnvMapSettings
     settings: EnvMapSettings
-    captured_pictures: ClassVar[bool] = True
-    captured_steps: ClassVar[bool] = True
+    captured: ClassVar[bool] = True
 
     def __init__(self, settings: EnvMapSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)

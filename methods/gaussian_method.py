@@ -6,7 +6,7 @@ from collections.abc import Hashable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import asdict, replace
 from fractions import Fraction
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -64,7 +64,6 @@ class GaussianMethod(GaussianModel):
     """
 
     started_from: Scene
-    captured_steps: ClassVar[bool] = False  # a GPU records steps: what the host decides in one is in `phase`
 
     def __init__(self, settings: GaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
@@ -176,7 +175,7 @@ class GaussianMethod(GaussianModel):
         self.forget_prepared()
         self.before_step(step)
         self.set_learning_rates(step)
-        if self._captures_steps():
+        if self._captures():
             holds = tuple(parameter for _, parameter in self._trained())
             numbers = self._steps.take(view, step, self.phase(step), holds)
         else:
@@ -188,9 +187,6 @@ class GaussianMethod(GaussianModel):
         with torch.no_grad():
             self.after_step(step, happens)
         return numbers.losses()
-
-    def _captures_steps(self) -> bool:
-        return self.captured_steps and self.device.type == "cuda"
 
     def _learn(self, view: View, step: int) -> StepNumbers:
         """All of a step that happens on the device. It never waits there, not even to learn whether the step counts."""
@@ -278,7 +274,7 @@ class GaussianMethod(GaussianModel):
     def phase(self, step: int) -> Hashable:
         """What the host decides of a step: steps of equal phases launch the same kernels, whatever the numbers are.
 
-        Asked where a class has `captured_steps`: what it draws and what it learns by must then depend on the step
+        Asked where a class is `captured`: what it draws and what it learns by must then depend on the step
         number through this alone, and neither may wait for the device.
         """
         degrees = (self.sh_degree(name, step) for name in self.sets)

@@ -51,7 +51,7 @@ class GaussianModel(Method):
     Settings: ClassVar[type] = GaussianSettings
     settings: GaussianSettings
     axes: ClassVar[int]  # 2: surfels, 3: 3D Gaussians
-    captured_pictures: ClassVar[bool] = False  # a GPU records pictures: drawing one never waits for the device
+    captured: ClassVar[bool] = False  # a GPU records pictures and steps: what the host decides in one is in `phase`
 
     def __init__(self, settings: GaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
@@ -79,7 +79,7 @@ class GaussianModel(Method):
         """What `frames` draw of the camera, from a graph where that can be."""
         if not self.prepared:
             self.prepare()
-        if self._captures_pictures():
+        if self._captures():
             return frames.draw(camera)
         with self._suited_threads(camera):
             return frames.drawing.draw(camera.to(self.device))
@@ -95,8 +95,8 @@ class GaussianModel(Method):
         self._frames.forget()
         self._pictures.forget()
 
-    def _captures_pictures(self) -> bool:
-        return self.captured_pictures and self.device.type == "cuda"
+    def _captures(self) -> bool:
+        return self.captured and self.device.type == "cuda"
 
     def _suited_threads(self, camera: Camera) -> AbstractContextManager[None]:
         """On a CPU, torch's own operations take one thread where the image and the sets are small."""

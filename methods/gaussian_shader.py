@@ -18,9 +18,9 @@ from envgs_bench.core.vectors import unit
 from envgs_bench.parts import BASE, BETA, REFLECTION
 
 from .adam import set_rate
-from .learned_map import MapMethod, MapSettings
+from .filtered_map import FilteredMapMethod
+from .learned_map import MapSettings
 from .lighting.brdf_table import specular_weight
-from .lighting.prefiltered_cubemap import RoughMap, prefilter_of, rough_map
 from .lighting.shading import colored, mirrored, seen_from
 from .parameters import LearningRates
 from .settings import PublishedSettings
@@ -50,7 +50,7 @@ class GaussianShaderSettings(PublishedSettings, MapSettings):
     envmap_lr: float = 1.6e-2
 
 
-class GaussianShader(MapMethod):
+class GaussianShader(FilteredMapMethod):
     """GaussianShader (Jiang et al., CVPR 2024): 3D Gaussians shaded one by one, by a filtered cube map.
 
     Normals are shortest axes plus a residual, one for either side that the camera may be on.
@@ -59,24 +59,12 @@ class GaussianShader(MapMethod):
     Settings: ClassVar[type] = GaussianShaderSettings
     settings: GaussianShaderSettings
     axes = 3
-    captured_pictures: ClassVar[bool] = True
-    captured_steps: ClassVar[bool] = True
-
-    def __init__(self, settings: GaussianShaderSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
-        super().__init__(settings, device, seed)
-        self._light: RoughMap | None = None
+    captured: ClassVar[bool] = True
 
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
         size = self.settings.envmap_size
         self._set_texels(torch.logit(torch.full((6, size, size, 3), INITIAL_LIGHT)))
-
-    def prepare(self) -> None:
-        super().prepare()
-        self._light = self._filtered_map()
-
-    def _filtered_map(self) -> RoughMap:
-        return rough_map(self.texels.sigmoid(), prefilter_of(self.texels.shape[1], self.device))
 
     def set_learning_rates(self, step: int) -> None:
         super().set_learning_rates(step)
@@ -95,8 +83,7 @@ class GaussianShader(MapMethod):
         residual = torch.where(turned, tensors["inner_residuals"], tensors["outer_residuals"])
         normals = unit(axes + residual)
         outgoing, cosine = mirrored(directions, normals)
-        light = self._light if step is None else self._filtered_map()
-        assert light is not None
+        light = self.light(step)
         specular = light.specular(outgoing, roughness) * specular_weight(tint, cosine, roughness)
         reflected = specular + (1 - tint) * light.irradiance(normals)
         colors = sh_color(gaussians.sh, directions) + reflected.clamp_min(0)

@@ -7,6 +7,7 @@ the split-sum approximation, L the map filtered for its roughness, and V how fre
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -19,8 +20,8 @@ from envgs_bench.core.vectors import unit
 from envgs_bench.parts import BASE, BETA, REFLECTION
 
 from .envmap import EnvMap, EnvMapSettings
+from .filtered_map import FilteredMapMethod
 from .lighting.brdf_table import specular_weight
-from .lighting.prefiltered_cubemap import RoughMap, prefilter_of, rough_map
 from .lighting.shading import colored, mirrored, seen_from
 from .losses import edge_aware_smoothness
 from .parameters import LearningRates, inverse_sigmoid
@@ -77,7 +78,7 @@ class RefGaussianSettings(PublishedSettings, EnvMapSettings):
     disturb_until: int = 25_000
 
 
-class RefGaussian(EnvMap):
+class RefGaussian(FilteredMapMethod, EnvMap):
     """Ref-Gaussian (Yao et al., ICLR 2025): surfels with materials, lit by a filtered cube map and by each other.
 
     Metallic share m, roughness, albedo and indirect light are drawn as further channels of the base.
@@ -89,7 +90,6 @@ class RefGaussian(EnvMap):
 
     Settings: ClassVar[type] = RefGaussianSettings
     settings: RefGaussianSettings
-    captured_steps: ClassVar[bool] = False  # the host learns how many surfels may hide the map
 
     def __init__(self, settings: RefGaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
@@ -97,7 +97,6 @@ class RefGaussian(EnvMap):
             raise ValueError(f"initial_roughness is {settings.initial_roughness:g}, expected one between 0 and 1")
         self.deferred = self.indirect = False
         self._near = Ball(torch.zeros(3), math.inf)
-        self._light: RoughMap | None = None
         self._hides: tuple[GaussianSet, Bvh] | None = None  # what hides the map in an image
 
     def initialize(self, scene: Scene, steps: int) -> None:
@@ -115,6 +114,9 @@ class RefGaussian(EnvMap):
                 self._forget_materials()
         self.indirect = self.deferred and step > at(s.indirect_from)
 
+    def phase(self, step: int) -> Hashable:
+        return super().phase(step), self.deferred, self.indirect, self._smooths(step)
+
     def _forget_materials(self) -> None:
         """Materials and the map start again: a surfel's own shading found the shape, and may be wrong about these."""
         parameters = self.sets[BASE].parameters
@@ -127,14 +129,10 @@ class RefGaussian(EnvMap):
 
     def prepare(self) -> None:
         super().prepare()
-        self._light = self._filtered_map()
         self._hides = None
         if self.indirect:
             near = self._near_set(None)
             self._hides = near, build_bvh(near, backend=self.settings.backend)
-
-    def _filtered_map(self) -> RoughMap:
-        return rough_map(self.texels.sigmoid(), prefilter_of(self.texels.shape[1], self.device))
 
     def base_seen_from(self, camera: Camera, step: int | None) -> GaussianSet:
         gaussians = self.gaussians(BASE, step)
@@ -148,9 +146,7 @@ class RefGaussian(EnvMap):
         if self.deferred:
             indirect = self._indirect_light(outgoing) if self.indirect else torch.zeros_like(albedo)
         else:
-            light = self._light if step is None else self._filtered_map()
-            assert light is not None
-            reflectance = _reflectance(albedo, metallic)
+            light, reflectance = self.light(step), _reflectance(albedo, metallic)
             specular = light.specular(outgoing, roughness[:, 0])
             specular = specular * specular_weight(reflectance, cosine, roughness[:, 0])
             diffuse = light.irradiance(normals) * (1 - metallic) * albedo
@@ -188,9 +184,7 @@ class RefGaussian(EnvMap):
         metallic, roughness, albedo, indirect = base.extras.split([1, 1, 3, 3], dim=-1)
         origins, outgoing, _ = self._reflected_rays(base, camera, step)
         cosine = -(unit(camera.rays()[1]) * unit(base.normal)).sum(-1)
-        light = self._light if step is None else self._filtered_map()
-        assert light is not None
-        seen = light.specular(outgoing.reshape(-1, 3), roughness.reshape(-1)).reshape(albedo.shape)
+        seen = self.light(step).specular(outgoing.reshape(-1, 3), roughness.reshape(-1)).reshape(albedo.shape)
         if self.indirect:
             free = 1 - self._hidden(origins, outgoing, step)[..., None]
             seen = free * seen + (1 - free) * indirect
@@ -216,14 +210,17 @@ class RefGaussian(EnvMap):
         """The surfels that may hide the map, which is what lies beyond them: a far sky among them would hide it all."""
         base = self.gaussians(BASE, step)
         near = (base.means.detach() - self._near.center).norm(dim=1) <= self._near.radius
-        rows = torch.nonzero(near)[:, 0]  # once: by a mask, each field would wait for the device to count them
-        return replace(base, sh=base.sh[:, :1], extras=None).map(lambda values: values.detach()[rows])
+        opacities = torch.where(near, base.opacities, 0.0)  # not rows of them, for whose number the host would wait
+        return replace(base, opacities=opacities, sh=base.sh[:, :1], extras=None).map(Tensor.detach)
 
     def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
         terms, s = super().losses(rendering, target, view, step), self.settings
-        if s.smooth_weight > 0 and step <= self.schedule.at(s.smooth_until):
+        if self._smooths(step):
             terms["smooth"] = s.smooth_weight * edge_aware_smoothness(rendering.normal, target)
         return terms
+
+    def _smooths(self, step: int) -> bool:
+        return self.settings.smooth_weight > 0 and step <= self.schedule.at(self.settings.smooth_until)
 
     def is_sabotaged(self) -> Tensor:
         """Once pixels are shaded; before, there is no base color."""

@@ -20,8 +20,7 @@ class SingleSet(TracedReflection):
     """
 
     traced: ClassVar[str] = BASE
-    captured_pictures: ClassVar[bool] = True
-    captured_steps: ClassVar[bool] = True
+    captured: ClassVar[bool] = True
 
     def start_reflection(self) -> None:
         pass

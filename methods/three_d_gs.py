@@ -27,5 +27,4 @@ class ThreeDGS(GaussianMethod):
 
     Settings: ClassVar[type] = ThreeDGSSettings
     axes = 3
-    captured_pictures: ClassVar[bool] = True
-    captured_steps: ClassVar[bool] = True
+    captured: ClassVar[bool] = True

@@ -28,5 +28,4 @@ class TwoDGS(GaussianMethod):
 
     Settings: ClassVar[type] = TwoDGSSettings
     axes = 2
-    captured_pictures: ClassVar[bool] = True
-    captured_steps: ClassVar[bool] = True
+    captured: ClassVar[bool] = True

@@ -6,15 +6,11 @@ from typing import Any
 from unittest.mock import patch
 
 import torch
-from small_methods import SMALL
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from envgs_bench.core import Camera, Scene, View
 
-STEPS = ("2dgs", "3dgs", "envmap", "envgs", "envgs_single_set", "3dgs_dr", "gaussian_shader", "3igs")
-STEPS_CAPTURED = {kind: SMALL[kind] for kind in STEPS}
-PICTURES_CAPTURED = STEPS_CAPTURED | {"ref_gaussian": SMALL["ref_gaussian"]}
 WAITING = {
     "aten::_local_scalar_dense": "reads a number",
     "aten::nonzero": "makes a size of values",
