@@ -15,6 +15,7 @@ from envgs_bench.core import Camera, Rendering, Scene, Statistics, View
 from envgs_bench.parts import ALPHA, BASE, BETA, MONO
 
 from .adam import step_together
+from .averaging import ParameterAverage
 from .base_growth import BaseGrowth, max_base_primitives
 from .captured_steps import CapturedSteps, StepNumbers
 from .checkpoint import on_device
@@ -72,6 +73,7 @@ class GaussianMethod(GaussianModel):
         self._normal_weight = 1.0
         self._maps: Mapping[str, Tensor] = {}
         self._gradients = RememberedGradients()
+        self._average = ParameterAverage()
         self._views = ResidentViews(self.device, room=0)
         self._steps = CapturedSteps(self._learn, self._learn_again)
         self._windows: WindowsOutcome | None = None
@@ -97,6 +99,7 @@ class GaussianMethod(GaussianModel):
             found = self._outside_windows(found, steps)
         self.started_from, self.mended, self._normal_weight = found.scene, list(found.notes), found.normal_weight
         self._start(found.scene)
+        self._average = ParameterAverage()
         self._views = ResidentViews.of(self.device, found.views)
         self._steps = CapturedSteps(self._learn, self._learn_again)
 
@@ -144,6 +147,7 @@ class GaussianMethod(GaussianModel):
             "generator": self.generator.get_state(),
             "skipped_steps": skipped.clone() if isinstance(skipped, Tensor) else skipped,
             "gradients": self._gradients.training_state(),
+            "average": self._average.state(),
             "budget": self._budget.training_state() if self._budget is not None else None,
             "windows": asdict(self._windows) if self._windows is not None else None,
         }
@@ -159,6 +163,7 @@ class GaussianMethod(GaussianModel):
         skipped = state["skipped_steps"]
         self.skipped_steps = skipped.to(self.device) if isinstance(skipped, Tensor) else skipped
         self._gradients.restore_training(state["gradients"])
+        self._average.restore(state["average"], self.device)
         if self._budget is not None:
             self._budget.restore_training(state["budget"], self.device)
 
@@ -186,7 +191,27 @@ class GaussianMethod(GaussianModel):
             self.settle()
         with torch.no_grad():
             self.after_step(step, happens)
+        self._average_parameters(step, anew=bool(happens))
         return numbers.losses()
+
+    def _average_parameters(self, step: int, anew: bool) -> None:
+        """Late in a run, take the step into the average, which the last step ends with.
+
+        Args:
+            anew: whether something befell the sets: what they were before is another thing than what they become.
+        """
+        start, last = self.settings.average_from, step == self.schedule.steps
+        if start == 0 or step <= self.schedule.at(start):
+            return
+        if anew:
+            self._average = ParameterAverage()
+        if last:
+            self.settle()
+        parameters = dict(self._trained())
+        self._average.add(parameters)
+        if last:
+            self._average.move(parameters)
+            self._average = ParameterAverage()  # whose memory whatever follows can use
 
     def _learn(self, view: View, step: int) -> StepNumbers:
         """All of a step that happens on the device. It never waits there, not even to learn whether the step counts."""

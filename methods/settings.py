@@ -37,6 +37,8 @@ class GaussianSettings:
     rotation_lr: float = 1e-3  # learning rate of the quaternions at the start; log-linear to rotation_lr_final
     rotation_lr_final: float = 1e-3  # learning rate of the quaternions at the end
 
+    average_from: int = 27_600  # step after which all that is trained is averaged; a run ends with that; 0: never
+
     mends_input: bool = True  # mend points, poses, exposures and normals that views contradict, at the start
 
     initial_opacity: float = 0.1  # opacity that all primitives start with
@@ -83,6 +85,7 @@ class PublishedSettings(GaussianSettings):
     sh_every: int = 1_000
 
     longest_run: int = 30_000
+    average_from: int = 0
     mends_input: bool = False
 
     mean_gradient_over: str = "in_view"

@@ -31,7 +31,7 @@ INTERRUPTED_AFTER = (37, 121)
 REFLECTS = {"bootstrap": 300, "densify_until": 30_000, "densify_threshold": 1e-6}
 
 SETTINGS: dict[str, dict[str, Any]] = {
-    "2dgs": {"densify_threshold": 1e-6},
+    "2dgs": {"densify_threshold": 1e-6, "average_from": 27_600},  # from step 116 on, and envmap and envgs alike
     "3dgs": {"densify_threshold": 1e-6},
     "envmap": {**REFLECTS, "envmap_size": 16},
     "envgs": {
