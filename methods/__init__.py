@@ -24,7 +24,7 @@ what the three with a map share, `traced.py` the last two. Another package adds 
 | what surfaces reflect: maps, tables, fields | lighting/ |
 | a set, its fields, its optimizer | trained_set.py, parameters.py, adam.py |
 | what a step minimizes | training_loss.py, losses.py, gradients.py |
-| when what happens | schedule.py, base_growth.py |
+| when what happens, and what a run ends with | schedule.py, base_growth.py, averaging.py |
 | which primitives come and go, and how many | densification.py, importance.py, pruning.py, budget.py |
 | steps and pictures on a GPU | recording.py, captured_steps.py, captured_frames.py, resident_views.py |
 | a model as files | checkpoint.py, ply.py, storage/ |
