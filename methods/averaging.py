@@ -23,7 +23,7 @@ class ParameterAverage:
     @torch.no_grad()
     def add(self, parameters: Mapping[str, Tensor]) -> None:
         """Take in the values after another step, by name."""
-        if not self._is_of(parameters):
+        if _shapes(self._means) != _shapes(parameters):
             self._means = {name: values.detach().clone() for name, values in parameters.items()}
             self._steps = 1
             return
@@ -43,6 +43,6 @@ class ParameterAverage:
         self._means = {name: mean.to(device) for name, mean in state["means"].items()}
         self._steps = state["steps"]
 
-    def _is_of(self, parameters: Mapping[str, Tensor]) -> bool:
-        shapes = ({name: values.shape for name, values in each.items()} for each in (self._means, parameters))
-        return next(shapes) == next(shapes)
+
+def _shapes(tensors: Mapping[str, Tensor]) -> dict[str, torch.Size]:
+    return {name: values.shape for name, values in tensors.items()}

@@ -7,8 +7,10 @@ import torch
 from small_methods import SMALL
 from torch import Tensor
 
+from envgs_bench.cli.composition import composed
 from envgs_bench.methods.averaging import ParameterAverage
 from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.settings import GaussianSettings
 from envgs_bench.testing import tiny_scene
 
 STEPS = 40
@@ -51,9 +53,19 @@ def test_an_opacity_reset_begins_another_mean() -> None:
     assert_mean(averaged[-1], plain[35:])
 
 
-def test_a_run_without_it_ends_where_its_last_step_does() -> None:
-    assert create_method("2dgs", {}).settings.average_from == 0
-    assert create_method("envgs", {}).settings.average_from == 27_600
+@pytest.mark.parametrize("name", ["2dgs", "3dgs", "3dgs_dr", "3igs", "envgs_paper", "envgs_released", "envmap_paper"])
+def test_methods_as_published_average_nothing(name: str) -> None:
+    assert settings_of(name).average_from == 0
+
+
+@pytest.mark.parametrize("name", ["envgs", "envmap", "2dgs_tuned", "3dgs_tuned", "3dgs_dr_tuned", "3igs_tuned"])
+def test_the_others_average_their_last_twelfth(name: str) -> None:
+    assert settings_of(name).average_from == 27_600
+
+
+def settings_of(name: str) -> GaussianSettings:
+    method = composed([f"method={name}"]).method
+    return create_method(method.kind, method.settings).settings
 
 
 def test_rows_that_come_or_go_begin_another_mean() -> None:
