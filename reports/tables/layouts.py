@@ -30,6 +30,7 @@ from .table import Table, build_table
 
 KINDS = {
     "choice": "Choices",
+    "lead": "Leads",
     "overview": "Overview",
     "subject": "Data set by data set",
     "scenes": "Scene by scene",

@@ -17,6 +17,7 @@ from ..numbers.estimates import Numbers
 from ..numbers.knobs import knobs
 from ..numbers.labels import Label, label_runs, method_order
 from ..numbers.ladder import Ladder, ladders
+from ..numbers.leads import Lead, lead
 from ..numbers.published import PROTOCOL, paper_scene
 from ..numbers.runs import UNTIMED, Run
 from ..numbers.settings import method_settings
@@ -25,6 +26,7 @@ from ..numbers.tidy import attempts_table, tidy_table
 from .choices import choice_table
 from .ladder import ladder_table
 from .layouts import Contents, layouts
+from .leads import lead_tables
 from .stability import stability_tables
 from .table import DroppedLoss, Row, Table
 
@@ -101,6 +103,11 @@ class Section:
         return choices(self.numbers, [(item.dataset, item.label, item.run) for item in self.runs])
 
     @cached_property
+    def lead(self) -> Lead | None:
+        """Of test views alone: of validation views `choices` says what is ahead."""
+        return lead(self.numbers, self.datasets, self.methods) if self.scored_on == "test" else None
+
+    @cached_property
     def tables(self) -> list[Table]:
         """In the order of every format."""
         alone = {name: (name,) for name in self.datasets}
@@ -111,9 +118,10 @@ class Section:
             {item.method: item.label for item in self.runs},
             self.protocol.name == PROTOCOL,
         )
+        compared = [*map(choice_table, self.choices), *lead_tables(self.lead)]
         ordinary = [
             replace(table, rows=tuple(self._with_dropped_losses(row, table.datasets) for row in table.rows))
-            for table in (*map(choice_table, self.choices), *layouts(contents, ALL), *map(ladder_table, self.ladders))
+            for table in (*compared, *layouts(contents, ALL), *map(ladder_table, self.ladders))
         ]
         return [*ordinary, *stability_tables(self.stability)]
 

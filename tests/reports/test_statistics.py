@@ -1,4 +1,4 @@
-"""The bootstrap against scipy's, against its closed form for many values, and on strata."""
+"""The bootstrap against scipy's, against its closed form for many values, and on strata; so Student's."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from envgs_bench.reports.numbers.statistics import Interval, bootstrap_interval
+from envgs_bench.reports.numbers.statistics import Interval, bootstrap_interval, t_interval
 
 VALUES = np.random.default_rng(3).normal(27.0, 2.0, 24)
 
@@ -70,6 +70,32 @@ def test_too_few_values_have_no_interval_and_non_finite_ones_are_refused():
     assert bootstrap_interval([[1.0, 2.0], [3.0]]) is None
     with pytest.raises(ValueError, match="not finite"):
         bootstrap_interval([[1.0, float("nan")]])
+
+
+def test_students_interval_of_one_stratum_is_scipys_and_of_two_welchs():
+    values = [26.1, 26.9, 26.3]
+    expected = stats.ttest_1samp(values, 0).confidence_interval(0.95)
+    assert t_interval([values]) == pytest.approx((expected.low, expected.high))
+    others = [31.0, 30.2, 30.8, 33.0]
+    welch = stats.ttest_ind(values, [-value for value in others], equal_var=False).confidence_interval(0.95)
+    assert t_interval([values, others]) == pytest.approx((welch.low / 2, welch.high / 2))  # of the sum, halved
+
+
+def test_students_interval_of_three_seeds_holds_the_mean_as_often_as_it_says_and_the_bootstraps_does_not():
+    random = np.random.default_rng(7)
+    runs = [[random.normal(mean, spread, 3) for mean, spread in ((1.0, 0.1), (2.0, 0.3))] for _ in range(400)]
+    found = [(t_interval(strata), bootstrap_interval(strata, draws=200)) for strata in runs]
+    student, bootstrap = (np.mean([one.low <= 1.5 <= one.high for one in each]) for each in zip(*found, strict=True))
+    assert 0.92 < student < 0.99  # Welch's degrees of freedom err on the safe side
+    assert bootstrap < 0.87
+
+
+def test_students_interval_has_no_width_where_nothing_varies_and_none_of_too_few():
+    assert t_interval([[2.0, 2.0], [3.0, 3.0]]) == (2.5, 2.5)
+    assert t_interval([]) is None
+    assert t_interval([[1.0, 2.0], [3.0]]) is None
+    with pytest.raises(ValueError, match="not finite"):
+        t_interval([[1.0, float("inf")]])
 
 
 def test_intervals_overlap_where_they_share_a_point():
