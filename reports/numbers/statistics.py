@@ -73,7 +73,8 @@ def t_interval(strata: Sequence[ArrayLike], *, coverage: float = COVERAGE) -> In
     variances = np.array([values.var(ddof=1) / len(values) for values in arrays])
     if not variances.any():
         return Interval(mean, mean)
-    freedom = variances.sum() ** 2 / sum(v**2 / (len(values) - 1) for v, values in zip(variances, arrays, strict=True))
+    shares = variances / variances.sum()  # whose squares, unlike those of tiny variances, are not all 0
+    freedom = 1 / sum(share**2 / (len(values) - 1) for share, values in zip(shares, arrays, strict=True))
     half = float(t.ppf((1 + coverage) / 2, freedom) * np.sqrt(variances.sum()) / len(arrays))
     return Interval(mean - half, mean + half)
 

@@ -98,6 +98,14 @@ def test_students_interval_has_no_width_where_nothing_varies_and_none_of_too_few
         t_interval([[1.0, float("inf")]])
 
 
+def test_students_interval_scales_with_its_values_down_to_where_squares_of_their_variances_are_0():
+    values = [[1.0, 2.0, 4.0], [1.0, 3.0, 2.0]]
+    tiny, ordinary = t_interval(np.multiply(values, 1e-100)), t_interval(values)
+    assert tiny is not None
+    assert ordinary is not None
+    assert np.divide(tiny, 1e-100) == pytest.approx(ordinary)
+
+
 def test_intervals_overlap_where_they_share_a_point():
     assert Interval(26.0, 27.0).overlaps(Interval(27.0, 28.0))
     assert Interval(26.0, 29.0).overlaps(Interval(27.0, 28.0))
