@@ -11,7 +11,7 @@ from ..numbers.statistics import FEWEST_SEEDS
 from .columns import COSTS, ENV_PRIMITIVES, LPIPS, PRIMITIVES, REGIONS, SCORES, Column, in_region
 from .columns import PSNR as WHOLE
 from .recommendations import recommendation
-from .table import Cell, Row, Table
+from .table import Cell, Row, Table, with_numbers
 
 KIND = "ladder"
 BELOW, BEST = "the rung below", "the best"  # what is subtracted where a column is a difference
@@ -60,12 +60,18 @@ def ladder_table(ladder: Ladder) -> Table:
     """The ladder's rungs from the top down to the ground up, without columns that have no number."""
     columns = ladder_columns(ladder)
     rows = [_row(ladder, rung, columns) for rung in ladder.rungs]
-    kept = tuple(c for c in columns if any(row.cells[c.key].text != "—" for row in rows))
     verdicts = "; ".join(
         f"{row.method} ({rung.part}): {row.verdict}" for rung, row in zip(ladder.rungs, rows, strict=True)
     )
     remarks = (recommendation(ladder).text, f"Rungs: {verdicts}.", *explanations(ladder))
-    return Table(f"{ladder.title}: the ladder", KIND, kept, tuple(rows), (ladder.dataset,), remarks=remarks)
+    return Table(
+        f"{ladder.title}: the ladder",
+        KIND,
+        with_numbers(columns, rows),
+        tuple(rows),
+        (ladder.dataset,),
+        remarks=remarks,
+    )
 
 
 def _row(ladder: Ladder, rung: Rung, columns: tuple[Column, ...]) -> Row:

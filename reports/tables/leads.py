@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from ..numbers.leads import Lead
 from .columns import LPIPS, PSNR, Column, in_region
-from .table import Cell, Row, Table
+from .table import Cell, Row, Table, with_numbers
 
 KIND = "lead"
 OTHER = "the row's"  # what is subtracted
@@ -26,9 +26,8 @@ def _table(lead: Lead, score: Column) -> Table:
     columns = tuple(_columns(lead, score, datasets))
     rows = [_row(lead, other, columns, datasets) for other in lead.others]
     rows = [row for row in rows if any(cell.mean is not None for cell in row.cells.values())]
-    kept = tuple(c for c in columns if any(row.cells[c.key].text != "—" for row in rows))
     title = f"{lead.leader} less the others: {score.title}"
-    return Table(title, KIND, kept, tuple(rows), datasets, remarks=_remarks(lead, score))
+    return Table(title, KIND, with_numbers(columns, rows), tuple(rows), datasets, remarks=_remarks(lead, score))
 
 
 def _columns(lead: Lead, score: Column, datasets: tuple[str, ...]) -> Iterator[Column]:

@@ -139,7 +139,7 @@ def build_table(
             rows.append(Row(method, cells, statuses))
     if paper is not None:
         rows = _beside_paper(rows, columns, paper)
-    kept = tuple(column for column in columns if any(_has(row, column.key) for row in rows))
+    kept = with_numbers(columns, rows)
     marked: list[dict[str, Cell]] = [{} for _ in rows]
     for column in kept:
         ranked = _ranked(column, [row.cells.get(column.key) for row in rows])
@@ -151,6 +151,11 @@ def build_table(
 
 def _cell(numbers: Numbers, column: Column, method: str) -> Cell:
     return Cell(column, numbers.estimate(column.datasets, method, column.region, column.metric, column.against))
+
+
+def with_numbers(columns: Iterable[Column], rows: Sequence[Row]) -> tuple[Column, ...]:
+    """The columns of which some row has a number, ours or the paper's."""
+    return tuple(column for column in columns if any(_has(row, column.key) for row in rows))
 
 
 def _has(row: Row, key: str) -> bool:
