@@ -39,10 +39,35 @@ template <> struct LanesOf<LaneTypes<16>::Float> { static constexpr int width = 
 
 template <class F, class I = typename LanesOf<F>::Int>
 inline F select(I mask, F a, F b) { return mask ? a : b; }
+// One instruction where x86 has it, which says the same of NaN and of two zeros: b. The compiler makes two of it.
 template <class F, class = LanesOf<F>>
-inline F minimum(F a, F b) { return a < b ? a : b; }
+inline F minimum(F a, F b) {
+    constexpr int W = LanesOf<F>::width;
+#if defined(__AVX512F__)
+    if constexpr (W == 16) return (F)_mm512_min_ps((__m512)a, (__m512)b);
+#endif
+#if defined(__AVX2__)
+    if constexpr (W == 8) return (F)_mm256_min_ps((__m256)a, (__m256)b);
+#endif
+#if defined(__SSE2__)
+    if constexpr (W == 4) return (F)_mm_min_ps((__m128)a, (__m128)b);
+#endif
+    return a < b ? a : b;
+}
 template <class F, class = LanesOf<F>>
-inline F maximum(F a, F b) { return a > b ? a : b; }
+inline F maximum(F a, F b) {
+    constexpr int W = LanesOf<F>::width;
+#if defined(__AVX512F__)
+    if constexpr (W == 16) return (F)_mm512_max_ps((__m512)a, (__m512)b);
+#endif
+#if defined(__AVX2__)
+    if constexpr (W == 8) return (F)_mm256_max_ps((__m256)a, (__m256)b);
+#endif
+#if defined(__SSE2__)
+    if constexpr (W == 4) return (F)_mm_max_ps((__m128)a, (__m128)b);
+#endif
+    return a > b ? a : b;
+}
 template <class F, class I = typename LanesOf<F>::Int>
 inline F absolute(F a) { return (F)((I)a & 0x7fffffff); }
 

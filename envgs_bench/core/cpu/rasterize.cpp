@@ -1,11 +1,15 @@
 // Primitives are sorted by depth once and binned into tiles in that order, so that the tiles' lists need no sort of
 // their own. A tile is drawn by one thread, primitive by primitive, W pixels of a row at a time, with all sums of its
-// pixels in the first-level cache. The backward pass goes through the same lists in the same order.
+// pixels in the first-level cache. Which of these runs a primitive touches is known beforehand, a bit each, so that
+// nearly all that is evaluated is hit and the processor need not guess. The backward pass goes through the same lists in
+// the same order.
 #include "rasterize.h"
 
 #include <algorithm>
+#include <bit>
 #include <vector>
 
+#include "kernels/outline.h"
 #include "lanes.h"
 #include "parallel.h"
 #include "radix_sort.h"
@@ -19,6 +23,13 @@ constexpr int kTilePixels = kTile * kTile;
 using F = PixelFloat;
 using I = PixelInt;
 constexpr int W = kPixelLanes;
+constexpr int kRuns = kTilePixels / W;
+
+// A tile's runs of W pixels, a bit each: all rows' first, then all rows' second, so that eight rows are asked at once.
+using RunBits = uint64_t;
+static_assert(kRuns <= 64);
+// Where a pixel of the tile stands in its arrays: those of a run together.
+constexpr int place_of(int row, int x) { return (x / W * kTile + row) * W + x % W; }
 
 // What the rasterizer needs to know of surfels.
 struct SurfelKind {
@@ -28,10 +39,6 @@ struct SurfelKind {
     static constexpr int scale_count = 2;
     static Input input(const Gaussians& g, int i) {
         return {mean_at(g, i), quaternion_at(g, i), g.scales[2 * i], g.scales[2 * i + 1]};
-    }
-    static Vec3<float> normal(const Input& in) {
-        float inverse;
-        return axes_of(normalized(in.quaternion, inverse)).n;
     }
 };
 
@@ -44,19 +51,15 @@ struct Gaussian3dKind {
     static Input input(const Gaussians& g, int i) {
         return {mean_at(g, i), quaternion_at(g, i), load3(g.scales + 3 * i)};
     }
-    static Vec3<float> normal(const Input& in) {
-        float inverse;
-        return shortest_axis_of(axes_of(normalized(in.quaternion, inverse)), in.scales);
-    }
 };
 
-// A visible primitive, ready to draw. Columns and rows are inclusive.
+// A visible primitive, ready to draw.
 template <class Splat>
 struct VisiblePrimitive {
     Splat splat;
     Vec3<float> color, normal;
     int index;
-    int column0, column1, row0, row1;
+    Outline outline;
 };
 
 // What a tile adds up for one primitive; see array_of.
@@ -68,7 +71,8 @@ struct PrimitiveSums {
     R extras[kMaxExtras];
 };
 
-inline F lane_positions() {
+// The centers of W pixels, the first of which begins at 0.
+inline F pixel_centers() {
     F x;
     for (int i = 0; i < W; ++i) x[i] = i + 0.5f;
     return x;
@@ -125,13 +129,18 @@ private:
     };
     struct TileRect {
         int x0, y0, width, height;
+        F x[kTile / W];  // the pixels' centers, of a row's runs
+        float y[kTile];
     };
 
     void prepare_primitives();
     void fill_tiles();
     TileRect rect_of(int tile) const {
         int x0 = tile % tiles_x_ * kTile, y0 = tile / tiles_x_ * kTile;
-        return {x0, y0, std::min(kTile, camera_.width - x0), std::min(kTile, camera_.height - y0)};
+        TileRect rect = {x0, y0, std::min(kTile, camera_.width - x0), std::min(kTile, camera_.height - y0), {}, {}};
+        for (int run = 0; run < kTile / W; ++run) rect.x[run] = pixel_centers() + float(x0 + run * W);
+        for (int row = 0; row < kTile; ++row) rect.y[row] = y0 + row + 0.5f;
+        return rect;
     }
     void draw_tile(int tile, Planes<float> out, int* hits, float* weights);
     void load_gradients(const TileRect& rect, Planes<const float> out, Planes<const float> gradient,
@@ -139,17 +148,37 @@ private:
     void differentiate_tile(int tile, Planes<const float> out, Planes<const float> gradient, FloatSums* sums);
     void finish_primitive(int visible_index, const std::vector<std::vector<FloatSums>>& sums, GaussianGradients result);
 
-    // Calls visit(offset into the tile's arrays, x of the lanes, y) for each run of W pixels that the primitive may
-    // touch and that `live` still marks.
+    // The runs that lie in the image.
+    RunBits runs_of(const TileRect& rect) const {
+        RunBits rows = (RunBits(1) << rect.height) - 1, runs = 0;
+        for (int run = 0; run * W < rect.width; ++run) runs |= rows << run * kTile;
+        return runs;
+    }
+    // The runs that the primitive may touch.
+    RunBits runs_of(const Outline& outline, const TileRect& rect) const {
+        RunBits runs = 0;
+        for (int row = 0; row < kTile; row += 8) {
+            if (rect.y0 + row > outline.box.row1 || rect.y0 + row + 7 < outline.box.row0) continue;
+            Float8 y = load_lanes<Float8>(rect.y + row);
+            XInterval<Float8> x = strip_of(outline, y, y);
+            Int8 inside = (y > float(outline.box.row0)) & (y < outline.box.row1 + 1.0f);
+            for (int run = 0; run < kTile / W; ++run) {
+                int column = rect.x0 + run * W;
+                if (column > outline.box.column1 || column + W <= outline.box.column0) continue;
+                Int8 touched = inside & (x.low <= column + (W - 0.5f)) & (x.high >= column + 0.5f);
+                runs |= RunBits(mask_bits(touched)) << (run * kTile + row);
+            }
+        }
+        return runs;
+    }
+
+    // Calls visit(the run's offset into the tile's arrays, x of its lanes, y, its bit) for each run.
     template <class Visit>
-    void for_each_run(const VisiblePrimitive<Splat>& p, const TileRect& rect, const uint8_t* live,
-                      const Visit& visit) const {
-        int row0 = std::max(p.row0 - rect.y0, 0), row1 = std::min(p.row1 - rect.y0, rect.height - 1);
-        int run0 = std::max(p.column0 - rect.x0, 0) / W, run1 = std::min(p.column1 - rect.x0, rect.width - 1) / W;
-        for (int row = row0; row <= row1; ++row)
-            for (int run = run0; run <= run1; ++run)
-                if (live[row * (kTile / W) + run])
-                    visit(row * kTile + run * W, lanes_ + float(rect.x0 + run * W), rect.y0 + row + 0.5f);
+    void for_each_run(RunBits runs, const TileRect& rect, const Visit& visit) const {
+        for (; runs; runs &= runs - 1) {
+            int run = std::countr_zero(runs);
+            visit(run * W, rect.x[run / kTile], rect.y[run % kTile], RunBits(1) << run);
+        }
     }
 
     Gaussians g_;
@@ -157,7 +186,6 @@ private:
     Vec3<float> background_;
     float transmittance_min_;
     int threads_, tiles_x_, tiles_y_;
-    F lanes_ = lane_positions();
     std::vector<VisiblePrimitive<Splat>> visible_;      // visible primitives, front to back
     std::vector<long> tile_begin_;         // tile -> its part of tile_items_
     std::vector<int> tile_items_;          // indices into visible_, front to back
@@ -171,19 +199,12 @@ void TileRasterizer<Kind>::prepare_primitives() {
             VisiblePrimitive<Splat> d;
             typename Kind::Input input = Kind::input(g_, i);
             PixelBox box = prepare(camera_, input, g_.opacities[i], d.splat);
-            // Columns whose centers c + 0.5 lie in the box; the comparison also drops boxes that are not finite.
-            if (!(box.x1 >= 0.5f && box.y1 >= 0.5f && box.x0 <= camera_.width - 0.5f &&
-                  box.y0 <= camera_.height - 0.5f &&
-                  box.x0 <= box.x1))
-                continue;
-            d.column0 = int(std::ceil(std::max(box.x0, 0.5f) - 0.5f));
-            d.row0 = int(std::ceil(std::max(box.y0, 0.5f) - 0.5f));
-            d.column1 = int(std::floor(std::min(box.x1, camera_.width - 0.5f) - 0.5f));
-            d.row1 = int(std::floor(std::min(box.y1, camera_.height - 0.5f) - 0.5f));
-            if (d.column0 > d.column1 || d.row0 > d.row1) continue;
+            PixelRect rect;
+            if (!pixels_of(camera_, box, rect)) continue;
+            d.outline = outline_of(camera_, input, d.splat, rect);
             d.index = i;
             d.color = color_at(g_, i, input.mean - camera_.center);
-            d.normal = Kind::normal(input);
+            d.normal = normal_of(input);
             found[worker].push_back(d);
         }
     });
@@ -206,8 +227,12 @@ void TileRasterizer<Kind>::fill_tiles() {
     int tiles = tiles_x_ * tiles_y_;
     tile_begin_.assign(tiles + 1, 0);
     auto for_each_tile = [&](const VisiblePrimitive<Splat>& d, auto visit) {
-        for (int y = d.row0 / kTile; y <= d.row1 / kTile; ++y)
-            for (int x = d.column0 / kTile; x <= d.column1 / kTile; ++x) visit(y * tiles_x_ + x);
+        const PixelRect& box = d.outline.box;
+        for (int y = box.row0 / kTile; y <= box.row1 / kTile; ++y) {
+            Columns tiles = {box.column0 / kTile, box.column1 / kTile};
+            if (tiles.first < tiles.last) tiles = tiles_in<kTile>(d.outline, y);
+            for (int x = tiles.first; x <= tiles.last; ++x) visit(y * tiles_x_ + x);
+        }
     };
     for (const VisiblePrimitive<Splat>& d : visible_) for_each_tile(d, [&](int tile) { ++tile_begin_[tile + 1]; });
     for (int tile = 0; tile < tiles; ++tile) tile_begin_[tile + 1] += tile_begin_[tile];
@@ -243,21 +268,17 @@ void TileRasterizer<Kind>::draw_tile(int tile_index, Planes<float> out, int* hit
     TileRect rect = rect_of(tile_index);
     TileBuffers tile;
     std::memset(&tile, 0, sizeof tile);
-    uint8_t live[kTilePixels / W] = {};
-    int live_runs = 0;
-    for (int row = 0; row < rect.height; ++row) {
-        for (int x = 0; x < rect.width; ++x) tile.transmittance.values[row * kTile + x] = 1.0f;
-        for (int run = 0; run * W < rect.width; ++run) live[row * (kTile / W) + run] = 1, ++live_runs;
-    }
-    for (long item = tile_begin_[tile_index]; item < tile_begin_[tile_index + 1] && live_runs; ++item) {
+    for (int row = 0; row < rect.height; ++row)
+        for (int x = 0; x < rect.width; ++x) tile.transmittance.values[place_of(row, x)] = 1.0f;
+    RunBits live = runs_of(rect);
+    for (long item = tile_begin_[tile_index]; item < tile_begin_[tile_index + 1] && live; ++item) {
         const VisiblePrimitive<Splat>& p = visible_[tile_items_[item]];
         const float* extras = g_.extras + long(p.index) * g_.extra_count;
         F weight_sum = {};
-        for_each_run(p, rect, live, [&](int at, F x, float y) {
+        for_each_run(runs_of(p.outline, rect) & live, rect, [&](int at, F x, float y, RunBits run) {
             auto pixel = evaluate(p.splat, x, F{} + y, camera_.near);
             F transmittance = load_lanes<F>(tile.transmittance.values + at);
             I hit = (pixel.rho <= p.splat.support) & (transmittance >= transmittance_min_);
-            if (!mask_bits(hit)) return;
             F alpha = select(hit, response_alpha(F{} + p.splat.opacity, pixel.rho), F{});
             F weight = transmittance * alpha;
             transmittance = transmittance * (1.0f - alpha);
@@ -274,13 +295,13 @@ void TileRasterizer<Kind>::draw_tile(int tile_index, Planes<float> out, int* hit
             std::memcpy(&count, tile.hits + at, sizeof count);
             count -= hit;
             std::memcpy(tile.hits + at, &count, sizeof count);
-            if (!mask_bits(transmittance >= transmittance_min_)) live[at / W] = 0, --live_runs;
+            if (!mask_bits(transmittance >= transmittance_min_)) live &= ~run;
         });
         weights[tile_items_[item]] += sum_lanes(weight_sum);
     }
     for (int row = 0; row < rect.height; ++row)
         for (int x = 0; x < rect.width; ++x) {
-            int at = row * kTile + x;
+            int at = place_of(row, x);
             long to = long(rect.y0 + row) * camera_.width + rect.x0 + x;
             write_blended(out, to, load_pixels<BlendedSums<float>, float>(tile.sums, at),
                           tile.transmittance.values[at], background_);
@@ -294,7 +315,7 @@ void TileRasterizer<Kind>::load_gradients(const TileRect& rect, Planes<const flo
                                           TileGradientBuffers& t) {
     for (int row = 0; row < rect.height; ++row)
         for (int x = 0; x < rect.width; ++x) {
-            int to = row * kTile + x;
+            int to = place_of(row, x);
             long at = long(rect.y0 + row) * camera_.width + rect.x0 + x;
             auto [sum, remaining] = read_gradient(out, gradient, at, background_);
             store_pixels<float>(t.sum, to, sum);
@@ -315,16 +336,13 @@ void TileRasterizer<Kind>::differentiate_tile(int tile_index, Planes<const float
     TileGradientBuffers tile;
     std::memset(&tile, 0, sizeof tile);
     load_gradients(rect, out, gradient, tile);
-    uint8_t live[kTilePixels / W] = {};
-    int live_runs = 0;
-    for (int row = 0; row < rect.height; ++row)
-        for (int run = 0; run * W < rect.width; ++run) live[row * (kTile / W) + run] = 1, ++live_runs;
-    for (long item = tile_begin_[tile_index]; item < tile_begin_[tile_index + 1] && live_runs; ++item) {
+    RunBits live = runs_of(rect);
+    for (long item = tile_begin_[tile_index]; item < tile_begin_[tile_index + 1] && live; ++item) {
         const VisiblePrimitive<Splat>& p = visible_[tile_items_[item]];
         const float* extras = g_.extras + long(p.index) * g_.extra_count;
         LaneSums sum = {};
         bool touched = false;
-        for_each_run(p, rect, live, [&](int at, F x, float y) {
+        for_each_run(runs_of(p.outline, rect) & live, rect, [&](int at, F x, float y, RunBits run) {
             auto pixel = evaluate(p.splat, x, F{} + y, camera_.near);
             F transmittance = load_lanes<F>(tile.transmittance.values + at);
             I hit = (pixel.rho <= p.splat.support) & (transmittance >= transmittance_min_);
@@ -346,7 +364,7 @@ void TileRasterizer<Kind>::differentiate_tile(int tile_index, Planes<const float
             sum.color = sum.color + weight * g_sum.color;
             sum.normal = sum.normal + (weight * pixel.side) * g_sum.normal;
             add_pixel(sum.geometry, pixel, hit, g.rho, weight * g_sum.depth);
-            if (!mask_bits(transmittance >= transmittance_min_)) live[at / W] = 0, --live_runs;
+            if (!mask_bits(transmittance >= transmittance_min_)) live &= ~run;
         });
         if (!touched) continue;
         float* total = array_of<float>(sums[tile_items_[item]]);

@@ -3,18 +3,6 @@
 
 using namespace envgs;
 
-// Pixels whose centers lie in the box; false where there are none, or the box is not finite.
-ENVGS_FN bool pixels_of(const PinholeCamera& camera, PixelBox box, PixelRect& rect) {
-    if (!(box.x1 >= 0.5f && box.y1 >= 0.5f && box.x0 <= camera.width - 0.5f && box.y0 <= camera.height - 0.5f &&
-          box.x0 <= box.x1))
-        return false;
-    rect.column0 = int(ceilf(maximum(box.x0, 0.5f) - 0.5f));
-    rect.row0 = int(ceilf(maximum(box.y0, 0.5f) - 0.5f));
-    rect.column1 = int(floorf(minimum(box.x1, camera.width - 0.5f) - 0.5f));
-    rect.row1 = int(floorf(minimum(box.y1, camera.height - 0.5f) - 0.5f));
-    return rect.column0 <= rect.column1 && rect.row0 <= rect.row1;
-}
-
 // Visible primitives move up in the order of their index: their splats, outlines, depths as sort keys and numbers of
 // tiles; slots [N] tells where a primitive went, −1 where nowhere, and indices [visible] the way back. For color alone
 // neither is asked for, nor are the weights.
@@ -53,12 +41,11 @@ extern "C" __global__ void __launch_bounds__(256) prepare_primitives(
     if (i < count) {
         Kind::Input input = Kind::input(g, i);
         PixelBox box = prepare(camera, input, opacities[i], primitive.splat);
-        if (pixels_of(camera, box, outline.box)) {
-            outline.ellipse = Kind::ellipse(camera, input, primitive.splat);
-            outline.x = primitive.splat.x, outline.y = primitive.splat.y;
-            outline.radius = Kind::low_pass_radius(primitive.splat);
+        PixelRect rect;
+        if (pixels_of(camera, box, rect)) {
+            outline = outline_of(camera, input, primitive.splat, rect);
             tiles = count_tiles(outline);
-            primitive.take(Kind::normal(input), extras + long(kExtras) * i);
+            primitive.take(normal_of(input), extras + long(kExtras) * i);
             to_center = input.mean - camera.center;
         }
     }

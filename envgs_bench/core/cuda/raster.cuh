@@ -1,9 +1,13 @@
 // The rasterizer's data that several kernels share: KIND is SurfelKind or Gaussian3dKind.
 #pragma once
-#include "outline.cuh"
+#include "gaussians.cuh"
+#include "kernels/outline.h"
 #include "warp.cuh"
 
 namespace envgs {
+
+constexpr int kTile = TILE;
+static_assert(sizeof(Outline) == 4 * OUTLINE_FLOATS);
 
 // What the rasterizer needs to know of surfels.
 struct SurfelKind {
@@ -14,18 +18,6 @@ struct SurfelKind {
     static constexpr int scale_count = 2;
     ENVGS_FN static Input input(const Gaussians& g, int i) {
         return {mean_at(g, i), quaternion_at(g, i), g.scales[2l * i], g.scales[2l * i + 1]};
-    }
-    ENVGS_FN static Vec3<float> normal(const Input& in) {
-        float inverse;
-        return axes_of(normalized(in.quaternion, inverse)).n;
-    }
-    ENVGS_FN static Ellipse ellipse(const PinholeCamera& camera, const Input& in, const Splat& splat) {
-        float inverse;
-        Axes<float> axes = axes_of(normalized(in.quaternion, inverse));
-        return disc_ellipse(camera, project(camera, in.mean), in.scale_u * axes.u, in.scale_v * axes.v, splat.support);
-    }
-    ENVGS_FN static float low_pass_radius(const Splat& splat) {
-        return splat.screen_support > 0.0f ? square_root(0.5f * splat.support) : -1.0f;
     }
 };
 
@@ -39,18 +31,18 @@ struct Gaussian3dKind {
     ENVGS_FN static Input input(const Gaussians& g, int i) {
         return {mean_at(g, i), quaternion_at(g, i), load3(g.scales + 3l * i)};
     }
-    ENVGS_FN static Vec3<float> normal(const Input& in) {
-        float inverse;
-        return shortest_axis_of(axes_of(normalized(in.quaternion, inverse)), in.scales);
-    }
-    ENVGS_FN static Ellipse ellipse(const PinholeCamera&, const Input&, const Splat& s) {
-        float scale = s.support / (s.xx * s.yy - s.xy * s.xy);
-        return {s.x, s.y, s.yy * scale, -s.xy * scale, s.xx * scale};
-    }
-    ENVGS_FN static float low_pass_radius(const Splat&) { return -1.0f; }
 };
 
 using Kind = KIND;
+
+ENVGS_FN int count_tiles(const Outline& o) {
+    int count = 0;
+    for (int row = o.box.row0 / kTile; row <= o.box.row1 / kTile; ++row) {
+        Columns c = tiles_in<kTile>(o, row);
+        count += c.last - c.first + 1;
+    }
+    return count;
+}
 
 // What a primitive adds to the pixels that it covers.
 template <bool ColorAlone>

@@ -53,7 +53,7 @@ extern "C" __global__ void __launch_bounds__(256) emit_instances(
         Outline outline = outlines[slot];
         u64 instance = first_instance + before;
         for (int row = outline.box.row0 / kTile; row <= outline.box.row1 / kTile; ++row) {
-            Columns columns = tiles_in(outline, row);
+            Columns columns = tiles_in<kTile>(outline, row);
             writer.write(instance, row, columns, slot);
             instance += columns.last - columns.first + 1;
         }
@@ -67,7 +67,7 @@ extern "C" __global__ void __launch_bounds__(256) emit_instances(
         for (int first = outline.box.row0 / kTile, last = outline.box.row1 / kTile; first <= last; first += 32) {
             int row = first + lane_id();
             Columns columns = {1, 0};
-            if (row <= last) columns = tiles_in(outline, row);
+            if (row <= last) columns = tiles_in<kTile>(outline, row);
             u32 width = columns.last - columns.first + 1, through = warp_inclusive_sum(width);
             writer.write(instance + through - width, row, columns, whose);
             instance += __shfl_sync(kFullWarp, through, 31);

@@ -73,6 +73,11 @@ ENVGS_FN Vec3<float> shortest_axis_of(Axes<float> axes, Vec3<float> scales) {
     return k == 0 ? axes.u : k == 1 ? axes.v : axes.n;
 }
 
+ENVGS_FN Vec3<float> normal_of(const Gaussian3dInput& in) {
+    float inverse_norm;
+    return shortest_axis_of(axes_of(normalized(in.quaternion, inverse_norm)), in.scales);
+}
+
 struct Covariance2d {
     float xx, xy, yy;
 };

@@ -38,6 +38,12 @@ struct SurfelInput {
     float scale_u, scale_v;
 };
 
+// World frame; `side` of a pixel turns it toward the camera.
+ENVGS_FN Vec3<float> normal_of(const SurfelInput& in) {
+    float inverse_norm;
+    return axes_of(normalized(in.quaternion, inverse_norm)).n;
+}
+
 // The box of the disc ρ ≤ r² in pixels. Where it lies in front of the camera its outline is an ellipse, whose extent
 // follows from the dual conic r²(h_u h_uᵀ + h_v h_vᵀ) − h_c h_cᵀ, taken about the projected center to keep float
 // accuracy; where it crosses the camera plane, the square around it is clipped at the near plane and projected.
