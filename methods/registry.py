@@ -67,11 +67,12 @@ def method_class(kind: str) -> type[Method]:
     Raises:
         ValueError: no such method, or not a `Method`.
     """
-    paths = method_paths()
-    path = paths.get(kind, kind)
+    path = BUILT_IN.get(kind, kind)
+    if ":" not in path:
+        path = method_paths().get(kind, kind)  # looks through all that is installed
     if ":" not in path:
         raise ValueError(
-            f"unknown method {kind!r}: the known ones are {', '.join(sorted(paths))}; "
+            f"unknown method {kind!r}: the known ones are {', '.join(method_names())}; "
             "one of your own is given as an import path, package.module:Class"
         )
     try:

@@ -7,6 +7,7 @@ import difflib
 import shlex
 import sys
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -74,15 +75,17 @@ def register_methods(overrides: Iterable[str] = ()) -> None:
     """
     chosen = [override.partition("=")[2].split(",") for override in overrides if override.startswith("method=")]
     by_path = {path: path for paths in chosen for path in paths if ":" in path}
-    store = ConfigStore.instance()
     for kind, path in {**by_path, **method_paths()}.items():
         try:
-            settings = default_settings(method_class(kind).Settings)
+            _offer(kind, method_class(kind).Settings)
         except Exception as error:
             print(f"method {kind} of {path} cannot be loaded: {error}", file=sys.stderr)
-            continue
-        name = kind.rpartition(":")[2]
-        store.store(group="method", name=kind, node={"name": name, "kind": kind, "settings": settings})
+
+
+@cache  # the store lives as long as the process
+def _offer(kind: str, settings_type: type) -> None:
+    node = {"name": kind.rpartition(":")[2], "kind": kind, "settings": default_settings(settings_type)}
+    ConfigStore.instance().store(group="method", name=kind, node=node)
 
 
 def default_settings(settings_type: type) -> DictConfig:
