@@ -13,8 +13,7 @@ def tile_list_lengths(gaussians: GaussianSet, camera: Camera, near: float, backe
     """[tiles] int32, row by row: the length of each tile's list in `rasterize` with these arguments.
 
     Args:
-        backend: "cpu" or "cuda". The first lists a primitive in every tile that its box touches, the second in those
-            that its outline does.
+        backend: "cpu" or "cuda". Both list a primitive in the tiles that its outline touches.
     """
     black = torch.zeros(3, device=gaussians.device)
     options = RasterizeOptions(background=black, near=near, low_pass=True, transmittance_min=1e-4)

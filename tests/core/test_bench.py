@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,6 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from torch.nn.functional import max_pool2d
 from trained_runs import trained_run
 
 from envgs_bench.bench import core, peers
@@ -322,6 +324,20 @@ def test_a_tiles_list_holds_what_lies_in_it():
     camera = replace(room_camera(48, 32), world_to_camera=torch.eye(4))
     drawn = spots(camera, [(8.0, 8.0), (24.0, 8.0), (25.0, 9.0), (40.0, 24.0)])
     assert tile_list_lengths(drawn, camera, 0.2, "cpu").tolist() == [1, 2, 0, 0, 0, 1]
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+def test_tiles_that_a_slanted_primitive_misses_do_not_list_it(columns):
+    """Against the oracle's hits: its box lies in all twelve tiles, itself in some."""
+    camera = replace(room_camera(64, 48), world_to_camera=torch.eye(4))
+    half = math.pi / 8
+    turned = torch.tensor([[math.cos(half), 0, 0, math.sin(half)]])  # by 45° about the viewing direction
+    scales = torch.tensor([[0.5, 0.01, 0.01]])[:, :columns]
+    thin = GaussianSet(torch.tensor([[0.0, 0.0, 2.0]]), turned, scales, torch.full((1,), 0.9), torch.zeros(1, 1, 3))
+    hits = rasterize(thin, camera, near=0.2, backend="torch").hits
+    seen = max_pool2d(hits[None].float(), 16)[0].flatten()
+    assert 3 < seen.sum() < 9
+    assert tile_list_lengths(thin, camera, 0.2, "cpu").tolist() == seen.tolist()
 
 
 def test_a_trained_run_is_timed_on_its_own_views(tmp_path, capsys):
