@@ -44,6 +44,7 @@ WORDS = {  # of settings that choose
     "perceptual_loss": ("features", "lpips"),
     "initial_orientation": ORIENTATIONS,
     "mean_gradient_over": ("drawn", "in_view"),
+    "mean_gradient_of": ("all", "own"),
     "oversized": ("split", "prune"),
 }
 

@@ -117,7 +117,9 @@ class GaussianModel(Method):
 
     def rasterize_base(self, camera: Camera, step: int | None) -> Rendering:
         """The base set alone, [H, W, …], with `draw`'s arguments."""
-        return rasterize(self.base_seen_from(camera, step), camera, **self._rasterizing())
+        counted = self.settings.mean_gradient_of == "all"
+        seen = self.base_seen_from(camera, step)
+        return rasterize(seen, camera, **self._rasterizing(), low_pass_statistics=counted)
 
     def _draw_color(self, camera: Camera) -> Tensor:
         """The color [H, W, 3] of `draw` for an image: drawn alone, unless a subclass has its own way to draw."""

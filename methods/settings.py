@@ -48,6 +48,7 @@ class GaussianSettings:
     densify_every: int = 100  # steps between the base set's densifications
     densify_threshold: float = 2e-4  # gradient of the projected center, in half images
     mean_gradient_over: str = "drawn"  # steps of its mean: that drew the primitive, or had it in_view, hidden or not
+    mean_gradient_of: str = "all"  # whose gradient it is: all, or own: without what anti-aliasing draws of a surfel
     max_growth: float = 0.1  # most that either way of growing adds to a set at once, × its size; 0: no limit
     min_coverage: float = 1.0  # pixels that a primitive must fill, on average over its views, to be cloned or split
     min_views: float = 3.0  # primitives that fewer steps since the last densification show are not cloned or split
@@ -89,6 +90,7 @@ class PublishedSettings(GaussianSettings):
     mends_input: bool = False
 
     mean_gradient_over: str = "in_view"
+    mean_gradient_of: str = "own"
     max_growth: float = 0.0
     min_coverage: float = 0.0
     min_views: float = 0.0

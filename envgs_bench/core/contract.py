@@ -29,6 +29,7 @@ class RasterizeOptions:
     background: Tensor  # [3]
     near: float
     low_pass: bool
+    low_pass_statistics: bool
     transmittance_min: float
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -19,6 +21,7 @@ def rasterize(
     background: Tensor | None = None,
     near: float = 0.2,
     low_pass: bool = True,
+    low_pass_statistics: bool = True,
     transmittance_min: float = 1e-4,
     backend: str = "auto",
 ) -> Rendering:
@@ -36,6 +39,8 @@ def rasterize(
         near: hits nearer than this camera-frame depth are not drawn, world units.
         low_pass: anti-aliasing as in the originals: a surfel's squared distance is the smaller of its own and of a
             screen-space Gaussian of √2/2 px; a 3D Gaussian's projected covariance grows by 0.3 px².
+        low_pass_statistics: whether the statistics' position gradients count the pixels in which that screen-space
+            Gaussian answers for a surfel; the code of 2D Gaussian Splatting leaves them out.
         transmittance_min: a pixel is finished by the hit that takes its transmittance below this.
         backend: "auto" (by device), "cpu", "cuda" or "torch".
 
@@ -47,7 +52,7 @@ def rasterize(
         RuntimeError: the backend does not work on this machine.
     """
     module, options = _checked(gaussians, camera, background, near, low_pass, transmittance_min, backend)
-    return module.rasterize(gaussians, camera, options)
+    return module.rasterize(gaussians, camera, replace(options, low_pass_statistics=low_pass_statistics))
 
 
 def rasterize_color(
@@ -93,7 +98,7 @@ def _checked(
 ) -> tuple[Rasterizer, RasterizeOptions]:
     if camera.device != gaussians.device:
         raise ValueError(f"camera is on {camera.device}, gaussians on {gaussians.device}: move one with .to()")
-    options = RasterizeOptions(checked_background(background, gaussians), near, low_pass, transmittance_min)
+    options = RasterizeOptions(checked_background(background, gaussians), near, low_pass, True, transmittance_min)
     module = load_backend(backend, gaussians.device, gaussians.means.dtype)
     if not isinstance(module, Rasterizer):
         raise ValueError(f"backend {backend!r} traces rays only, it cannot rasterize")

@@ -184,6 +184,7 @@ def test_the_published_configurations_are_what_was_published() -> None:
                 "traced_sh_direction": "ray",
                 "initial_orientation": "random",
                 "mean_gradient_over": "in_view",
+                "mean_gradient_of": "own",
                 "max_growth": 0,
                 "oversized": "split",
             },

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields, replace
 
 import pytest
@@ -19,7 +20,7 @@ from core_scenes import (
 )
 from torch import Tensor
 
-from envgs_bench.core import GaussianSet, Rendering
+from envgs_bench.core import Camera, GaussianSet, Rendering
 from envgs_bench.core.torch.sh import sh_color
 
 BACKGROUND = torch.tensor([0.3, 0.9, 0.1])
@@ -200,6 +201,57 @@ def test_position_gradients_leave_the_direction_of_color_out(rasterizer, columns
     (positions, means), (fixed_positions, fixed_means) = results
     torch.testing.assert_close(positions, fixed_positions, atol=1e-2, rtol=1e-3)
     assert (means - fixed_means).norm() > 1e-2 * means.norm()
+
+
+@pytest.mark.parametrize("scale", [0.01, 0.05, 0.1])  # at some 13 pixels a unit: below the low-pass, about it, above
+def test_position_gradients_without_the_low_pass_are_those_of_2dgs(rasterizer, scale):
+    """Its program takes them from the projective transform, which the low-pass gives no gradient.
+
+    It multiplies them by the depth of the center, ours are multiplied by that of each hit.
+    """
+    camera, surfels = plain_camera(), random_set(12, degree=0, extras=0, seed=4)
+    per_pixel = torch.randn(camera.height, camera.width, generator=torch.Generator().manual_seed(0))
+    answers = []
+    for i in range(len(surfels)):
+        own = {name: value[i : i + 1] for name, value in vars(surfels).items() if value is not None}
+        surfel = GaussianSet(**{**own, "scales": torch.tensor([[scale, 0.7 * scale]])})
+        gradients = []
+        for counted in (False, True):
+            leaves = rasterizer.take(surfel)
+            drawn = rasterizer.rasterize(leaves, rasterizer.take(camera), low_pass_statistics=counted)
+            (drawn.alpha * rasterizer.take(per_pixel)).sum().backward()
+            gradients.append((drawn.statistics.position_gradients[0, :2].cpu().double(), leaves.means.grad))
+        (without, means), (with_it, same_means) = gradients
+        expected, answered = gradient_of_2dgs(surfel, camera, per_pixel)
+        assert (without - expected).norm() < scale * expected.norm() + 1e-3
+        assert bool((with_it - without).norm() > 1e-3) == answered
+        torch.testing.assert_close(means, same_means, rtol=1e-4, atol=1e-4)
+        answers.append(answered)
+    assert any(answers) or scale == 0.1
+
+
+def gradient_of_2dgs(surfel: GaussianSet, camera: Camera, per_pixel: Tensor) -> tuple[Tensor, bool]:
+    """f·z·∂L/∂(its third column) of one surfel's projective transform for L = Σ per_pixel·alpha, from a camera at the
+    origin; and whether the low-pass answers in any pixel. float64."""
+    w, x, y, z = torch.nn.functional.normalize(surfel.quaternions.double(), dim=1)[0]
+    along_u = torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
+    along_v = torch.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
+    columns = [*(surfel.scales[0].double()[:, None] * torch.stack([along_u, along_v])), surfel.means[0].double()]
+    transform = (camera.intrinsics.double() @ torch.stack(columns, dim=1)).requires_grad_()
+    to_x, to_y, to_z = transform
+    center = (transform[:2, 2] / transform[2, 2]).detach()
+    rows, across = (torch.arange(n, dtype=torch.float64) + 0.5 for n in (camera.height, camera.width))
+    pixel_y, pixel_x = torch.meshgrid(rows, across, indexing="ij")
+    meeting = torch.linalg.cross(pixel_x[..., None] * to_z - to_x, pixel_y[..., None] * to_z - to_y)
+    plane = (meeting[..., :2] / meeting[..., 2:]).square().sum(-1)
+    screen = 2 * ((pixel_x - center[0]) ** 2 + (pixel_y - center[1]) ** 2)
+    rho, opacity = torch.minimum(plane, screen), surfel.opacities[0].double()
+    drawn = rho <= min(9.0, 2 * math.log(max(255 * float(opacity), 1)))
+    alpha = (opacity * (-rho / 2).exp()).clamp_max(0.99)
+    (alpha * drawn * per_pixel).sum().backward()
+    assert transform.grad is not None
+    gradient = camera.intrinsics[0, 0] * transform[2, 2] * transform.grad[:2, 2]
+    return gradient.detach(), bool((drawn & (screen < plane)).any())
 
 
 def test_color_along_the_ray_moves_the_direction_and_neither_origin_nor_center(tracer):

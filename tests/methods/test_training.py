@@ -300,6 +300,24 @@ def test_the_mean_of_the_criterion_is_over_the_steps_that_its_setting_says(scene
     assert counted == {"drawn": [2, 0, 0], "in_view": [2, 2, 0]}
 
 
+def test_what_anti_aliasing_draws_grows_no_surfels_where_a_setting_says_so(scene):
+    """Surfels far below a pixel, of which nothing else is drawn; as published 2DGS does not count it."""
+    grows = {}
+    for name, settings in {
+        "published": {},
+        "own": {"mean_gradient_of": "own"},
+        "all": {"mean_gradient_of": "all"},
+    }.items():
+        method = make_method("2dgs", **settings)
+        method.initialize(scene, 30_000)
+        base = method.sets["base"]
+        base.parameters.replace("log_scales", torch.full((len(base.parameters), 2), -9.0))
+        method.training_step(scene.train[0], 1)
+        assert (base.record.weights > 0).any()
+        grows[name] = bool((base.record.gradients > 0).any())
+    assert grows == {"published": False, "own": False, "all": True}
+
+
 @pytest.mark.parametrize(("stretches", "first"), [(True, 668), (False, 600)])
 def test_a_long_run_stretches_the_schedule_unless_it_is_told_not_to(scene, stretches, first):
     """The first densification after step 500 of 30,000, every 100 steps, in a run of 33,400."""

@@ -65,6 +65,7 @@ class RasterPass:
             camera.height,
             options.near,
             options.low_pass,
+            options.low_pass_statistics,
             options.background,
             options.transmittance_min,
             workers(),

@@ -31,6 +31,7 @@ def raster_pass(
     height: int,  # pixels
     near: float,  # nearest camera-frame depth that is drawn, world units
     low_pass: bool,  # whether to anti-alias
+    low_pass_statistics: bool,  # whether position gradients count what the low-pass of a surfel answers
     background: Tensor,  # [3] in [0, 1]
     transmittance_min: float,  # a pixel is finished below this
     threads: int,  # workers; results depend on their number

@@ -60,11 +60,12 @@ Planes<const float> planes_of(const GradientPlanes& p, long pixels) {
 }
 
 PinholeCamera camera_of(const In& world_to_camera, const In& intrinsics, const In& pixel_to_direction,
-                        const In& center, int width,
-             int height, float near, bool low_pass) {
+                        const In& center, int width, int height, float near, bool low_pass,
+                        bool low_pass_statistics) {
     const float* m = world_to_camera.data();
     return {{load3(m), load3(m + 4), load3(m + 8)}, {m[3], m[7], m[11]}, load_mat3(intrinsics.data()),
-            load_mat3(pixel_to_direction.data()), load3(center.data()), width, height, near, low_pass};
+            load_mat3(pixel_to_direction.data()), load3(center.data()), width, height, near, low_pass,
+            low_pass_statistics};
 }
 
 }  // namespace
@@ -103,13 +104,14 @@ NB_MODULE(NATIVE_MODULE, m) {
                             int height,               // pixels
                             float near,               // nearest camera-frame depth that is drawn, world units
                             bool low_pass,            // whether to anti-alias
+                            bool low_pass_statistics, // whether statistics count what a surfel's low-pass answers
                             In background,            // [3] in [0, 1]
                             float transmittance_min,  // a pixel is finished below this
                             int threads               // workers; results depend on their number
                          ) {
         bool surfels = std::get<2>(set).shape(1) == 2;
         PinholeCamera camera = camera_of(world_to_camera, intrinsics, pixel_to_direction, center, width, height, near,
-                                         low_pass);
+                                         low_pass, low_pass_statistics);
         return make_raster_pass(gaussians_of(set), surfels, camera, load3(background.data()), transmittance_min,
                                 threads);
     });

@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <utility>
 #include <vector>
 
 #include "kernels/outline.h"
@@ -226,20 +227,21 @@ template <class Kind>
 void TileRasterizer<Kind>::fill_tiles() {
     int tiles = tiles_x_ * tiles_y_;
     tile_begin_.assign(tiles + 1, 0);
-    auto for_each_tile = [&](const VisiblePrimitive<Splat>& d, auto visit) {
-        const PixelRect& box = d.outline.box;
-        for (int y = box.row0 / kTile; y <= box.row1 / kTile; ++y) {
-            Columns tiles = {box.column0 / kTile, box.column1 / kTile};
-            if (tiles.first < tiles.last) tiles = tiles_in<kTile>(d.outline, y);
-            for (int x = tiles.first; x <= tiles.last; ++x) visit(y * tiles_x_ + x);
+    std::vector<std::pair<int, int>> touched;  // tile, index into visible_
+    for (int i = 0; i < int(visible_.size()); ++i) {
+        const Outline& outline = visible_[i].outline;
+        for (int y = outline.box.row0 / kTile; y <= outline.box.row1 / kTile; ++y) {
+            Columns columns = tiles_in<kTile>(outline, y);
+            for (int x = columns.first; x <= columns.last; ++x) {
+                touched.push_back({y * tiles_x_ + x, i});
+                ++tile_begin_[touched.back().first + 1];
+            }
         }
-    };
-    for (const VisiblePrimitive<Splat>& d : visible_) for_each_tile(d, [&](int tile) { ++tile_begin_[tile + 1]; });
+    }
     for (int tile = 0; tile < tiles; ++tile) tile_begin_[tile + 1] += tile_begin_[tile];
     tile_items_.resize(tile_begin_[tiles]);
     std::vector<long> next(tile_begin_.begin(), tile_begin_.end() - 1);
-    for (int i = 0; i < int(visible_.size()); ++i)
-        for_each_tile(visible_[i], [&](int tile) { tile_items_[next[tile]++] = i; });
+    for (auto [tile, i] : touched) tile_items_[next[tile]++] = i;
 }
 
 template <class Kind>

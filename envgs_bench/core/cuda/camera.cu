@@ -13,6 +13,7 @@ extern "C" __global__ void make_camera(
     int height,  // pixels
     float near,  // nearest depth that is drawn, world units
     int low_pass,  // whether to anti-alias
+    int low_pass_statistics,  // whether position statistics count what the low-pass of a surfel answers
     PinholeCamera* camera  // [1]
 ) {
     const float* m = world_to_camera;
@@ -27,6 +28,7 @@ extern "C" __global__ void make_camera(
                            {0.0f, float(1 / fy), float(-cy / fy)},
                            {0.0f, 0.0f, 1.0f}};
     v.pixel_to_direction = transposed(v.rotation) * inverse;
-    v.width = width, v.height = height, v.near = near, v.low_pass = low_pass;
+    v.width = width, v.height = height, v.near = near;
+    v.low_pass = low_pass, v.low_pass_statistics = low_pass_statistics;
     *camera = v;
 }

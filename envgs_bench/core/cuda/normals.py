@@ -24,7 +24,7 @@ class _DepthNormals(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, depth: Tensor, camera: Camera) -> Tensor:
         launch = _kernels(depth)
-        view = make_camera(launch, camera, near=0.0, low_pass=False)
+        view = make_camera(launch, camera)
         depth = depth.contiguous()
         normals = depth.new_empty(3, *depth.shape)
         launch("depth_normals", blocks_for(depth.numel(), 256), 256, view, depth, normals)

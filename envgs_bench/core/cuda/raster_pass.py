@@ -95,7 +95,7 @@ class RasterPass:
         blocks = blocks_for(count, 256)
         empty = tensors.means.new_empty
         self.visible, self.outlines = empty(count, self.visible_floats), empty(count, CONSTANTS["OUTLINE_FLOATS"])
-        self.device_camera = make_camera(launch, self.camera, self.options.near, self.options.low_pass)
+        self.device_camera = make_camera(launch, self.camera, self.options)
         self.depth_keys, self.tile_counts = (empty(count, dtype=torch.int32) for _ in range(2))
         self.slots, self.indices = (None if self.color_alone else empty(count, dtype=torch.int32) for _ in range(2))
         self.counters, state, ticket = zeroed(self.device, CONSTANTS["COUNTER_INTS"], 2 * blocks, 1)
@@ -148,11 +148,15 @@ def _multiprocessors(device: torch.device) -> int:
     return torch.cuda.get_device_properties(device).multi_processor_count
 
 
-def make_camera(launch: Kernels, camera: Camera, near: float, low_pass: bool) -> Tensor:
-    """The camera as kernels see it, made on the device by camera.cu, which `launch` must include."""
+def make_camera(launch: Kernels, camera: Camera, options: RasterizeOptions | None = None) -> Tensor:
+    """The camera as kernels see it, made on the device by camera.cu, which `launch` must include.
+
+    Without options it is one that rays and normals are taken from, not one that draws.
+    """
+    how = (float(options.near), options.low_pass, options.low_pass_statistics) if options else (0.0, False, False)
     view = torch.empty(CONSTANTS["CAMERA_FLOATS"], device=camera.device)
     launch("make_camera", 1, 1, camera.world_to_camera.contiguous(), camera.intrinsics.contiguous(), camera.width,
-           camera.height, float(near), low_pass, view)  # fmt: skip
+           camera.height, *how, view)  # fmt: skip
     return view
 
 

@@ -31,7 +31,7 @@ class _Reflect(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
         height, width = alpha.shape
         launch = _kernels(alpha)
-        view = make_camera(launch, camera, near=0.0, low_pass=False)
+        view = make_camera(launch, camera)
         alpha, depth, normal, beta = (plane.contiguous() for plane in (alpha, depth, normal, beta))
         origins, directions, weights = (alpha.new_empty(height, width, *shape) for shape in ((3,), (3,), ()))
         on_device = isinstance(beta_min, Tensor)

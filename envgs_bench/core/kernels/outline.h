@@ -120,7 +120,8 @@ ENVGS_FN XInterval<R> strip_of(const Ellipse& e, R y0, R y1) {
 template <class R>
 ENVGS_FN XInterval<R> strip_of(const Outline& o, R y0, R y1) {
     XInterval<R> x = strip_of(o.ellipse, y0, y1);
-    if (o.radius > 0.0f) x = merged(x, strip_of(Ellipse{o.x, o.y, o.radius * o.radius, 0.0f, o.radius * o.radius}, y0, y1));
+    float square = o.radius * o.radius;
+    if (o.radius > 0.0f) x = merged(x, strip_of(Ellipse{o.x, o.y, square, 0.0f, square}, y0, y1));
     return x;
 }
 

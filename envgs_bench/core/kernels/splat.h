@@ -16,6 +16,7 @@ struct PinholeCamera {
     int width, height;               // pixels
     float near;                      // nearest camera-frame depth that is drawn, world units
     bool low_pass;                   // whether to anti-alias
+    bool low_pass_statistics;        // whether position statistics count what the low-pass of a surfel answers
 };
 
 // Pixel positions that may respond; empty where x0 > x1.

@@ -169,8 +169,10 @@ ENVGS_FN SplatGradient finish(const PinholeCamera& camera, const SurfelInput& in
     Projection center = project(camera, in.mean);
     Vec3<float> screen = {0.0f, 0.0f, 0.0f};
     if (center.in_camera.z >= camera.near) screen = project_backward(center, sum.x, sum.y, sum.depth);
-    return {own.mean + screen, own.position_statistic + center.in_camera.z * screen,
-            quaternion_gradient(q, inverse_norm, own.torque), {own.scale_u, own.scale_v, 0.0f}};
+    Vec3<float> statistic = own.position_statistic;
+    if (camera.low_pass_statistics) statistic = statistic + center.in_camera.z * screen;
+    return {own.mean + screen, statistic, quaternion_gradient(q, inverse_norm, own.torque),
+            {own.scale_u, own.scale_v, 0.0f}};
 }
 
 }  // namespace envgs

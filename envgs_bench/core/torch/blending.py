@@ -12,7 +12,9 @@ from .intersections import Intersector, alphas
 from .search import BlendedHits, transmittances
 
 
-def blend_hits(intersector: Intersector, hits: BlendedHits, background: Tensor) -> Rendering:
+def blend_hits(
+    intersector: Intersector, hits: BlendedHits, background: Tensor, low_pass_statistics: bool = True
+) -> Rendering:
     """Blend the hits of each ray front to back; the rendering's fields have the shape of its rays."""
     gaussians, rays, primitives = intersector.gaussians, hits.rays, hits.primitives
     means = gaussians.means[primitives]  # a copy for each hit, so that a backward pass leaves the gradient of each
@@ -40,7 +42,9 @@ def blend_hits(intersector: Intersector, hits: BlendedHits, background: Tensor) 
         statistics=Statistics(weights=weight_sums),
     )
     if means.requires_grad:
-        record_position_gradients(rendering.statistics, means, primitives, intersections.t.detach(), len(gaussians))
+        counted = ~intersections.low_pass | low_pass_statistics
+        t = torch.where(counted, intersections.t.detach(), 0)
+        record_position_gradients(rendering.statistics, means, primitives, t, len(gaussians))
     return rendering
 
 

@@ -67,7 +67,8 @@ class TracedSurfels(Intersector):
             self.origins[rays], self.directions[rays], means, self.frames[primitives], self.gaussians.scales[primitives]
         )
         valid = plane.exists & (plane.t >= self.t_min)
-        return Intersections(plane.t, plane.rho, order=plane.t, facing=plane.facing, valid=valid)
+        none = torch.zeros_like(valid)
+        return Intersections(plane.t, plane.rho, order=plane.t, facing=plane.facing, valid=valid, low_pass=none)
 
     def colors(self, rays: Tensor, primitives: Tensor) -> Tensor:
         if self.sh_along_ray:
@@ -92,6 +93,7 @@ class RasterizedSurfels(Intersector):
         valid = plane.exists & (plane.t >= self.near)
         t, rho = plane.t, plane.rho
         depths = self.pixels.depths(means)
+        smaller = torch.zeros_like(valid)
         if self.low_pass:
             in_front = (depths >= self.near) & (depths > 0)
             squared_px = self.pixels.squared_distance(rays, means, in_front)
@@ -100,7 +102,8 @@ class RasterizedSurfels(Intersector):
             t = torch.where(smaller, depths, t)
             rho = torch.where(smaller, on_screen, rho)
             valid = valid | in_front
-        return Intersections(t, rho, order=depths.expand_as(t), facing=plane.facing, valid=valid)
+        order = depths.expand_as(t)
+        return Intersections(t, rho, order=order, facing=plane.facing, valid=valid, low_pass=smaller)
 
     def colors(self, rays: Tensor, primitives: Tensor) -> Tensor:
         return self.color_of[primitives]
