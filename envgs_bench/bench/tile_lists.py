@@ -16,9 +16,7 @@ def tile_list_lengths(gaussians: GaussianSet, camera: Camera, near: float, backe
         backend: "cpu" or "cuda". Both list a primitive in the tiles that its outline touches.
     """
     black = torch.zeros(3, device=gaussians.device)
-    options = RasterizeOptions(
-        background=black, near=near, low_pass=True, low_pass_statistics=True, transmittance_min=1e-4
-    )
+    options = RasterizeOptions(background=black, near=near, low_pass=True, transmittance_min=1e-4)
     if backend == "cpu":
         from envgs_bench.core.cpu import RasterPass as CpuPass
 

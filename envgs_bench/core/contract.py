@@ -29,8 +29,8 @@ class RasterizeOptions:
     background: Tensor  # [3]
     near: float
     low_pass: bool
-    low_pass_statistics: bool
     transmittance_min: float
+    low_pass_statistics: bool = True
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ def _checked(
 ) -> tuple[Rasterizer, RasterizeOptions]:
     if camera.device != gaussians.device:
         raise ValueError(f"camera is on {camera.device}, gaussians on {gaussians.device}: move one with .to()")
-    options = RasterizeOptions(checked_background(background, gaussians), near, low_pass, True, transmittance_min)
+    options = RasterizeOptions(checked_background(background, gaussians), near, low_pass, transmittance_min)
     module = load_backend(backend, gaussians.device, gaussians.means.dtype)
     if not isinstance(module, Rasterizer):
         raise ValueError(f"backend {backend!r} traces rays only, it cannot rasterize")
