@@ -21,6 +21,7 @@ from core_scenes import (
 from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Rendering
+from envgs_bench.core.torch.rotation import rotation_matrices
 from envgs_bench.core.torch.sh import sh_color
 
 BACKGROUND = torch.tensor([0.3, 0.9, 0.1])
@@ -156,7 +157,7 @@ def test_traced_position_gradients_are_each_rays_gradient_times_its_distance(tra
     (drawn.color.sum() + drawn.normal.sum() + drawn.alpha.sum()).backward()
 
     expected = torch.zeros(8, 3, dtype=torch.float64)
-    normals = torch.stack([normal_of(q) for q in gaussians.quaternions.double()])
+    normals = rotation_matrices(gaussians.quaternions.double())[:, :, 2]
     for o, d in zip(origins, directions, strict=True):
         own = ORACLE.take(gaussians)
         alone = ORACLE.trace(own, ORACLE.take(o[None]), ORACLE.take(d[None]))
@@ -168,11 +169,6 @@ def test_traced_position_gradients_are_each_rays_gradient_times_its_distance(tra
     torch.testing.assert_close(
         drawn.statistics.position_gradients.detach().cpu().double(), expected, atol=2e-3, rtol=1e-3
     )
-
-
-def normal_of(quaternion: Tensor) -> Tensor:
-    w, x, y, z = quaternion / quaternion.norm()
-    return torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
 
 
 def test_3d_gaussians_position_gradients_are_the_gradient_times_the_depth(rasterizer):
@@ -233,11 +229,9 @@ def test_position_gradients_without_the_low_pass_are_those_of_2dgs(rasterizer, s
 def gradient_of_2dgs(surfel: GaussianSet, camera: Camera, per_pixel: Tensor) -> tuple[Tensor, bool]:
     """f·z·∂L/∂(its third column) of one surfel's projective transform for L = Σ per_pixel·alpha, from a camera at the
     origin; and whether the low-pass answers in any pixel. float64."""
-    w, x, y, z = torch.nn.functional.normalize(surfel.quaternions.double(), dim=1)[0]
-    along_u = torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
-    along_v = torch.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
-    columns = [*(surfel.scales[0].double()[:, None] * torch.stack([along_u, along_v])), surfel.means[0].double()]
-    transform = (camera.intrinsics.double() @ torch.stack(columns, dim=1)).requires_grad_()
+    tangents = rotation_matrices(surfel.quaternions.double())[0, :, :2]
+    columns = torch.cat([surfel.scales[0].double() * tangents, surfel.means[0].double()[:, None]], dim=1)
+    transform = (camera.intrinsics.double() @ columns).requires_grad_()
     to_x, to_y, to_z = transform
     center = (transform[:2, 2] / transform[2, 2]).detach()
     rows, across = (torch.arange(n, dtype=torch.float64) + 0.5 for n in (camera.height, camera.width))

@@ -104,7 +104,7 @@ NB_MODULE(NATIVE_MODULE, m) {
                             int height,               // pixels
                             float near,               // nearest camera-frame depth that is drawn, world units
                             bool low_pass,            // whether to anti-alias
-                            bool low_pass_statistics, // whether statistics count what a surfel's low-pass answers
+                            bool low_pass_statistics,  // whether statistics count what a surfel's low-pass answers
                             In background,            // [3] in [0, 1]
                             float transmittance_min,  // a pixel is finished below this
                             int threads               // workers; results depend on their number

@@ -42,8 +42,9 @@ def blend_hits(
         statistics=Statistics(weights=weight_sums),
     )
     if means.requires_grad:
-        counted = ~intersections.low_pass | low_pass_statistics
-        t = torch.where(counted, intersections.t.detach(), 0)
+        t = intersections.t.detach()
+        if not low_pass_statistics and intersections.low_pass is not None:
+            t = torch.where(intersections.low_pass, 0, t)
         record_position_gradients(rendering.statistics, means, primitives, t, len(gaussians))
     return rendering
 

@@ -45,9 +45,9 @@ class RasterizedGaussians3D(Intersector):
         x, y = self.pixels.offsets(rays, means, in_front).unbind(-1)
         rho = (c * x * x - 2 * b * x * y + a * y * y) / torch.where(valid, determinant, 1)
         depths = depths.expand_as(rho)
-        facing, valid = self.facing[primitives].expand_as(rho), valid.expand_as(rho)
-        none = torch.zeros_like(valid)  # its own covariance is widened instead
-        return Intersections(depths, rho, order=depths, facing=facing, valid=valid, low_pass=none)
+        return Intersections(
+            depths, rho, order=depths, facing=self.facing[primitives].expand_as(rho), valid=valid.expand_as(rho)
+        )
 
     def jacobian(self, means: Tensor, in_front: Tensor) -> Tensor:
         """d(pixel position) / d(camera-frame position) at the centers [..., 3], [..., 2, 3].

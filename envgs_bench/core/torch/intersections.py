@@ -24,7 +24,7 @@ class Intersections:
     order: Tensor  # hits of a ray are blended in ascending order of this, equal ones by index
     facing: Tensor  # ±1: what turns the primitive's normal toward the viewer
     valid: Tensor  # bool: false where the ray misses, whatever rho is (edge-on, before the near plane)
-    low_pass: Tensor  # bool: whether anti-aliasing answers in the primitive's place
+    low_pass: Tensor | None = None  # bool: where anti-aliasing answers in the primitive's place; None: nowhere
 
 
 class Intersector(ABC):

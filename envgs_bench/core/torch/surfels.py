@@ -67,8 +67,7 @@ class TracedSurfels(Intersector):
             self.origins[rays], self.directions[rays], means, self.frames[primitives], self.gaussians.scales[primitives]
         )
         valid = plane.exists & (plane.t >= self.t_min)
-        none = torch.zeros_like(valid)
-        return Intersections(plane.t, plane.rho, order=plane.t, facing=plane.facing, valid=valid, low_pass=none)
+        return Intersections(plane.t, plane.rho, order=plane.t, facing=plane.facing, valid=valid)
 
     def colors(self, rays: Tensor, primitives: Tensor) -> Tensor:
         if self.sh_along_ray:
@@ -93,7 +92,7 @@ class RasterizedSurfels(Intersector):
         valid = plane.exists & (plane.t >= self.near)
         t, rho = plane.t, plane.rho
         depths = self.pixels.depths(means)
-        smaller = torch.zeros_like(valid)
+        smaller = None
         if self.low_pass:
             in_front = (depths >= self.near) & (depths > 0)
             squared_px = self.pixels.squared_distance(rays, means, in_front)
