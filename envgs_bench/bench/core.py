@@ -35,6 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from rich.console import Console
     from rich.progress import track
 
+    from .interruptible import interruptible
     from .rows import time_case
     from .table import ratios, table
 
@@ -44,15 +45,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"envgs-bench bench core: {error}", file=sys.stderr)
         return 1
     rows: list[dict] = []
-    try:
-        for case in track(cases, description="timing", console=Console(stderr=True)):
-            rows.append(time_case(case, options.repeats, run))
-    finally:  # an interrupted benchmark keeps what it has
-        if options.json is not None:
-            options.json.parent.mkdir(parents=True, exist_ok=True)
-            options.json.write_text(json.dumps(rows, indent=1) + "\n")
     console = Console(width=None if sys.stdout.isatty() else 200)
-    console.print(table(rows))
+    try:
+        with interruptible() as ending:
+            for case in track(cases, description="timing", console=Console(stderr=True)):
+                rows.append(time_case(case, options.repeats, run))
+                if options.json is not None:
+                    _write(rows, options.json)
+    finally:
+        if rows:
+            console.print(table(rows))
+    if ending.status:
+        print(f"envgs-bench bench core: interrupted after {len(rows)} of {len(cases)} cases", file=sys.stderr)
+        return ending.status
     for line in ratios(rows):
         console.print(line, highlight=False)
     if options.chart is not None:
@@ -61,6 +66,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         draw_chart(rows, options.chart)
         console.print(f"chart: {options.chart}", highlight=False)
     return 0
+
+
+def _write(rows: Sequence[dict], path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(rows, indent=1) + "\n")
 
 
 def _chosen(options: argparse.Namespace) -> tuple[list[Case], TimedRun | None]:

@@ -77,21 +77,26 @@ def _numbers(text: str) -> list[float]:
 def _train(options: argparse.Namespace) -> int:
     from rich.console import Console
 
+    from envgs_bench.bench.interruptible import interruptible
     from envgs_bench.bench.train import entered, results_table, write_rows
 
     contest, entries = _contest(options)
     rows: list[Row] = []
     console = Console(stderr=True)
     try:
-        for entry in entries:
-            for row in entered(entry, contest):
-                rows.append(row)
-                console.print(f"{entry.label}: {row['step']:,} steps, {row['seconds']:.1f} s, {row['psnr']:.2f} dB")
-    finally:  # an interrupted benchmark keeps what it has
-        for path in (options.json, options.csv):
-            if path is not None and rows:
-                write_rows(rows, path)
-    Console(width=None if sys.stdout.isatty() else 120).print(results_table(rows))
+        with interruptible() as ending:
+            for entry in entries:
+                for row in entered(entry, contest):
+                    rows.append(row)
+                    console.print(f"{entry.label}: {row['step']:,} steps, {row['seconds']:.1f} s, {row['psnr']:.2f} dB")
+                    for path in filter(None, (options.json, options.csv)):
+                        write_rows(rows, path)
+    finally:
+        if rows:
+            Console(width=None if sys.stdout.isatty() else 120).print(results_table(rows))
+    if ending.status:
+        print(f"envgs-bench bench train: interrupted after {len(rows)} stops", file=sys.stderr)
+        return ending.status
     if options.chart is not None:
         from envgs_bench.bench.train_chart import draw_training
 

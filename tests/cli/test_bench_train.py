@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -12,7 +14,7 @@ import torch
 from torch import Tensor
 
 from envgs_bench.bench.course import MethodTraining, Stops, course, mean_psnr
-from envgs_bench.bench.train import default_steps
+from envgs_bench.bench.train import Contest, Entry, Row, default_steps, entered
 from envgs_bench.cli.main import main
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.methods.registry import create_method
@@ -109,6 +111,23 @@ def test_rows_are_printed_written_and_drawn(tmp_path: Path, capsys: pytest.Captu
     assert [float(row["psnr"]) for row in table] == [row["psnr"] for row in rows]
     assert chart.read_bytes().startswith(b"\x89PNG")
     assert "PSNR of 2 test views, cpu" in capsys.readouterr().out
+
+
+def test_stops_before_an_interruption_are_printed_and_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def entered_or_signal(entry: Entry, contest: Contest) -> Iterator[Row]:
+        yield from entered(entry, contest)
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr("envgs_bench.bench.train.entered", entered_or_signal)
+    file = tmp_path / "rows.csv"
+    assert main(["bench", "train", *TINY, "method=2dgs,3dgs", "steps=2", "--at-steps", "1", f"--csv={file}"]) == 130
+    with file.open() as stream:
+        assert [(row["method"], row["step"]) for row in csv.DictReader(stream)] == [("2dgs", "1"), ("2dgs", "2")]
+    printed = capsys.readouterr()
+    assert "PSNR of" in printed.out
+    assert "interrupted after 2 stops" in printed.err
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -85,6 +86,27 @@ def test_first_hits_are_on_the_nearest_surface():
 def test_a_ray_meets_some_dozens_of_gaussians():
     hits = trace(room_gaussians(2000), *reflected_rays(16, 12), backend="torch").hits.double().mean()
     assert 20 < hits < 60
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_what_was_timed_before_an_interruption_is_printed_and_kept(number, tmp_path, monkeypatch, capsys):
+    timed = []
+
+    def time_or_signal(case, *others):
+        if len(timed) == 3:
+            signal.raise_signal(number)
+        timed.append(time_case(case, *others))
+        return timed[-1]
+
+    monkeypatch.setattr("envgs_bench.bench.rows.time_case", time_or_signal)
+    before = signal.getsignal(number)
+    arguments = ["--primitives", "50", "--size", "8x6", "--backend", "torch", "--repeats", "1"]
+    assert main([*arguments, "--json", str(tmp_path / "rows.json")]) == 130
+    assert json.loads((tmp_path / "rows.json").read_text()) == timed
+    printed = capsys.readouterr()
+    assert "rasterize_2d" in printed.out
+    assert "interrupted after 3 of 6 cases" in printed.err
+    assert signal.getsignal(number) is before
 
 
 def test_rows_are_printed_and_written(tmp_path, capsys):
