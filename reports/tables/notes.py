@@ -7,11 +7,14 @@ from math import log10
 
 from envgs_bench.parts import LOSSES
 
+from ..numbers.runs import Run
+from ..numbers.spoiled_views import SPOILED_BY, spoiled_views
 from .entries import DAGGER
 from .sections import Section
 from .table import Table
 
 QUIET_CORES = 0.2  # what others may use of a machine that counts as ours
+TOLD_VIEWS = 3  # spoiled ones that a note names
 
 
 def caption(section: Section, table: Table) -> str:
@@ -32,7 +35,7 @@ def caption(section: Section, table: Table) -> str:
 
 
 def notes(section: Section, table: Table) -> list[str]:
-    """What was trained without, mended or warned of, why cells are empty, how large regions are, what the paper has."""
+    """What was dropped, mended, warned of or spoiled, why cells are empty, how large regions are, what is published."""
     if table.told:
         return list(table.remarks)
     found = dropped_losses(table)
@@ -42,7 +45,7 @@ def notes(section: Section, table: Table) -> list[str]:
                 found.append(f"n/c: {metric.upper()} was not computed: {'; '.join(reasons)}.")
     found += _shares(section, table)
     if table.kind == "subject":
-        found += _parts(table) + _noticed(section, table)
+        found += _parts(table) + _noticed(section, table) + _spoiled(section, table)
     if any(column.metric == "frame_ms" for column in table.columns):
         found += _company(section, table)
     if any(column.against and not column.with_interval for column in table.columns):
@@ -121,6 +124,27 @@ def _noticed(section: Section, table: Table) -> list[str]:
         f"{', '.join(_how_many(method, count, finished[method]) for method, count in methods.items())}: {sentence}."
         for sentence, methods in told.values()
     ]
+
+
+def _spoiled(section: Section, table: Table) -> list[str]:
+    """Which views a single seed spoiled, on a data set of their own table: a sentence a method."""
+    if len(table.datasets) > 1:
+        return []
+    runs: dict[str, list[Run]] = {}
+    for item in section.of(table.datasets[0]):
+        runs.setdefault(item.method, []).append(item.run)
+    found = []
+    for method, seeds in runs.items():
+        spoiled = spoiled_views(seeds)
+        views = {view for run in seeds if run.ok for view in run.of_views("psnr")}
+        told = [f"{s.view} (seed {s.seed} {s.psnr:.1f} dB, others from {s.others:.1f})" for s in spoiled[:TOLD_VIEWS]]
+        told += [f"{len(spoiled) - TOLD_VIEWS} more"] if len(spoiled) > TOLD_VIEWS else []
+        if spoiled:
+            found.append(
+                f"{method}: {len(spoiled)} of {len(views)} views spoiled by one seed, {SPOILED_BY:g} dB and more below "
+                f"every other seed's: {', '.join(told)}."
+            )
+    return found
 
 
 def _how_many(method: str, count: int, of: int) -> str:

@@ -417,6 +417,38 @@ def test_what_runs_mended_and_warned_of_stands_below_the_table_of_their_data_set
         assert not any(turned in note or "warning" in note for note in notes(section, titled(section, title)))
 
 
+def test_views_that_one_seed_spoils_are_told_below_the_table_of_their_data_set(tmp_path: Path) -> None:
+    """Of made-up views: 24.0 is 2 dB and more below both others in one seed, in another only below one of them."""
+    psnr = {0: [30.0, 28.0, 24.0, 20.0, 25.0], 1: [27.9, 26.5, 26.1, 20.1, 25.0], 2: [30.1, 26.0, 26.1, 22.5, 19.0]}
+    for method, seeds in (("envgs", (0, 1, 2)), ("2dgs", (0, 2))):
+        for seed in seeds:
+            content = record(ROOM, method, seed)
+            content["metrics"]["per_view"] = [
+                {"view": f"{i:03d}", "psnr": value, "ssim": 0.9, "flip": 0.1} for i, value in enumerate(psnr[seed])
+            ]
+            write_record(run_folder(tmp_path, ROOM, method, seed), content)
+    (section,) = sections_of(tmp_path)
+    assert [note for note in notes(section, titled(section, ROOM)) if "spoiled" in note] == [
+        "envgs: 3 of 5 views spoiled by one seed, 2 dB and more below every other seed's: "
+        "004 (seed 2 19.0 dB, others from 25.0), 000 (seed 1 27.9 dB, others from 30.0), "
+        "002 (seed 0 24.0 dB, others from 26.1)."
+    ]
+
+
+def test_of_many_spoiled_views_the_worst_are_told(tmp_path: Path) -> None:
+    for seed in (0, 1, 2):
+        content = record(ROOM, "envgs", seed)
+        content["metrics"]["per_view"] = [
+            {"view": f"{i:03d}", "psnr": 30.0 - 3 * i * (seed == 1), "ssim": 0.9, "flip": 0.1} for i in range(7)
+        ]
+        write_record(run_folder(tmp_path, ROOM, "envgs", seed), content)
+    (section,) = sections_of(tmp_path)
+    (note,) = (note for note in notes(section, titled(section, ROOM)) if "spoiled" in note)
+    assert note.startswith("envgs: 6 of 7 views")
+    assert "'s: 006 (seed 1 12.0 dB, others from 30.0), 005 (seed 1 15.0 dB" in note
+    assert note.endswith("004 (seed 1 18.0 dB, others from 30.0), 3 more.")
+
+
 def test_markdown_marks_failures_and_reasons(mixed: Section) -> None:
     text = markdown([mixed], [])
     assert "2/3: 1 diverged" in text
