@@ -1,6 +1,8 @@
-"""Prepared sweeps as `envgs-bench run -m experiment=<name>` reads them."""
+"""Prepared sweeps as `envgs-bench run -m experiment=<name>` reads them, each composed once, as it takes a while."""
 
 from __future__ import annotations
+
+from functools import cache
 
 from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -10,6 +12,7 @@ from envgs_bench.cli.composition import CONF, register_methods, settings_of
 from envgs_bench.settings import RunSettings
 
 
+@cache
 def swept(experiment: str) -> dict[str, list[str]]:
     """What the experiment takes in turn, by key."""
     parameters = _config(f"experiment={experiment}", with_hydra=True).hydra.sweeper.params
@@ -21,6 +24,7 @@ def swept(experiment: str) -> dict[str, list[str]]:
     }
 
 
+@cache
 def one_run(experiment: str, **choices: str) -> RunSettings:
     """The settings of a run of the experiment, with a choice by key, its dots written __."""
     overrides = [f"experiment={experiment}", *(f"{key.replace('__', '.')}={value}" for key, value in choices.items())]
