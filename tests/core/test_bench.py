@@ -88,8 +88,17 @@ def test_a_ray_meets_some_dozens_of_gaussians():
     assert 20 < hits < 60
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_what_was_timed_before_an_interruption_is_printed_and_kept(number, tmp_path, monkeypatch, capsys):
+@pytest.fixture(params=[(signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, signal.SIG_DFL)])
+def ordinary_signal(request):
+    """A signal as a terminal's programs have it, whoever runs the tests."""
+    number, ordinary = request.param
+    before = signal.signal(number, ordinary)
+    yield number, ordinary
+    signal.signal(number, before)
+
+
+def test_what_was_timed_before_an_interruption_is_printed_and_kept(ordinary_signal, tmp_path, monkeypatch, capsys):
+    number, ordinary = ordinary_signal
     timed = []
 
     def time_or_signal(case, *others):
@@ -99,14 +108,13 @@ def test_what_was_timed_before_an_interruption_is_printed_and_kept(number, tmp_p
         return timed[-1]
 
     monkeypatch.setattr("envgs_bench.bench.rows.time_case", time_or_signal)
-    before = signal.getsignal(number)
     arguments = ["--primitives", "50", "--size", "8x6", "--backend", "torch", "--repeats", "1"]
     assert main([*arguments, "--json", str(tmp_path / "rows.json")]) == 130
     assert json.loads((tmp_path / "rows.json").read_text()) == timed
     printed = capsys.readouterr()
     assert "rasterize_2d" in printed.out
     assert "interrupted after 3 of 6 cases" in printed.err
-    assert signal.getsignal(number) is before
+    assert signal.getsignal(number) is ordinary
 
 
 def test_rows_are_printed_and_written(tmp_path, capsys):
