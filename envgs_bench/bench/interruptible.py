@@ -6,7 +6,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from envgs_bench.runs.interruption import INTERRUPTED
+from envgs_bench.stages.stop import INTERRUPTED
 
 
 class Ending:

@@ -15,10 +15,11 @@ from rich.console import Console
 
 from envgs_bench.plain_text import plain
 from envgs_bench.runs.display import make_display
-from envgs_bench.runs.interruption import INTERRUPTED, INTERRUPTION
+from envgs_bench.runs.interruption import INTERRUPTION
 from envgs_bench.runs.job import located, run_job
 from envgs_bench.runs.output import unbreakable_output
 from envgs_bench.settings import SettingsError
+from envgs_bench.stages.stop import INTERRUPTED
 
 from .checks import check_choices, checked
 from .composition import CONF, explain, register_methods, settings_of

@@ -15,11 +15,12 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from envgs_bench.stages.stop import INTERRUPTED
+
 from .processes import end_with
 
 SAME_SECONDS = 1.0  # signals within that time are one: a terminal and `timeout` signal a group and its leader
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-INTERRUPTED = 130  # a shell's exit code for Ctrl-C
 
 
 class Interruption:

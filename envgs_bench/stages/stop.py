@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 STEP_SECONDS = 10.0  # how long a step under way may go on
+INTERRUPTED = 130  # a shell's exit status of what Ctrl-C ended
 
 
 class Stop:
