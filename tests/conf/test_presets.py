@@ -142,7 +142,9 @@ def test_a_data_set_states_facts_and_leaves_a_methods_settings_alone() -> None:
         content = composed(f"dataset={name}")
         dataset = content["dataset"]
         facts[name] = dataset.get("free_space", 0.0), dataset.get("bounds", 0.0)
-        assert content["method"]["settings"] == dataclasses.asdict(create_method("envgs").settings)
+        for method in ("2dgs", "envgs"):
+            settings = composed(f"dataset={name}", f"method={method}")["method"]["settings"]
+            assert settings == dataclasses.asdict(create_method(method).settings)
     known = {name: values for name, values in facts.items() if values != (0.0, 0.0)}
     assert known == {
         "captures/gold_cape": (2.2, 0.0),
