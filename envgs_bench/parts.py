@@ -1,4 +1,6 @@
-"""What the parts of a model and of its pictures are called, wherever they are stored, counted or shown."""
+"""What a method and the parts of its models and pictures are called, wherever they are stored, counted or shown."""
+
+from dataclasses import dataclass
 
 BASE = "base"  # the set that a camera sees; the layer of its color alone
 ENV = "env"  # the set, or the cube map, that only reflected rays meet
@@ -14,3 +16,22 @@ REFLECTIVE = "reflective"  # the region of what reflects, where a data set knows
 MONO = "mono"  # the loss against the views' own normals
 PERCEPTUAL = "perceptual"  # the loss between VGG-16's features
 LOSSES = {MONO: "L_mono", PERCEPTUAL: "L_perc"}  # what cannot be had everywhere, as the paper writes it (Eq. 11)
+
+
+@dataclass(frozen=True)
+class MethodCard:
+    """What a method says of itself to whoever shows its results; records carry it.
+
+    Attributes:
+        family: methods of one family share a color.
+        label: the name that is printed, as its authors write it; "" where the run's own name is.
+        order: its place in tables, ascending.
+        color: the family's, "#RRGGBB".
+        reflects: whether reflections are modeled, and are not mere color that depends on direction.
+    """
+
+    family: str
+    label: str
+    order: int
+    color: str
+    reflects: bool = True

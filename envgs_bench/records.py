@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from .parts import MethodCard
 from .regular_file import read_regular_text
 from .run_folder import CONFIG_NAME, LOG_NAME, RECORD_NAME
 
@@ -187,6 +188,7 @@ class Record(_Part):
     error: Failure | None
     method: str
     kind: str
+    card: MethodCard | None = None  # of the kind; None where its class has none, and in older records
     dataset: str
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     steps: Count

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from envgs_bench.methods.budget import Budget
+from envgs_bench.methods.gaussians.budget import Budget
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
 

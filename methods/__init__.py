@@ -18,14 +18,11 @@ a field and a network; the others are `reflection.py` and differ in where the re
 what the three with a map share, `traced.py` the last two. Another package adds a method by an entry point of group
 `envgs_bench.methods`.
 
-| what Gaussian methods share | where |
+| room | what is in it |
 |---|---|
-| what a training starts from, judged and mended | start/ |
-| what surfaces reflect: maps, tables, fields | lighting/ |
-| a set, its fields, its optimizer | trained_set.py, parameters.py, adam.py |
-| what a step minimizes | training_loss.py, losses.py, gradients.py |
-| when what happens, and what a run ends with | schedule.py, base_growth.py, averaging.py |
-| which primitives come and go, and how many | densification.py, importance.py, pruning.py, budget.py |
-| steps and pictures on a GPU | recording.py, captured_steps.py, captured_frames.py, resident_views.py |
-| a model as files | checkpoint.py, ply.py, storage/ |
+| gaussians/ | sets of Gaussians: fields, start, growth, pruning, what they share of a budget |
+| training/ | a run's clock, what a step minimizes, its optimizer, its CUDA graphs |
+| lighting/ | what surfaces reflect: maps, tables, fields |
+| start/ | what a training starts from, judged and mended |
+| storage/ | a model as files |
 """

@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 
 from envgs_bench.core import Rendering, Scene, View
-from envgs_bench.parts import BASE
+from envgs_bench.parts import BASE, MethodCard
 
 from .envmap import EnvMap, EnvMapSettings
-from .regions import Ball, foreground_ball
+from .gaussians.regions import Ball, foreground_ball
 from .settings import PublishedSettings
 
 SCOPE_WEIGHT = 0.4  # of the loss on what reflects outside the ball that may
@@ -57,6 +57,7 @@ class DeferredReflection(EnvMap):
     A pixel is (1 − r)·c + r·E(d_ref), of maps of color, normal and reflection strength r, which is β here.
     """
 
+    card = MethodCard("3dgs_dr", "3DGS-DR", 60, "#8000E6")
     Settings: ClassVar[type] = DeferredReflectionSettings
     settings: DeferredReflectionSettings
     axes = 3

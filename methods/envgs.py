@@ -11,15 +11,15 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, Rendering, Scene, Statistics
 from envgs_bench.core.vectors import unit
-from envgs_bench.parts import BASE, ENV
+from envgs_bench.parts import BASE, ENV, MethodCard
 
-from .densification import DensificationRule, spatial_criterion
-from .parameters import primitive_bytes
-from .reflection_trial import BOOTSTRAP, PLAIN, TrialOutcome, reflection_trial
-from .schedule import DENSIFY_FLOOR, ENV_RESET_FLOOR, RECOVERY
-from .start.initialization import quantile_box, random_points_in_grid, random_points_on_sphere
+from .gaussians.densification import DensificationRule, spatial_criterion
+from .gaussians.initialization import quantile_box, random_points_in_grid, random_points_on_sphere
+from .gaussians.parameters import primitive_bytes
 from .traced import TracedReflection, TracedSettings
-from .trial import SHORTEST_RUN
+from .training.pilot_run import SHORTEST_RUN
+from .training.reflection_pilot import BOOTSTRAP, PLAIN, TrialOutcome, reflection_trial
+from .training.schedule import DENSIFY_FLOOR, ENV_RESET_FLOOR, RECOVERY
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ class EnvGSSettings(TracedSettings):
 class EnvGS(TracedReflection):
     """EnvGS (Xie et al., CVPR 2025, Sec. 4): surfels, and a second set of them that only reflected rays meet."""
 
+    card = MethodCard("envgs", "EnvGS", 40, "#CC0000")
     Settings: ClassVar[type] = EnvGSSettings
     settings: EnvGSSettings
     traced: ClassVar[str] = ENV

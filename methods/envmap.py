@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from envgs_bench.core import Statistics
+from envgs_bench.parts import MethodCard
 
 from .learned_map import MapMethod, MapSettings
 from .lighting.cubemap import resized_cubemap, sample_cubemap
@@ -31,6 +32,7 @@ class EnvMap(MapMethod, ReflectiveMethod):
     pixels see begins as what its surroundings have learned, and the early map is smooth enough to turn normals by.
     """
 
+    card = MethodCard("envmap", "environment map", 30, "#FF9900")
     Settings: ClassVar[type] = EnvMapSettings
     settings: EnvMapSettings
     captured: ClassVar[bool] = True

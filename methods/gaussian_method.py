@@ -14,25 +14,25 @@ from torch import Tensor
 from envgs_bench.core import Camera, Rendering, Scene, Statistics, View
 from envgs_bench.parts import ALPHA, BASE, BETA, MONO
 
-from .adam import step_together
-from .averaging import ParameterAverage
-from .base_growth import BaseGrowth, max_base_primitives
-from .captured_steps import CapturedSteps, StepNumbers
-from .checkpoint import on_device
-from .densification import DensificationRule, Oversized, screen_criterion
-from .frustum import in_view
 from .gaussian_model import GaussianModel
-from .gradients import RememberedGradients, all_finite, largest_magnitudes
-from .losses import training_psnr
-from .pruning import prune
-from .recording import on_own_stream
-from .resident_views import ResidentViews
-from .schedule import DENSIFY_FLOOR, Schedule
+from .gaussians.densification import DensificationRule, Oversized, screen_criterion
+from .gaussians.frustum import in_view
+from .gaussians.growth import BaseGrowth, max_base_primitives
+from .gaussians.initialization import ORIENTATIONS, Orientation, half_diagonal
+from .gaussians.pruning import prune
 from .settings import GaussianSettings, check_words
-from .start.initialization import ORIENTATIONS, Orientation, half_diagonal
 from .start.mending import Mended, mended
-from .training_loss import TrainingLoss, lacking_normals
-from .trial import SHORTEST_RUN
+from .storage.checkpoint import on_device
+from .training.averaging import ParameterAverage
+from .training.cuda_graphs import on_own_stream
+from .training.gradients import RememberedGradients, all_finite, largest_magnitudes
+from .training.losses import training_psnr
+from .training.optimizer import step_together
+from .training.pilot_run import SHORTEST_RUN
+from .training.resident_views import ResidentViews
+from .training.schedule import DENSIFY_FLOOR, Schedule
+from .training.step_graphs import StepGraphs, StepNumbers
+from .training.training_loss import TrainingLoss, lacking_normals
 from .windows_trial import WindowsOutcome, windows_trial
 
 WORDS = {  # of settings that choose
@@ -76,7 +76,7 @@ class GaussianMethod(GaussianModel):
         self._gradients = RememberedGradients()
         self._average = ParameterAverage()
         self._views = ResidentViews(self.device, room=0)
-        self._steps = CapturedSteps(self._learn, self._learn_again)
+        self._steps = StepGraphs(self._learn, self._learn_again)
         self._windows: WindowsOutcome | None = None
 
     # From start to end
@@ -102,7 +102,7 @@ class GaussianMethod(GaussianModel):
         self._start(found.scene)
         self._average = ParameterAverage()
         self._views = ResidentViews.of(self.device, found.views)
-        self._steps = CapturedSteps(self._learn, self._learn_again)
+        self._steps = StepGraphs(self._learn, self._learn_again)
 
     def _outside_windows(self, found: Mended, steps: int) -> Mended:
         """The same without normals from what lies behind them: by a trial where the run is long enough for one."""

@@ -13,15 +13,15 @@ from torch import Tensor
 from envgs_bench.core import Camera, GaussianSet, Rendering, Statistics, rasterize, rasterize_color, torch_on_one_thread
 from envgs_bench.parts import BASE, SETS
 
-from .budget import Budget, SharedBudget
-from .captured_frames import CapturedFrames, Drawn, color_drawing, rendering_drawing
-from .checkpoint import read_checkpoint, write_checkpoint
+from .gaussians.budget import Budget, SharedBudget
+from .gaussians.initialization import Orientation, evenly_thinned, initial_orientation, initial_tensors
+from .gaussians.parameters import GaussianParameters, LearningRates, primitive_bytes
+from .gaussians.trained_set import TrainedSet
 from .method import Method
-from .parameters import GaussianParameters, LearningRates, primitive_bytes
-from .schedule import Schedule
 from .settings import GaussianSettings
-from .start.initialization import Orientation, evenly_thinned, initial_orientation, initial_tensors
-from .trained_set import TrainedSet
+from .storage.checkpoint import read_checkpoint, write_checkpoint
+from .training.frame_graphs import Drawn, FrameGraphs, color_drawing, rendering_drawing
+from .training.schedule import Schedule
 
 SMALL_IMAGE = 1 << 17  # pixels, and
 SMALL_SETS = 1 << 16  # primitives of all sets: a CPU takes longer to share an operation of torch's out than to do it
@@ -63,8 +63,8 @@ class GaussianModel(Method):
         self.background = torch.zeros(3, device=self.device)
         self.max_base = settings.max_primitives
         self._budget: SharedBudget | None = None
-        self._frames = CapturedFrames(rendering_drawing(lambda camera: self.draw(camera, None)[0]), self.device)
-        self._pictures = CapturedFrames(color_drawing(self._draw_color), self.device)
+        self._frames = FrameGraphs(rendering_drawing(lambda camera: self.draw(camera, None)[0]), self.device)
+        self._pictures = FrameGraphs(color_drawing(self._draw_color), self.device)
 
     # What is drawn
 
@@ -75,7 +75,7 @@ class GaussianModel(Method):
         return self._shown(self._pictures, camera)
 
     @torch.no_grad()
-    def _shown(self, frames: CapturedFrames[Drawn], camera: Camera) -> Drawn:
+    def _shown(self, frames: FrameGraphs[Drawn], camera: Camera) -> Drawn:
         """What `frames` draw of the camera, from a graph where that can be."""
         if not self.prepared:
             self.prepare()

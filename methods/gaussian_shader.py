@@ -15,15 +15,15 @@ from torch import Tensor
 from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, View
 from envgs_bench.core.torch.sh import sh_color
 from envgs_bench.core.vectors import unit
-from envgs_bench.parts import BASE, BETA, REFLECTION
+from envgs_bench.parts import BASE, BETA, REFLECTION, MethodCard
 
-from .adam import set_rate
 from .filtered_map import FilteredMapMethod
+from .gaussians.parameters import LearningRates
 from .learned_map import MapSettings
 from .lighting.brdf_table import specular_weight
 from .lighting.shading import colored, mirrored, seen_from
-from .parameters import LearningRates
 from .settings import PublishedSettings
+from .training.optimizer import set_rate
 
 INITIAL_TINT, INITIAL_ROUGHNESS = 0.0, 0.6  # logits
 INITIAL_LIGHT = 0.8
@@ -56,6 +56,7 @@ class GaussianShader(FilteredMapMethod):
     Normals are shortest axes plus a residual, one for either side that the camera may be on.
     """
 
+    card = MethodCard("gaussian_shader", "GaussianShader", 80, "#B380FF")
     Settings: ClassVar[type] = GaussianShaderSettings
     settings: GaussianShaderSettings
     axes = 3

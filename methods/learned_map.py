@@ -11,10 +11,10 @@ from torch import Tensor
 from envgs_bench.core import Scene
 from envgs_bench.parts import ENV
 
-from .adam import adam, optimizer_state, restore_optimizer
 from .gaussian_method import GaussianMethod
 from .lighting.cubemap import layout_of
 from .settings import GaussianSettings
+from .training.optimizer import adam, optimizer_state, restore_optimizer
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from envgs_bench.core import Camera, Rendering, Scene, View
+from envgs_bench.parts import MethodCard
 
-from .budget import Budget
+from .gaussians.budget import Budget
 
 
 class Method(ABC):
@@ -26,6 +27,7 @@ class Method(ABC):
 
     Attributes:
         Settings: the method's frozen settings dataclass; every field has a default.
+        card: what reports show of it; None where they are to find a name and a color themselves.
         skipped_steps: training steps that were not applied because a loss or gradient was not finite; a number, or a
             tensor of one.
         perceptual: the `perceptual_loss` of two [H, W, 3] images in [0, 1], (image, target) -> scalar, differentiable
@@ -39,6 +41,7 @@ class Method(ABC):
     """
 
     Settings: ClassVar[type]
+    card: ClassVar[MethodCard | None] = None
 
     def __init__(self, settings: Any, device: torch.device | str = "cpu", seed: int = 0) -> None:
         self.settings = settings

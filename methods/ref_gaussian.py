@@ -17,17 +17,17 @@ from torch import Tensor
 from envgs_bench.core import Bvh, Camera, GaussianSet, Rendering, Scene, Statistics, View, build_bvh, trace_color
 from envgs_bench.core.torch.sh import sh_basis
 from envgs_bench.core.vectors import unit
-from envgs_bench.parts import BASE, BETA, REFLECTION
+from envgs_bench.parts import BASE, BETA, REFLECTION, MethodCard
 
 from .envmap import EnvMap, EnvMapSettings
 from .filtered_map import FilteredMapMethod
+from .gaussians.parameters import LearningRates, inverse_sigmoid
+from .gaussians.regions import Ball, foreground_ball
 from .lighting.brdf_table import specular_weight
 from .lighting.shading import colored, mirrored, seen_from
-from .losses import edge_aware_smoothness
-from .parameters import LearningRates, inverse_sigmoid
-from .regions import Ball, foreground_ball
+from .lighting.supersampling import averaged, finer
 from .settings import PublishedSettings
-from .supersampling import averaged, finer
+from .training.losses import edge_aware_smoothness
 
 DIELECTRIC = 0.04  # what a surface that is no metal reflects head-on
 METALLIC_ABOVE = 0.02  # m from which normals propagate, and up to which base colors are sabotaged
@@ -88,6 +88,7 @@ class RefGaussian(FilteredMapMethod, EnvMap):
         indirect: whether what hides the map is traced, and lights in its place.
     """
 
+    card = MethodCard("ref_gaussian", "Ref-Gaussian", 90, "#331A66")
     Settings: ClassVar[type] = RefGaussianSettings
     settings: RefGaussianSettings
 

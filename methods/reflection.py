@@ -20,9 +20,9 @@ from envgs_bench.core import Camera, Rendering, Scene, Statistics, reflect
 from envgs_bench.parts import BASE, BETA, REFLECTION
 
 from .gaussian_method import GaussianMethod
-from .parameters import LearningRates, inverse_sigmoid
+from .gaussians.parameters import LearningRates, inverse_sigmoid
+from .lighting.supersampling import averaged, finer, repeated
 from .settings import GaussianSettings, check_words
-from .supersampling import averaged, finer, repeated
 
 SABOTAGE_BELOW = 0.05  # β up to which a base color is disturbed
 SABOTAGE_RANGE = 0.4

@@ -7,7 +7,7 @@ from typing import ClassVar
 from torch import Tensor
 
 from envgs_bench.core import Statistics
-from envgs_bench.parts import BASE
+from envgs_bench.parts import BASE, MethodCard
 
 from .traced import TracedReflection
 
@@ -19,6 +19,7 @@ class SingleSet(TracedReflection):
     does not converge. Densification uses the statistics of the picture's own pass only.
     """
 
+    card = MethodCard("envgs_single_set", "EnvGS, one set", 50, "#66001A")
     traced: ClassVar[str] = BASE
     captured: ClassVar[bool] = True
 

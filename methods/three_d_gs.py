@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from envgs_bench.parts import MethodCard
+
 from .gaussian_method import GaussianMethod
 from .settings import PublishedSettings
 
@@ -25,6 +27,7 @@ class ThreeDGSSettings(PublishedSettings):
 class ThreeDGS(GaussianMethod):
     """3DGS (Kerbl et al., SIGGRAPH 2023): 3D Gaussians, rasterized; reflections are color that depends on direction."""
 
+    card = MethodCard("3dgs", "3DGS", 10, "#336666", reflects=False)
     Settings: ClassVar[type] = ThreeDGSSettings
     axes = 3
     captured: ClassVar[bool] = True

@@ -18,16 +18,16 @@ from torch.nn import functional
 
 from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics
 from envgs_bench.core.vectors import unit
-from envgs_bench.parts import BASE, ENV, REFLECTION
+from envgs_bench.parts import BASE, ENV, REFLECTION, MethodCard
 
-from .adam import adam, optimizer_state, restore_optimizer
+from .gaussians.initialization import quantile_box
+from .gaussians.parameters import SH_DC, LearningRates
 from .lighting import directional_encoding
 from .lighting.directional_encoding import encoded
 from .lighting.shading import colored
 from .lighting.tensor_field import field_components
-from .parameters import SH_DC, LearningRates
-from .start.initialization import quantile_box
 from .three_d_gs import ThreeDGS, ThreeDGSSettings
+from .training.optimizer import adam, optimizer_state, restore_optimizer
 
 COMPONENTS = 48  # of each mode of the field
 FEATURES = 48  # of the field at a place, and of a Gaussian's BRDF: as many as 3DGS has spherical harmonics
@@ -60,6 +60,7 @@ class ThreeIGS(ThreeDGS):
         weights: the field and the network, by name; see `weight_shapes`.
     """
 
+    card = MethodCard("3igs", "3iGS", 70, "#FFCCFF")
     Settings: ClassVar[type] = ThreeIGSSettings
     settings: ThreeIGSSettings
 

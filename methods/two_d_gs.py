@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from envgs_bench.parts import MethodCard
+
 from .gaussian_method import GaussianMethod
 from .settings import PublishedSettings
 
@@ -26,6 +28,7 @@ class TwoDGSSettings(PublishedSettings):
 class TwoDGS(GaussianMethod):
     """2DGS (Huang et al., SIGGRAPH 2024): surfels, rasterized; reflections are color that depends on direction."""
 
+    card = MethodCard("2dgs", "2DGS", 20, "#80E6B3", reflects=False)
     Settings: ClassVar[type] = TwoDGSSettings
     axes = 2
     captured: ClassVar[bool] = True

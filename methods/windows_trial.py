@@ -19,7 +19,7 @@ from envgs_bench.core import View
 from .method import Method
 from .start.mending import Mended, MendedViews
 from .start.windows import inside, share_of
-from .trial import smaller, train_briefly
+from .training.pilot_run import smaller, train_briefly
 
 HELD_OUT = 8  # every eighth training view, the fourth first, is drawn and not trained on
 LEAST_GAIN = 0.5  # dB; what lies behind has 1.2 and more, curved mirrors have 0.25 at most

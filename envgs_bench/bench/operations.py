@@ -13,9 +13,9 @@ from torch import Tensor
 from envgs_bench.core import Camera, GaussianSet, Rendering, build_bvh, rasterize, rasterize_color, trace, trace_color
 from envgs_bench.core.differentiable import SetTensors
 from envgs_bench.core.ssim import ssim
-from envgs_bench.methods.captured_frames import CapturedFrames, color_drawing
 from envgs_bench.methods.lighting.cubemap import CubemapLayout, layout_of, sample_cubemap
 from envgs_bench.methods.lighting.prefiltered_cubemap import prefilter_of, rough_map
+from envgs_bench.methods.training.frame_graphs import FrameGraphs, color_drawing
 from envgs_bench.parts import ALPHA
 
 from .cases import LOOKUPS, PEERS, PICTURED, RASTERIZED, Case
@@ -103,7 +103,7 @@ def _picturing(case: Case, workload: Workload) -> Work:
             options: dict[str, Any] = {"near": workload.near, "backend": case.backend}
             alphas.append(rasterize_color(plain, camera, **options)[1])
             lists.append(tile_list_lengths(plain, camera, workload.near, case.backend))
-            frames = CapturedFrames(color_drawing(partial(_color, plain, **options)), camera.device)
+            frames = FrameGraphs(color_drawing(partial(_color, plain, **options)), camera.device)
             calls.append(torch.no_grad()(partial(frames.draw, camera)))
     return Work(calls, count, alpha=_mean(alphas), lists=torch.cat(lists) if lists else None)
 

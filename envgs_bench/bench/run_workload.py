@@ -13,8 +13,8 @@ from envgs_bench.core import GaussianSet, Scene, View, reflect
 from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.learned_map import MapMethod
 from envgs_bench.methods.reflection import ReflectiveMethod
-from envgs_bench.methods.resident_views import ResidentViews
 from envgs_bench.methods.traced import TracedReflection
+from envgs_bench.methods.training.resident_views import ResidentViews
 from envgs_bench.parts import BASE
 from envgs_bench.settings import RunSettings
 from envgs_bench.stages.evaluation import scored_views

@@ -46,7 +46,7 @@ def _masks(options: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from envgs_bench.methods.regions import Ball
+    from envgs_bench.methods.gaussians.regions import Ball
     from envgs_bench.stored.region_masks import MaskChoice, make_masks
 
     ball = None

@@ -1,11 +1,13 @@
-"""What a method is, in a sentence: of a configuration its file's first comment, else its class's first words."""
+"""What a method is: in a sentence, its configuration's first comment or its class's first words; and its card."""
 
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 from pathlib import Path
 
 from envgs_bench.methods.registry import method_class
+from envgs_bench.parts import MethodCard
 
 CONFIGURATIONS = Path(__file__).parents[1] / "conf" / "method"
 
@@ -14,6 +16,17 @@ def described(name: str, kind: str) -> str:
     """The sentence on method=<name>, which is of the class that `kind` names; "" where nobody wrote one."""
     file = CONFIGURATIONS / f"{name}.yaml"
     return (_first_comment(file) if file.is_file() else "") or _first_words(kind)
+
+
+def card_of(kind: str) -> MethodCard | None:
+    """The card of the class that `kind` names; one that a class inherits has no label. None where there is none."""
+    try:
+        found = method_class(kind)
+    except ValueError:
+        return None
+    if found.card is None or "card" in vars(found):
+        return found.card
+    return replace(found.card, label="")
 
 
 def _first_comment(file: Path) -> str:

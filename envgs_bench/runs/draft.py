@@ -14,7 +14,7 @@ from envgs_bench.stages.perturbations import perturbation_of
 from envgs_bench.stages.results import Results
 
 from . import provenance
-from .descriptions import described
+from .descriptions import card_of, described
 from .log import shortened
 
 
@@ -44,6 +44,7 @@ class Draft:
             error=failure,
             method=settings.method_name,
             kind=settings.method.kind,
+            card=card_of(settings.method.kind),
             dataset=results.dataset,
             seed=settings.seed,
             steps=results.steps,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from envgs_bench.methods.budget import Budget
+from envgs_bench.methods.gaussians.budget import Budget
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
 from envgs_bench.records import RENDERS

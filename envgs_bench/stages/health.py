@@ -17,8 +17,8 @@ from torch import Tensor
 
 from envgs_bench.core import View
 from envgs_bench.memory import machine_memory, process_memory
+from envgs_bench.methods.gaussians.parameters import NEEDLE
 from envgs_bench.methods.method import Method
-from envgs_bench.methods.parameters import NEEDLE
 from envgs_bench.parts import ALPHA, BASE, BETA, ENV, REFLECTIVE
 from envgs_bench.records import TrainingWarning, WarningKind
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from envgs_bench.core import Scene, View
-from envgs_bench.methods.losses import training_psnr
 from envgs_bench.methods.method import Method
+from envgs_bench.methods.training.losses import training_psnr
 
 from .pictures import as_bytes, error_picture
 from .snapshots import random_state, set_random_state

@@ -15,8 +15,8 @@ from pathlib import Path
 from time import perf_counter
 
 from envgs_bench.core import View
-from envgs_bench.methods.checkpoint import on_device
 from envgs_bench.methods.gaussian_method import GaussianMethod
+from envgs_bench.methods.storage.checkpoint import on_device
 from envgs_bench.methods.storage.layouts import LAYOUTS, Layout, stored_bytes
 from envgs_bench.metrics import Protocol, get_protocol
 from envgs_bench.records import Scores

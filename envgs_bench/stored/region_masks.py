@@ -14,9 +14,16 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Scene, build_bvh
 from envgs_bench.datasets.export.masks import write_masks
+from envgs_bench.methods.gaussians.initialization import quantile_box
+from envgs_bench.methods.gaussians.regions import (
+    Ball,
+    foreground_ball,
+    in_box,
+    near_field_mask,
+    reflecting,
+    reflective_mask,
+)
 from envgs_bench.methods.reflection import ReflectiveMethod
-from envgs_bench.methods.regions import Ball, foreground_ball, in_box, near_field_mask, reflecting, reflective_mask
-from envgs_bench.methods.start.initialization import quantile_box
 from envgs_bench.parts import BASE
 from envgs_bench.records import write_atomically
 from envgs_bench.runs.draft import now

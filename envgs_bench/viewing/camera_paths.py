@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from envgs_bench.core import Camera
-from envgs_bench.methods.regions import foreground_ball
+from envgs_bench.methods.gaussians.regions import foreground_ball
 
 SPIRAL_TURNS = 2
 SPIRAL_SHARE = 0.15  # the spiral's radius, of the distance to what is looked at: 8.5° to either side

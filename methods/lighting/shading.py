@@ -11,7 +11,7 @@ from envgs_bench.core import GaussianSet
 from envgs_bench.core.torch.rotation import rotation_matrices
 from envgs_bench.core.vectors import unit
 
-from ..parameters import SH_DC
+from ..gaussians.parameters import SH_DC
 
 
 def seen_from(gaussians: GaussianSet, center: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -2,7 +2,7 @@
 
 | layout | file | what it is |
 |---|---|---|
-| ply | <set>.ply | float32, lossless: what 3DGS and 2DGS write (`methods/ply.py`) |
+| ply | <set>.ply | float32, lossless: what 3DGS and 2DGS write (`methods/storage/ply.py`) |
 | compact | model.npz | ours, lossy: every set, β and the cube map, what a checkpoint holds (`compact.py`) |
 | spz, sog, compressed-ply | <set>.… | lossy, for viewers: 3D Gaussians without β (`splats.py`) |
 

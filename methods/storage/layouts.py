@@ -10,9 +10,9 @@ from pathlib import Path
 from torch import Tensor
 
 from ..gaussian_method import GaussianMethod
-from ..parameters import material_fields
-from ..ply import read_ply, write_ply
+from ..gaussians.parameters import material_fields
 from .compact import State, read_compact, write_compact
+from .ply import read_ply, write_ply
 from .splats import SPLAT_LAYOUTS, decode_splats, encode_splats
 
 OWN_PLACE = ("background",)  # the state's tensors that a data set knows, so that a file of Gaussians need not

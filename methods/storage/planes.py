@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..morton import Integers
+from ..gaussians.ordering import Integers
 
 MOST_STEPS = 1 << 53  # beyond, float64 knows no whole numbers apart
 

@@ -24,7 +24,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..morton import codes_on, grid_of, grid_points
+from ..gaussians.ordering import codes_on, grid_of, grid_points
 from .planes import planes_of, planes_of_steps, values_of, whole_numbers
 
 # The sizes of the steps, chosen by what they cost and lose one by one (docs/storage.md).

@@ -22,8 +22,8 @@ from torch.nn import functional
 
 from envgs_bench.ply_file import read_elements
 
-from ..morton import along_curve
-from ..ply import vertex_tensors
+from ..gaussians.ordering import along_curve
+from .ply import vertex_tensors
 
 SPLAT_LAYOUTS = {"spz": "spz", "sog": "sog", "compressed-ply": "compressed.ply"}  # layout -> gaussforge's name of it
 # Signs under (x, y, z) -> (x, −y, −z), of the SH basis functions of degree 1, 2 and 3 in 3DGS's order.

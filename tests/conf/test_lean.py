@@ -11,8 +11,8 @@ from toy_scenes import coarse_toys
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
-from envgs_bench.methods.losses import training_psnr
 from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.training.losses import training_psnr
 from envgs_bench.stages.training import shuffled
 
 FULL = {"2dgs_lean": "2dgs_tuned", "3dgs_lean": "3dgs_tuned", "envgs_lean": "envgs"}

@@ -22,8 +22,8 @@ from envgs_bench.methods import registry
 from envgs_bench.methods.envgs import EnvGS
 from envgs_bench.methods.reflection import ReflectionSettings
 from envgs_bench.methods.registry import BUILT_IN, create_method, method_class
-from envgs_bench.methods.schedule import Schedule
 from envgs_bench.methods.settings import LEARNING_RATES, make_settings, quickness, setting_comments
+from envgs_bench.methods.training.schedule import Schedule
 from envgs_bench.settings import read_settings
 from envgs_bench.testing import tiny_scene
 

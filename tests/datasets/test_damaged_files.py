@@ -485,7 +485,7 @@ from envgs_bench.datasets.formats.colmap_model import Model
 from envgs_bench.datasets.formats.normal_maps import NormalMap
 from envgs_bench.datasets.formats.pictures import read_picture
 from envgs_bench.datasets.formats.point_clouds import read_point_cloud
-from envgs_bench.methods.ply import read_ply
+from envgs_bench.methods.storage.ply import read_ply
 
 folder = Path(sys.argv[1])
 before, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()

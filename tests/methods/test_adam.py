@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from envgs_bench.methods.adam import KernelAdam, adam, optimizer_state, restore_optimizer
+from envgs_bench.methods.training.optimizer import KernelAdam, adam, optimizer_state, restore_optimizer
 
 
 def begun() -> tuple[dict[str, torch.Tensor], KernelAdam]:

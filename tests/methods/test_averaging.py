@@ -8,9 +8,9 @@ from small_methods import SMALL
 from torch import Tensor
 
 from envgs_bench.cli.composition import composed
-from envgs_bench.methods.averaging import ParameterAverage
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.settings import GaussianSettings
+from envgs_bench.methods.training.averaging import ParameterAverage
 from envgs_bench.testing import tiny_scene
 
 STEPS = 40

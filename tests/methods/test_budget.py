@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from envgs_bench.core import Rendering, Statistics
-from envgs_bench.methods.budget import FIRST_SHARE, LEAST_PRIMITIVES, LEAST_SHARE, Budget, SharedBudget
 from envgs_bench.methods.gaussian_method import GaussianMethod
-from envgs_bench.methods.parameters import GaussianParameters
+from envgs_bench.methods.gaussians.budget import FIRST_SHARE, LEAST_PRIMITIVES, LEAST_SHARE, Budget, SharedBudget
+from envgs_bench.methods.gaussians.initialization import evenly_thinned
+from envgs_bench.methods.gaussians.parameters import GaussianParameters
 from envgs_bench.methods.registry import create_method
-from envgs_bench.methods.start.initialization import evenly_thinned
 from envgs_bench.testing import tiny_scene
 
 BASE_BYTES, ENV_BYTES = 4 * 38, 4 * 37

@@ -14,9 +14,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from envgs_bench.methods.checkpoint import FILE_NAME, read_checkpoint
-from envgs_bench.methods.ply import read_ply
 from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.storage.checkpoint import FILE_NAME, read_checkpoint
+from envgs_bench.methods.storage.ply import read_ply
 from envgs_bench.testing import tiny_scene
 
 NAMES = [

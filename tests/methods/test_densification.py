@@ -7,14 +7,14 @@ import pytest
 import torch
 
 from envgs_bench.core import Camera, Statistics
-from envgs_bench.methods.densification import (
+from envgs_bench.methods.gaussians.densification import (
     DensificationRecord,
     DensificationRule,
     densify,
     screen_criterion,
     spatial_criterion,
 )
-from envgs_bench.methods.parameters import GaussianParameters, LearningRates
+from envgs_bench.methods.gaussians.parameters import GaussianParameters, LearningRates
 
 RULE = DensificationRule(gradient_threshold=1.0, min_opacity=0.05, max_primitives=1000)
 RADIUS = 1.0

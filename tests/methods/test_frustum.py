@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from envgs_bench.core import Camera
-from envgs_bench.methods.frustum import REACH, in_view
+from envgs_bench.methods.gaussians.frustum import REACH, in_view
 
 CAMERA = Camera(torch.eye(4), torch.tensor([[50.0, 0, 20], [0, 40.0, 15], [0, 0, 1]]), 40, 30)
 

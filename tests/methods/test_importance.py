@@ -10,9 +10,9 @@ from core_scenes import plain_camera, random_rays, random_set
 from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Rendering, View, rasterize, trace
-from envgs_bench.methods import importance
 from envgs_bench.methods.gaussian_method import GaussianMethod
-from envgs_bench.methods.importance import removal_errors, without_least
+from envgs_bench.methods.gaussians import importance
+from envgs_bench.methods.gaussians.importance import removal_errors, without_least
 from envgs_bench.methods.registry import create_method
 from envgs_bench.testing import tiny_scene
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from envgs_bench.core import Scene
 from envgs_bench.methods.envgs import EnvGSSettings, environment_box
-from envgs_bench.methods.start.initialization import (
+from envgs_bench.methods.gaussians.initialization import (
     ORIENTATIONS,
     initial_orientation,
     initial_tensors,

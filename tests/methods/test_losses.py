@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from envgs_bench.core.ssim import ssim
-from envgs_bench.methods.losses import nearness, normal_distance, normal_loss, photometric_loss, training_psnr
+from envgs_bench.methods.training.losses import nearness, normal_distance, normal_loss, photometric_loss, training_psnr
 
 
 def test_normal_loss_is_one_minus_cosine_and_spares_unknown_pixels():

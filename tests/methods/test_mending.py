@@ -14,11 +14,11 @@ from envgs_bench.core import Camera, Scene, View
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
 from envgs_bench.methods.registry import create_method
-from envgs_bench.methods.resident_views import ResidentViews
 from envgs_bench.methods.start.evidence import Evidence
 from envgs_bench.methods.start.mending import MendedViews, mended_points, mended_poses, with_far_points
 from envgs_bench.methods.start.mending import mended as mended_scene
 from envgs_bench.methods.start.plane_sweep import swept_points
+from envgs_bench.methods.training.resident_views import ResidentViews
 
 NEAR = 0.2
 CPU = torch.device("cpu")

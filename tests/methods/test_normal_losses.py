@@ -15,7 +15,7 @@ TILTED = torch.tensor([0.0, math.sin(0.5), -math.cos(0.5)])  # what the view's o
 
 @pytest.fixture(autouse=True)
 def _no_photometric_loss(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("envgs_bench.methods.training_loss.photometric_loss", lambda *_, **__: torch.zeros(()))
+    monkeypatch.setattr("envgs_bench.methods.training.training_loss.photometric_loss", lambda *_, **__: torch.zeros(()))
 
 
 def shown() -> Rendering:

@@ -3,8 +3,14 @@
 import pytest
 import torch
 
-from envgs_bench.methods.parameters import SH_DC, GaussianParameters, LearningRates, primitive_bytes, sh_from_rgb
-from envgs_bench.methods.start.initialization import initial_tensors
+from envgs_bench.methods.gaussians.initialization import initial_tensors
+from envgs_bench.methods.gaussians.parameters import (
+    SH_DC,
+    GaussianParameters,
+    LearningRates,
+    primitive_bytes,
+    sh_from_rgb,
+)
 
 
 def make_parameters(n: int = 6, beta: float | None = 0.2) -> GaussianParameters:

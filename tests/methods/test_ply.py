@@ -12,8 +12,8 @@ from plyfile import PlyData, PlyElement
 from torch import Tensor
 
 from envgs_bench.core import Camera, rasterize
-from envgs_bench.methods.parameters import GaussianParameters, LearningRates
-from envgs_bench.methods.ply import read_gaussians, read_ply, write_ply
+from envgs_bench.methods.gaussians.parameters import GaussianParameters, LearningRates
+from envgs_bench.methods.storage.ply import read_gaussians, read_ply, write_ply
 
 real = pytest.mark.skipif(
     "ENVGS_BENCH_DATA" not in os.environ, reason="ENVGS_BENCH_DATA names no folder of real captures"

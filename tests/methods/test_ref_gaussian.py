@@ -16,10 +16,10 @@ from envgs_bench.core import Scene
 from envgs_bench.core.torch.sh import sh_basis
 from envgs_bench.methods.lighting.brdf_table import specular_weight
 from envgs_bench.methods.lighting.prefiltered_cubemap import prefilter_of, rough_map
-from envgs_bench.methods.losses import edge_aware_smoothness
 from envgs_bench.methods.ref_gaussian import MATERIALS, RefGaussian
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.storage.layouts import LAYOUTS
+from envgs_bench.methods.training.losses import edge_aware_smoothness
 from envgs_bench.testing import tiny_scene
 
 RUN = 50_000

@@ -7,7 +7,14 @@ import torch
 from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet
-from envgs_bench.methods.regions import Ball, foreground_ball, in_box, near_field_mask, reflecting, reflective_mask
+from envgs_bench.methods.gaussians.regions import (
+    Ball,
+    foreground_ball,
+    in_box,
+    near_field_mask,
+    reflecting,
+    reflective_mask,
+)
 
 SIZE = 60
 FOCAL = 40.0

@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 
 from envgs_bench.core import Camera, View
-from envgs_bench.methods.resident_views import ResidentViews
+from envgs_bench.methods.training.resident_views import ResidentViews
 
 DEVICE = torch.device("cpu")
 NORMAL_BYTES = 6 * 8 * 3 * 4

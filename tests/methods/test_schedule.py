@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from envgs_bench.core import Camera, Scene, View
-from envgs_bench.methods.base_growth import BaseGrowth
+from envgs_bench.methods.gaussians.growth import BaseGrowth
 from envgs_bench.methods.reflection import HOLD_FLOOR, PROPAGATE_HOLD
 from envgs_bench.methods.registry import create_method
-from envgs_bench.methods.schedule import RECOVERY, Schedule, _disturbances
+from envgs_bench.methods.training.schedule import RECOVERY, Schedule, _disturbances
 
 VIEW = View("view", Camera(torch.eye(4), torch.eye(3), 4, 4), torch.zeros(4, 4, 3, dtype=torch.uint8))
 SCENE = Scene(

@@ -22,12 +22,12 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, rasterize
 from envgs_bench.methods.gaussian_method import GaussianMethod
-from envgs_bench.methods.morton import grid_points, morton_codes
-from envgs_bench.methods.parameters import GaussianParameters, LearningRates
-from envgs_bench.methods.ply import read_ply
+from envgs_bench.methods.gaussians.ordering import grid_points, morton_codes
+from envgs_bench.methods.gaussians.parameters import GaussianParameters, LearningRates
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.storage import compact
 from envgs_bench.methods.storage.layouts import LAYOUTS
+from envgs_bench.methods.storage.ply import read_ply
 from envgs_bench.methods.storage.quantized_set import dequantize, quantize
 from envgs_bench.methods.storage.splats import decode_splats, encode_splats
 from envgs_bench.testing import tiny_scene

@@ -13,8 +13,8 @@ from torch import Tensor
 from envgs_bench.core import Camera, Rendering, Scene, Statistics, View
 from envgs_bench.core.vectors import unit
 from envgs_bench.methods.envmap import EnvMap, EnvMapSettings
+from envgs_bench.methods.lighting.supersampling import averaged, finer, repeated
 from envgs_bench.methods.registry import create_method
-from envgs_bench.methods.supersampling import averaged, finer, repeated
 
 CENTER, RADIUS = torch.tensor([0.0, 0.0, 4.0]), 1.5
 LIGHT = torch.tensor([0.3, 0.5, -0.8])

@@ -7,8 +7,8 @@ from torch import Tensor
 
 from envgs_bench.core import Scene, View
 from envgs_bench.methods import traced
+from envgs_bench.methods.gaussians.initialization import initial_tensors
 from envgs_bench.methods.registry import create_method
-from envgs_bench.methods.start.initialization import initial_tensors
 from envgs_bench.methods.traced import TracedReflection
 
 

@@ -14,13 +14,13 @@ from torch import Tensor
 from envgs_bench.core import Camera, Rendering, Scene, View
 from envgs_bench.datasets import load_scene
 from envgs_bench.methods import gaussian_method
-from envgs_bench.methods.budget import Budget
 from envgs_bench.methods.gaussian_method import GaussianMethod
+from envgs_bench.methods.gaussians.budget import Budget
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.start.evidence import CELLS
 from envgs_bench.methods.start.mending import Mended
 from envgs_bench.methods.start.windows import Windows
-from envgs_bench.methods.trial import SHORTEST_RUN
+from envgs_bench.methods.training.pilot_run import SHORTEST_RUN
 from envgs_bench.methods.windows_trial import LEAST_GAIN, WindowsOutcome, windows_trial
 from envgs_bench.testing import tiny_scene
 

@@ -18,7 +18,7 @@ from envgs_bench.cli.main import main
 from envgs_bench.datasets import DatasetError, load_scene
 from envgs_bench.datasets.export.masks import write_masks
 from envgs_bench.methods.envgs import EnvGS, EnvGSSettings
-from envgs_bench.methods.ply import read_ply
+from envgs_bench.methods.storage.ply import read_ply
 from envgs_bench.records import read_record
 from envgs_bench.settings import MethodChoice, read_settings
 from envgs_bench.testing import tiny_scene

@@ -26,7 +26,7 @@ from envgs_bench.core.torch.gaussians_3d import RasterizedGaussians3D
 from envgs_bench.core.torch.intersections import MAX_ALPHA, Intersector, alphas
 from envgs_bench.core.torch.search import all_blended_hits
 from envgs_bench.core.torch.surfels import RasterizedSurfels, TracedSurfels
-from envgs_bench.methods.adam import KernelAdam
+from envgs_bench.methods.training.optimizer import KernelAdam
 
 FIELDS = ("color", "alpha", "depth", "normal", "extras")
 C0 = 0.28209479177387814

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import torch
 
 from envgs_bench.core import Camera, Rendering, Scene, View
-from envgs_bench.methods.budget import Budget
+from envgs_bench.methods.gaussians.budget import Budget
 
 from .methods import MeanColor
 

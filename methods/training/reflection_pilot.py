@@ -18,8 +18,8 @@ import torch
 from envgs_bench.core import Scene
 from envgs_bench.parts import BASE, BETA
 
-from .method import Method
-from .trial import smaller, train_briefly
+from ..method import Method
+from .pilot_run import smaller, train_briefly
 
 NEVER = 10**12  # a step that no run has
 PLAIN: dict[str, Any] = {  # of a base set that reflects nothing: what `2dgs_tuned` has in the place of EnvGS's

@@ -11,9 +11,9 @@ from envgs_bench.core import Rendering, Scene, View, depth_normals
 from envgs_bench.core.vectors import unit
 from envgs_bench.parts import MONO, PERCEPTUAL
 
+from ..settings import GaussianSettings
 from .losses import nearness, normal_distance, normal_loss, photometric_loss
 from .schedule import Schedule
-from .settings import GaussianSettings
 
 
 @dataclass(frozen=True)

@@ -10,18 +10,18 @@ from recordable import WaitsForTheDevice, pinhole, points_scene
 from small_methods import SMALL
 
 from envgs_bench.core import Scene, View
-from envgs_bench.methods import captured_steps, recording
-from envgs_bench.methods.budget import Budget
-from envgs_bench.methods.captured_steps import CapturedSteps, StepNumbers
 from envgs_bench.methods.gaussian_method import GaussianMethod
+from envgs_bench.methods.gaussians.budget import Budget
 from envgs_bench.methods.lighting.prefiltered_cubemap import prefilter_of
 from envgs_bench.methods.registry import create_method, method_names
+from envgs_bench.methods.training import cuda_graphs, step_graphs
+from envgs_bench.methods.training.step_graphs import StepGraphs, StepNumbers
 
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 STEPS = 80
 
 
-class PlainGraph(captured_steps._Graph):
+class PlainGraph(step_graphs._Graph):
     """Does what it recorded one kernel after the other, and has too little room as often as `spoils` says."""
 
     recorded = 0
@@ -48,8 +48,8 @@ class Arrived:
 
 @pytest.fixture
 def plain_graphs(monkeypatch):
-    monkeypatch.setattr(captured_steps, "_Graph", PlainGraph)
-    monkeypatch.setattr(captured_steps, "_Copy", Arrived)
+    monkeypatch.setattr(step_graphs, "_Graph", PlainGraph)
+    monkeypatch.setattr(step_graphs, "_Copy", Arrived)
     PlainGraph.recorded = PlainGraph.spoils = 0
     return PlainGraph
 
@@ -59,7 +59,7 @@ class Learner:
 
     def __init__(self, bad=()):
         self.bad, self.calls = bad, []
-        self.steps = CapturedSteps(self.learn, self.learn_again)
+        self.steps = StepGraphs(self.learn, self.learn_again)
 
     def learn(self, view, step):
         self.calls.append((view.name, step))
@@ -155,7 +155,7 @@ def test_steps_from_graphs_are_those_without(kind, plain_graphs, monkeypatch):
 
 
 def test_a_step_that_lacked_room_is_taken_again_before_a_picture_is_drawn(plain_graphs, monkeypatch):
-    monkeypatch.setattr(captured_steps, "_Graph", CrampedGraph)
+    monkeypatch.setattr(step_graphs, "_Graph", CrampedGraph)
     monkeypatch.setattr(CrampedGraph, "replays", 0)
     method, scene = create_method("2dgs", {"backend": "cpu"}), points_scene()
     monkeypatch.setattr(method, "_captures", lambda: True)
@@ -168,7 +168,7 @@ def test_a_step_that_lacked_room_is_taken_again_before_a_picture_is_drawn(plain_
 
 
 def test_a_picture_that_lacked_room_is_no_skipped_step(plain_graphs, monkeypatch):
-    monkeypatch.setattr(captured_steps, "_Graph", CrampedGraph)
+    monkeypatch.setattr(step_graphs, "_Graph", CrampedGraph)
     monkeypatch.setattr(CrampedGraph, "replays", 0)
     method, scene = create_method("2dgs", {"backend": "cpu"}), points_scene()
     monkeypatch.setattr(method, "_captures", lambda: True)
@@ -233,7 +233,7 @@ def test_garbage_waits_until_a_recording_ends_cuda():
 
 @needs_cuda
 def test_memory_of_earlier_recordings_is_given_back_cuda(monkeypatch):
-    monkeypatch.setattr(recording, "SPARE_BYTES", 0)
+    monkeypatch.setattr(cuda_graphs, "SPARE_BYTES", 0)
     method, scene = create_method("2dgs", {}, device="cuda"), points_scene(width=96, height=72)
     method.initialize(scene, 1000)
     reserved = []

@@ -1,4 +1,4 @@
-"""CapturedSteps: a training step's work on a GPU recorded once as a CUDA graph, and replayed while only values change.
+"""StepGraphs: a training step's work on a GPU recorded once as a CUDA graph, and replayed while only values change.
 
 A step of a small scene is hundreds of kernels of a few microseconds, and Python launches them more slowly than they
 run. A graph is launched at once. It holds addresses and sizes, so it lasts until a set grows or the method does
@@ -20,7 +20,7 @@ from torch import Tensor
 
 from envgs_bench.core import View
 
-from .recording import on_own_stream, own_camera, recorded
+from .cuda_graphs import on_own_stream, own_camera, recorded
 
 IN_FLIGHT = 1  # steps that the device may be behind when another is launched: it then never waits for the host
 
@@ -51,7 +51,7 @@ class StepNumbers:
 Learn = Callable[[View, int], StepNumbers]
 
 
-class CapturedSteps:
+class StepGraphs:
     """Takes a method's steps: the first of each kind one kernel after the other, those that repeat it from a graph.
 
     Steps are taken within `on_own_stream`, and so is all else that differentiates what they train.

@@ -8,9 +8,9 @@ from recordable import WaitsForTheDevice, pinhole, points_scene
 from small_methods import SMALL
 
 from envgs_bench.core import Camera, Rendering, Statistics
-from envgs_bench.methods import captured_frames
-from envgs_bench.methods.captured_frames import CapturedFrames, rendering_drawing
 from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.training import frame_graphs
+from envgs_bench.methods.training.frame_graphs import FrameGraphs, rendering_drawing
 
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 STEPS = 80
@@ -40,14 +40,14 @@ class PlainGraph:
 
 @pytest.fixture
 def plain_graphs(monkeypatch):
-    monkeypatch.setattr(captured_frames, "_Graph", PlainGraph)
+    monkeypatch.setattr(frame_graphs, "_Graph", PlainGraph)
     PlainGraph.recorded = PlainGraph.spoils = 0
     return PlainGraph
 
 
 @pytest.fixture
 def frames():
-    return CapturedFrames(rendering_drawing(picture_of), torch.device("cpu"))
+    return FrameGraphs(rendering_drawing(picture_of), torch.device("cpu"))
 
 
 def picture_of(camera: Camera) -> Rendering:

@@ -15,13 +15,14 @@ from sweeps import one_run
 from tuned_baselines import TUNED_2DGS
 
 from envgs_bench.core import Scene, View
-from envgs_bench.methods import envgs, reflection_trial, trial
-from envgs_bench.methods.budget import Budget
+from envgs_bench.methods import envgs
 from envgs_bench.methods.envgs import AlongNormals, EnvGS, EnvGSSettings
 from envgs_bench.methods.gaussian_method import GaussianMethod
-from envgs_bench.methods.reflection_trial import LEAST_GAIN, LEAST_WEIGHT, PLAIN, TrialOutcome
+from envgs_bench.methods.gaussians.budget import Budget
 from envgs_bench.methods.registry import create_method
-from envgs_bench.methods.trial import SHORTEST_RUN
+from envgs_bench.methods.training import pilot_run, reflection_pilot
+from envgs_bench.methods.training.pilot_run import SHORTEST_RUN
+from envgs_bench.methods.training.reflection_pilot import LEAST_GAIN, LEAST_WEIGHT, PLAIN, TrialOutcome
 from envgs_bench.testing import tiny_scene
 
 SMALL = {"env_grid": 3, "env_far_count": 50, "reflection_trial": True}
@@ -43,7 +44,7 @@ def painted(scene: Scene) -> Scene:
 def test_a_mirror_is_told_from_paint(paints: bool) -> None:
     scene = painted(mirror_ball()) if paints else mirror_ball()
     settings = EnvGSSettings(env_grid=6, env_far_count=300)
-    found = reflection_trial.reflection_trial(scene, EnvGS(settings), AlongNormals(settings))
+    found = reflection_pilot.reflection_trial(scene, EnvGS(settings), AlongNormals(settings))
     if paints:
         assert found.weight < LEAST_WEIGHT / 1.5
         assert found.gain < LEAST_GAIN - 0.5
@@ -69,8 +70,8 @@ def test_either_of_both_numbers_shows_a_reflection(weight: float, gain: float, r
 def short_runs(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """Runs of any length begin with a trial, of few steps."""
     monkeypatch.setattr(envgs, "SHORTEST_RUN", 0)
-    monkeypatch.setattr(trial, "SCHEDULE", 60)
-    monkeypatch.setattr(trial, "STEPS", 9)
+    monkeypatch.setattr(pilot_run, "SCHEDULE", 60)
+    monkeypatch.setattr(pilot_run, "STEPS", 9)
     return monkeypatch
 
 
@@ -110,7 +111,7 @@ def assert_same_sets(a: GaussianMethod, b: GaussianMethod) -> None:
 def test_a_run_that_keeps_its_reflections_is_to_the_last_bit_what_it_is_without_a_trial(
     short_runs: pytest.MonkeyPatch,
 ) -> None:
-    short_runs.setattr(reflection_trial, "LEAST_WEIGHT", 0.0)
+    short_runs.setattr(reflection_pilot, "LEAST_WEIGHT", 0.0)
     kept, untried = (trained("envgs", **SMALL | {"reflection_trial": tries}) for tries in (True, False))
     assert_same_sets(kept, untried)
     assert set(kept.sets) == {"base", "env"}

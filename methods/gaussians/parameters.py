@@ -12,7 +12,7 @@ from torch import Tensor
 
 from envgs_bench.core import GaussianSet
 
-from .adam import adam, optimizer_state, restore_optimizer, set_rate
+from ..training.optimizer import adam, optimizer_state, restore_optimizer, set_rate
 
 COMMON_FIELDS = frozenset({"means", "quaternions", "log_scales", "opacity_logits", "sh_dc", "sh_rest", "beta_logits"})
 NEEDLE = 1000.0  # times as long as wide, from which a primitive has run away along one axis

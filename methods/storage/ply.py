@@ -31,7 +31,7 @@ from torch import Tensor
 from envgs_bench.core import GaussianSet
 from envgs_bench.ply_file import number_names, read_elements
 
-from .parameters import GaussianParameters, LearningRates, material_fields
+from ..gaussians.parameters import GaussianParameters, LearningRates, material_fields
 
 MEAN, NORMAL, OPACITY, BETA = ("x", "y", "z"), ("nx", "ny", "nz"), ("opacity",), ("beta",)
 DC, ROTATION = tuple(f"f_dc_{i}" for i in range(3)), tuple(f"rot_{i}" for i in range(4))

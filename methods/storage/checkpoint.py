@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from .storage import compact
+from . import compact
 
 FILE_NAME = "model.pt"
 

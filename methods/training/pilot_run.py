@@ -14,7 +14,7 @@ from torch.nn import functional
 from envgs_bench.core import Scene, View
 from envgs_bench.core.vectors import unit
 
-from .method import Method
+from ..method import Method
 
 SCHEDULE = 600  # steps of the run whose beginning a trial is
 STEPS = 200  # that it takes

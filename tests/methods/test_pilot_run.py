@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from envgs_bench.core import View
-from envgs_bench.methods.trial import PIXELS, smaller
+from envgs_bench.methods.training.pilot_run import PIXELS, smaller
 from envgs_bench.testing import tiny_scene
 
 

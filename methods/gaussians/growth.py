@@ -7,9 +7,9 @@ from fractions import Fraction
 
 from envgs_bench.core import Scene
 
+from ..settings import GaussianSettings
+from ..training.schedule import DENSIFY_FLOOR, RECOVERY, RESET_FLOOR, Schedule
 from .densification import Oversized
-from .schedule import DENSIFY_FLOOR, RECOVERY, RESET_FLOOR, Schedule
-from .settings import GaussianSettings
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""CapturedFrames: the kernels of a picture recorded once as a CUDA graph, and replayed for other cameras of its size.
+"""FrameGraphs: the kernels of a picture recorded once as a CUDA graph, and replayed for other cameras of its size.
 
 A small picture is some dozens of kernels, which Python launches more slowly than they run. As of a recorded step,
 nobody can look into a graph that runs: a picture that had too little room for its lists is NaN, and is drawn again as
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, Rendering, Statistics
 
-from .recording import on_own_stream, own_camera, recorded
+from .cuda_graphs import on_own_stream, own_camera, recorded
 
 Drawn = TypeVar("Drawn")
 
@@ -36,7 +36,7 @@ class Drawing(Generic[Drawn]):
     pixel: Callable[[Drawn], Tensor]
 
 
-class CapturedFrames(Generic[Drawn]):
+class FrameGraphs(Generic[Drawn]):
     """Draws pictures: the first of a size one kernel after the other, those that follow it from a graph.
 
     One thread at a time: all of them would share a graph's camera.

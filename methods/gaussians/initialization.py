@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ..morton import morton_codes
-from ..parameters import inverse_sigmoid, sh_from_rgb
+from .ordering import morton_codes
+from .parameters import inverse_sigmoid, sh_from_rgb
 
 Orientation = Literal["surface", "random", "world"]
 ORIENTATIONS: tuple[Orientation, ...] = get_args(Orientation)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Rendering, View
 
-from .gaussian_model import GaussianModel
+from ..gaussian_model import GaussianModel
 from .importance import removal_errors, without_least
 
 TRANSPARENT = -100.0  # logit of an opacity that draws nothing

@@ -1,0 +1,1 @@
+"""Sets of Gaussians: what they are made of, where they start, how they grow, shrink and share a budget."""
