@@ -21,6 +21,7 @@ RENDERS = "renders"  # the kind of a run that draws nothing itself
 
 Status = Literal["ok", "failed", "diverged", "out_of_memory", "timeout", "interrupted"]
 ScoredOn = Literal["test", "validation"]
+RepairKind = Literal["points", "poses", "exposures", "normals"]  # what a run may repair of its scene; normals: mirrored
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
 Count = Annotated[int, Field(ge=0, le=int(LARGEST))]
 Scores = dict[str, Finite | None]  # metric -> value; None where it could not be computed
@@ -84,6 +85,15 @@ class TrainingWarning(_Part):
     part: str  # the set or loss that it happened to, "" for the whole
     message: str  # what was seen, with numbers
     times: Annotated[int, Field(ge=1)] = 1  # how often, where it was noticed again
+
+
+class RepairOutcome(_Part):
+    """What became of a repair that the run asked for; see `envgs_bench.diagnosis`."""
+
+    kind: RepairKind
+    kept: bool  # whether anything was changed
+    message: str  # what was changed, or why nothing was
+    evidence: dict[str, Finite] = {}  # what it was decided by
 
 
 class ProtocolName(_Part):
@@ -198,8 +208,10 @@ class Record(_Part):
     protocol: ProtocolName
     scored_on: ScoredOn = "test"  # which views' scores and times these are
     perturbation: Perturbed | None = None
+    repair: tuple[RepairKind, ...] = ()  # what the run asked for, of all its methods alike
+    repairs: list[RepairOutcome] = []  # what became of it, in the order in which it was done
     warnings: list[TrainingWarning] = []  # in the order of their steps
-    notes: list[str] = []  # what was noticed of the data, what of it the method mended, and what its trials found
+    notes: list[str] = []  # what was noticed of the data, what the method made of its normals, what pilot runs found
     losses: list[str] = []  # the terms that the loss was made of, in some step at least
     dropped_losses: dict[str, str] = {}  # a loss that the settings ask for -> why it could not be computed
     metrics: Metrics | None = None

@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
-from envgs_bench.records import ScoredOn
+from envgs_bench.records import RepairKind, ScoredOn
 
 from .regular_file import read_regular_text
 from .run_folder import CONFIG_NAME
@@ -101,6 +101,7 @@ class RunSettings(BaseModel):
     score_on: ScoredOn = "test"  # the views that are drawn, scored and timed
     dataset: dict[str, Any]  # name, kind and the data source's own settings: what `load_scene` takes
     perturb: PerturbationChoice | None = None
+    repair: tuple[RepairKind, ...] = ()  # of the scene, before the method starts; see `diagnosis.repair`
     budget: BudgetChoice | None = None
     gates: Gates | None = None  # None in runs from before there were any
     protocol: str
@@ -125,6 +126,18 @@ class RunSettings(BaseModel):
     def _if_any(cls, choice: PerturbationChoice | None) -> PerturbationChoice | None:
         """None where nothing is perturbed: partners of all kinds are one run."""
         return None if choice is None or choice.kind == "none" or choice.severity == 0 else choice
+
+    @field_validator("repair", mode="before")
+    @classmethod
+    def _kinds(cls, chosen: Any) -> Any:
+        """A word, `none`, or a list of words; each once, in one order, so that equal choices are one run."""
+        words = [chosen] if isinstance(chosen, str) else chosen
+        if words is None or words == ["none"]:
+            return ()
+        known = get_args(RepairKind)
+        if not isinstance(words, list | tuple) or not all(word in known for word in words):
+            raise ValueError(f"Input should be 'none', or a list of {', '.join(known)}")
+        return tuple(word for word in known if word in words)
 
     @field_validator("budget", mode="after")
     @classmethod

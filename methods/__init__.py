@@ -23,6 +23,5 @@ what the three with a map share, `traced.py` the last two. Another package adds 
 | gaussians/ | sets of Gaussians: fields, start, growth, pruning, what they share of a budget |
 | training/ | a run's clock, what a step minimizes, its optimizer, its CUDA graphs |
 | lighting/ | what surfaces reflect: maps, tables, fields |
-| start/ | what a training starts from, judged and mended |
 | storage/ | a model as files |
 """

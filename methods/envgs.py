@@ -67,7 +67,7 @@ class EnvGS(TracedReflection):
                 self.limit(self._budget.budget)  # which one set now has for itself
         super().initialize(scene, steps)
         if self._trial is not None:
-            self.mended.append(self._trial.sentence)
+            self.notes.append(self._trial.sentence)
         self._box = environment_box(self.started_from, self.settings)
 
     @property

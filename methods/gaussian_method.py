@@ -21,7 +21,6 @@ from .gaussians.growth import BaseGrowth, max_base_primitives
 from .gaussians.initialization import ORIENTATIONS, Orientation, half_diagonal
 from .gaussians.pruning import prune
 from .settings import GaussianSettings, check_words
-from .start.mending import Mended, mended
 from .storage.checkpoint import on_device
 from .training.averaging import ParameterAverage
 from .training.cuda_graphs import on_own_stream
@@ -31,13 +30,14 @@ from .training.optimizer import step_together
 from .training.pilot_run import SHORTEST_RUN
 from .training.resident_views import ResidentViews
 from .training.schedule import DENSIFY_FLOOR, Schedule
+from .training.seen_through_pilot import LearnedNormals, SeenThroughOutcome, seen_through_pilot
 from .training.step_graphs import StepGraphs, StepNumbers
 from .training.training_loss import TrainingLoss, lacking_normals
-from .windows_trial import WindowsOutcome, windows_trial
 
 WORDS = {  # of settings that choose
     "normal_reference": ("unit", "alpha"),
     "normal_rendered": ("unit", "blended"),
+    "normals": ("as_given", "agreed"),
     "mono_loss": ("cos", "l1_cos"),
     "mono_rendered": ("blended", "unit"),
     "normal_weighting": ("none", "depth", "alpha"),
@@ -62,7 +62,7 @@ class GaussianMethod(GaussianModel):
     and what a `GaussianModel` draws, holds and stores.
 
     Attributes:
-        started_from: the scene that the sets start from, its points mended where `mends_input` says so.
+        started_from: the scene that the sets start from.
     """
 
     started_from: Scene
@@ -77,7 +77,7 @@ class GaussianMethod(GaussianModel):
         self._average = ParameterAverage()
         self._views = ResidentViews(self.device, room=0)
         self._steps = StepGraphs(self._learn, self._learn_again)
-        self._windows: WindowsOutcome | None = None
+        self._pilot: SeenThroughOutcome | None = None
 
     # From start to end
 
@@ -94,26 +94,25 @@ class GaussianMethod(GaussianModel):
         self.schedule = Schedule(steps, s.stretches)
         self.radius = scene.radius or half_diagonal(scene.points)
         self.near = max(s.near, scene.free_space)
-        found = Mended(scene)
-        if s.mends_input:
-            found = mended(scene, self.near, s.mono_weight > 0, self.generator, self.device)
-            found = self._outside_windows(found, steps)
-        self.started_from, self.mended, self._normal_weight = found.scene, list(found.notes), found.normal_weight
-        self._start(found.scene)
+        learned = self._learned_normals(scene, steps)
+        self.started_from, self.notes, self._normal_weight = scene, list(learned.notes), learned.weight
+        self._start(scene)
         self._average = ParameterAverage()
-        self._views = ResidentViews.of(self.device, found.views)
+        self._views = ResidentViews.of(self.device, learned)
         self._steps = StepGraphs(self._learn, self._learn_again)
 
-    def _outside_windows(self, found: Mended, steps: int) -> Mended:
-        """The same without normals from what lies behind them: by a trial where the run is long enough for one."""
-        if not found.windows.likely or steps < SHORTEST_RUN:
-            return found.outside_sure_windows()
-        if self._windows is None:
-            settings = replace(self.settings, mends_input=False)  # the trial's scene is mended
+    def _learned_normals(self, scene: Scene, steps: int) -> LearnedNormals:
+        """None of what lies behind them: by a pilot run where there may be much and the run is long enough for one."""
+        prior = scene.normals if self.uses_agreed_normals else None
+        if prior is None:
+            return LearnedNormals()
+        if not prior.maybe_seen_through or steps < SHORTEST_RUN:
+            return LearnedNormals.of(prior, len(scene.train))
+        if self._pilot is None:
+            settings = replace(self.settings, normals="as_given")  # the pilot run's views agree
             held, free = (self.for_trial(type(self), settings) for _ in range(2))
-            self._windows = windows_trial(found, held, free)
-        cells = found.windows.likely if self._windows.lies_behind else {}
-        return found.outside(cells, self._windows.sentence)
+            self._pilot = seen_through_pilot(scene, prior, held, free)
+        return LearnedNormals.by(prior, self._pilot)
 
     def for_trial(self, kind: type[GaussianMethod], settings: GaussianSettings) -> GaussianMethod:
         """A new method that a trial may train, with this one's device, seed and budget."""
@@ -150,11 +149,11 @@ class GaussianMethod(GaussianModel):
             "gradients": self._gradients.training_state(),
             "average": self._average.state(),
             "budget": self._budget.training_state() if self._budget is not None else None,
-            "windows": asdict(self._windows) if self._windows is not None else None,
+            "pilot": asdict(self._pilot) if self._pilot is not None else None,
         }
 
     def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
-        self._windows = WindowsOutcome(**state["windows"]) if state["windows"] is not None else None
+        self._pilot = SeenThroughOutcome(**state["pilot"]) if state["pilot"] is not None else None
         self.initialize(scene, steps)
         for name, trained in state["sets"].items():
             if name not in self.sets:  # made during the training: of any row, as all rows are replaced
@@ -320,6 +319,10 @@ class GaussianMethod(GaussianModel):
     def mono_weights(self, rendering: Rendering) -> Tensor | None:
         """How much the view's own normals count at each pixel, [H, W] without gradients; None: alike everywhere."""
         return None
+
+    @property
+    def uses_agreed_normals(self) -> bool:
+        return self.settings.normals == "agreed" and self.settings.mono_weight > 0
 
     @property
     def uses_perceptual(self) -> bool:

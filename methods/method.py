@@ -36,8 +36,8 @@ class Method(ABC):
         dropped_losses: a loss that the settings ask for and that cannot be computed here -> why, a loss of
             `envgs_bench.parts.LOSSES` under its key there; complete once `initialize` is done. The harness adds the
             perceptual loss where it has none to offer, the method what the scene lacks.
-        mended: what of the scene the method does not take as it is given, and what it takes instead; what of itself a
-            trial on the scene has shown to be needed or not. A sentence each; complete once `initialize` is done.
+        notes: what the method made of the scene's normals, and what a pilot run on the scene has shown to be needed or
+            not. A sentence each; complete once `initialize` is done.
     """
 
     Settings: ClassVar[type]
@@ -50,7 +50,7 @@ class Method(ABC):
         self.skipped_steps: int | Tensor = 0
         self.perceptual: Callable[[Tensor, Tensor], Tensor] | None = None
         self.dropped_losses: dict[str, str] = {}
-        self.mended: list[str] = []
+        self.notes: list[str] = []
 
     @property
     def uses_perceptual(self) -> bool:
@@ -60,6 +60,11 @@ class Method(ABC):
     def training_steps(self, steps: int) -> int:
         """How many steps a run that is given `steps` trains; the harness asks before `initialize`, most take all."""
         return steps
+
+    @property
+    def uses_agreed_normals(self) -> bool:
+        """Whether these settings learn from normals in agreement: the harness then gives `Scene.normals`."""
+        return False
 
     @property
     def perceptual_loss(self) -> str:

@@ -39,8 +39,6 @@ class GaussianSettings:
 
     average_from: int = 27_600  # step after which all that is trained is averaged; a run ends with that; 0: never
 
-    mends_input: bool = True  # mend points, poses, exposures and normals that views contradict, at the start
-
     initial_opacity: float = 0.1  # opacity that all primitives start with
     initial_orientation: str = "surface"  # of the base set: along the surface of the points, random, or world (axes)
     densify_from: int = 500  # step after which the base set is densified
@@ -69,6 +67,9 @@ class GaussianSettings:
     normal_reference: str = "unit"  # depth map's normals in L_norm: unit, or alpha: × the pixel's alpha (2DGS's code)
     normal_rendered: str = "unit"  # rendered normals in L_norm: unit, or blended: as they are, which pulls at alpha too
     mono_weight: float = 0.01  # weight of L_mono, rendered normals against the view's own where it has any
+    normals: str = (
+        "agreed"  # in L_mono: as_given, or agreed: turned to agree, weighed by that, none behind flat mirrors
+    )
     mono_loss: str = "cos"  # cos: 1 − cos (paper); l1_cos: the L1 distance beside it (released code)
     mono_rendered: str = "blended"  # rendered normals in L_mono: blended, as they are, or unit: normalized
     mono_from: int = 0  # step after which L_mono counts
@@ -87,7 +88,7 @@ class PublishedSettings(GaussianSettings):
 
     longest_run: int = 30_000
     average_from: int = 0
-    mends_input: bool = False
+    normals: str = "as_given"
 
     mean_gradient_over: str = "in_view"
     mean_gradient_of: str = "own"

@@ -14,19 +14,20 @@ from envgs_bench.runs.identity import RESULT_CODE
 
 PACKAGE = Path(envgs_bench.__file__).parent
 CONTRACTS = {path.stem for path in PACKAGE.glob("*.py")} - {"testing"}
-RUNS = {"core", "datasets", "methods", "metrics", "stages", "runs"}
+RUNS = {"core", "datasets", "diagnosis", "methods", "metrics", "stages", "runs"}
 MAY_IMPORT = {  # besides contracts and itself
     "core": set(),
     "datasets": {"core"},
     "methods": {"core"},
+    "diagnosis": {"core"},
     "metrics": {"core"},
-    "stages": {"core", "datasets", "methods", "metrics"},
+    "stages": {"core", "datasets", "diagnosis", "methods", "metrics"},
     "loggers": {"stages"},
     "runs": {*RUNS, "loggers"},
     "stored": RUNS,
     "published": {"datasets"},
     "viewing": {*RUNS, "stored"},
-    "bench": {"core", "methods", "metrics", "stages", "stored", "reports"},
+    "bench": {"core", "diagnosis", "methods", "metrics", "stages", "stored", "reports"},
     "reports": set(),
 }
 ELSEWHERE = {module.__name__.rpartition(".")[2]: module for module in (datasets, methods, metrics, reports)}

@@ -11,8 +11,10 @@ import torch
 from torch import Tensor
 
 from envgs_bench.core import Camera, Scene, View
+from envgs_bench.diagnosis.diagnosis import Diagnosis
 from envgs_bench.methods.method import Method
 from envgs_bench.metrics.psnr import psnr
+from envgs_bench.stages.execution import scene_for
 from envgs_bench.stages.training import shuffled
 
 # Steps of a whole training that is thrown away: what is compiled or imported at first use is then there. Kernels of a
@@ -48,7 +50,7 @@ class MethodTraining:
         return sum(self.method.primitives().values())
 
     def start(self, scene: Scene, steps: int) -> None:
-        self.method.initialize(scene, steps)
+        self.method.initialize(scene_for(self.method, Diagnosis(scene, self.method.device)), steps)
 
     def training_step(self, view: View, step: int) -> object:
         return self.method.training_step(view, step)

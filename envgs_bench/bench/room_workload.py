@@ -53,7 +53,7 @@ class RoomWorkload(Workload):
         return _texels(MapSettings().envmap_size).to(self._device)
 
     def model(self) -> Model:
-        settings = {"backend": self._case.backend, "mends_input": False}  # the room is no photograph
+        settings = {"backend": self._case.backend}
         method = cast(GaussianMethod, create_method(self._kind, settings, self._device))
         view = self.views[0]
         points = room_gaussians(16).means  # of a first set, which the room's takes the place of

@@ -109,6 +109,8 @@ def _contest(options: argparse.Namespace) -> tuple[Contest, list[Entry]]:
     from envgs_bench.bench.course import Stops
     from envgs_bench.bench.gsplat_training import GsplatTraining
     from envgs_bench.bench.train import GSPLAT, Contest, Entry, default_steps
+    from envgs_bench.diagnosis.diagnosis import Diagnosis
+    from envgs_bench.diagnosis.repair import repaired
     from envgs_bench.runs.job import resolve_device
     from envgs_bench.stages.evaluation import scored_views
     from envgs_bench.stages.execution import check_scene
@@ -120,6 +122,7 @@ def _contest(options: argparse.Namespace) -> tuple[Contest, list[Entry]]:
     _check_gsplat(options.gsplat, device)
     scene = load_run_scene(first)
     check_scene(scene)
+    scene = repaired(Diagnosis(scene, device), first.repair, first.seed)[0].scene
     views = scored_views(scene, first.score_on)
     entries = [_entry(settings, device) for settings in chosen]
     steps = first.steps

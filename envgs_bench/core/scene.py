@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from .camera import Camera
+from .normal_prior import NormalPrior
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,8 @@ class Scene:
     """Nothing is nearer than this to any camera."""
     bounds: float = 0.0
     """Half the edge of a cube around the world's origin that holds the surroundings."""
+    normals: NormalPrior | None = None
+    """What the training views' normals are worth, where a method asks for that."""
 
     @property
     def radius(self) -> float:

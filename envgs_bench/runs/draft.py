@@ -54,6 +54,8 @@ class Draft:
             protocol=ProtocolName(name=protocol.name, hash=protocol.hash, description=protocol.description),
             scored_on=settings.score_on,
             perturbation=perturbation_of(settings),
+            repair=settings.repair,
+            repairs=results.repairs,
             warnings=results.warnings,
             notes=[shortened(text) for text in results.notes],
             losses=results.losses,

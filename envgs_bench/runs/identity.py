@@ -21,22 +21,23 @@ from envgs_bench.stages.renders import rendered_files
 from .meaning import SOURCES, meaning_of
 
 # The rooms whose code can change a result: all that `stages.execution.execute` does lies in them.
-RESULT_CODE = ("core", "datasets", "methods", "metrics", "stages")
+RESULT_CODE = ("core", "datasets", "diagnosis", "methods", "metrics", "stages")
 
 
 def run_id(settings: RunSettings, device: str) -> str:
     """`seed<seed>-<hash8>`: equal where all that determines the result is.
 
-    That is method, data, perturbation, budget, steps, seed, protocol, views, timing, device and code. Where data lie
-    does not count, what is read there does, names and contents of the files: a corrected data set is a new run, a moved
-    one or one with a README beside its photographs is not. VGG-16's weights count, which both a loss and a metric need:
-    a run without them is run again once they are there. What changes no result does not count: folders, gates, force,
-    retry, the limits of time and memory, when snapshots are saved.
+    That is method, data, perturbation, repair, budget, steps, seed, protocol, views, timing, device and code. Of data
+    the names and contents of the files that are read count, not where they lie: a corrected data set is a new run, a
+    moved one or one with a README beside its photographs is not. VGG-16's weights count, which both a loss and a metric
+    need: a run without them is run again once they are there. What changes no result does not count: folders, gates,
+    force, retry, the limits of time and memory, when snapshots are saved.
     """
     determining = {
         "method": [settings.method.name, settings.method.kind, _method(settings)],
         "dataset": _dataset(settings),
         "perturb": settings.perturb.model_dump() if settings.perturb else None,
+        "repair": settings.repair,
         "budget": settings.budget.model_dump() if settings.budget else None,
         "steps": settings.steps,
         "seed": settings.seed,

@@ -13,6 +13,10 @@ from envgs_bench.core import Scene
 from envgs_bench.core.cuda.compiler import keep_kernels_in
 from envgs_bench.datasets.notes import collecting, note
 from envgs_bench.datasets.progress import listening
+from envgs_bench.diagnosis.agreed_normals import with_agreed_normals
+from envgs_bench.diagnosis.diagnosis import Diagnosis
+from envgs_bench.diagnosis.repair import repaired
+from envgs_bench.diagnosis.scene_warnings import scene_warnings
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.settings import quickness
 from envgs_bench.metrics import Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
@@ -30,7 +34,6 @@ from .perturbations import load_run_scene, perturbed_settings
 from .probing import probe
 from .renders import score_renders
 from .results import Results
-from .scene_check import scene_warnings
 from .snapshots import Snapshots
 from .stop import Stop
 from .timing import time_frames
@@ -72,9 +75,17 @@ def execute(
     scene = _load(settings, results, report)
     check_scene(scene)
     results.steps = method.training_steps(actual.steps)
-    results.warnings = scene_warnings(scene, results.steps, quickness(method.settings), method.device)
+    diagnosis = Diagnosis(scene, method.device)
+    if len(scene.points):  # a method refuses others
+        results.warnings = scene_warnings(diagnosis, results.steps, quickness(method.settings))
+        diagnosis, results.repairs = repaired(diagnosis, settings.repair, settings.seed)
+        scene = scene_for(method, diagnosis)
     for warning in results.warnings:
         report({"stage": "training", "step": 0, "steps": results.steps, "warning": warning.model_dump()})
+    if results.repairs:
+        told = [f"repair of {outcome.kind}: {outcome.message}" for outcome in results.repairs]
+        results.notes = [*results.notes, *told]
+        report({"stage": "training", "step": 0, "steps": results.steps, "notes": told})
     log = None
     if logger and settings.logger:
         log = TrainingLog(logger, method, scene, settings.logger.every, settings.logger.views)
@@ -88,7 +99,7 @@ def execute(
         results.went_on_from = training.went_on_from
         results.losses = sorted(training.losses)
         results.dropped_losses = dict(method.dropped_losses)
-        results.notes = [*results.notes, *method.mended]
+        results.notes = [*results.notes, *method.notes]
         results.warnings = [*results.warnings, *training.health.warnings]
         if training.step:  # however it ends, what was learned is kept
             results.cost = cost_of(method, training)
@@ -144,6 +155,11 @@ def offer_perceptual_loss(method: Method) -> None:
         except WeightsUnavailable as error:
             method.dropped_losses[PERCEPTUAL] = str(error)
             print(f"training without the perceptual loss: {error}", file=sys.stderr)
+
+
+def scene_for(method: Method, diagnosis: Diagnosis) -> Scene:
+    """The scene as the method is given it: with what its normals are worth, where it learns from agreed ones."""
+    return with_agreed_normals(diagnosis) if method.uses_agreed_normals else diagnosis.scene
 
 
 def _seed(seed: int) -> None:

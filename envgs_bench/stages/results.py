@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from envgs_bench.records import Cost, MaskedScores, Metrics, Timing, TrainingWarning
+from envgs_bench.records import Cost, MaskedScores, Metrics, RepairOutcome, Timing, TrainingWarning
 
 
 @dataclass
@@ -15,6 +15,7 @@ class Results:
     steps: int
     went_on_from: list[int] = field(default_factory=list)  # steps of the snapshots that an interrupted run went on from
     notes: list[str] = field(default_factory=list)
+    repairs: list[RepairOutcome] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)
     dropped_losses: dict[str, str] = field(default_factory=dict)
     warnings: list[TrainingWarning] = field(default_factory=list)

@@ -79,8 +79,8 @@ class Training:
                 self._go_on_from(state)
             if self.method.dropped_losses:
                 report({"stage": "training", "steps": self.steps, "dropped_losses": dict(self.method.dropped_losses)})
-            if self.method.mended:
-                report({"stage": "training", "steps": self.steps, "notes": list(self.method.mended)})
+            if self.method.notes:
+                report({"stage": "training", "steps": self.steps, "notes": list(self.method.notes)})
             self._tell_warnings(report)  # those before an interruption: who reads this may not have heard of them
             rows = _rows_up_to(curve, self.step) if self.step else []
             with curve.open("w", buffering=1, newline="", encoding="utf-8") as stream:

@@ -21,31 +21,31 @@ def as_given(view: View) -> View:
 class ResidentViews:
     """Views with what training reads of them, camera, image and normals, on one device.
 
-    A GPU's step waits for every copy from the CPU's memory: at 800×800 pixels, image and normals are 10 MB. To mend the
+    A GPU's step waits for every copy from the CPU's memory: at 800×800 pixels, image and normals are 10 MB. To turn the
     normals of as large a view takes a CPU 0.1 s.
 
     Args:
         device: where the views go.
         room: bytes that may stay there besides the views as given; those that come later are made whenever asked for.
-        mended: what becomes of a view on its way, the same for the same view.
+        learned: what becomes of a view on its way, the same for the same view.
     """
 
-    def __init__(self, device: torch.device, room: int, mended: Callable[[View], View] = as_given) -> None:
-        self.device, self._room, self._mended = device, room, mended
+    def __init__(self, device: torch.device, room: int, learned: Callable[[View], View] = as_given) -> None:
+        self.device, self._room, self._learned = device, room, learned
         self._copies: dict[int, tuple[View, View]] = {}  # by id(view); the view is kept, so that no other gets it
 
     @classmethod
-    def of(cls, device: torch.device, mended: Callable[[View], View] = as_given) -> ResidentViews:
+    def of(cls, device: torch.device, learned: Callable[[View], View] = as_given) -> ResidentViews:
         """With room for SHARE_OF_MEMORY."""
         memory = torch.cuda.mem_get_info(device)[1] if device.type == "cuda" else machine_memory()
-        return cls(device, int(SHARE_OF_MEMORY * memory), mended)
+        return cls(device, int(SHARE_OF_MEMORY * memory), learned)
 
     def on_device(self, view: View) -> View:
         """The view there, without masks and depth."""
         known = self._copies.get(id(view))
         if known is not None:
             return known[1]
-        copy = self._mended(replace(view.pixels_on(self.device), masks={}, depth=None))
+        copy = self._learned(replace(view.pixels_on(self.device), masks={}, depth=None))
         copy = replace(copy, camera=copy.camera.to(self.device))
         made = _bytes_made(copy.image, view.image) + _bytes_made(copy.normal, view.normal)
         if made <= self._room:

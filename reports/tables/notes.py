@@ -35,7 +35,7 @@ def caption(section: Section, table: Table) -> str:
 
 
 def notes(section: Section, table: Table) -> list[str]:
-    """What was dropped, mended, warned of or spoiled, why cells are empty, how large regions are, what is published."""
+    """What was dropped, noticed or spoiled, why cells are empty, how large regions are, what is published."""
     if table.told:
         return list(table.remarks)
     found = dropped_losses(table)
@@ -102,7 +102,7 @@ def _parts(table: Table) -> list[str]:
 
 
 def _noticed(section: Section, table: Table) -> list[str]:
-    """What runs on a data set of their own table mended of it, found by trial or warned of, naming the methods.
+    """What runs on a data set of their own table repaired of it, found by pilot runs or warned of, naming the methods.
 
     Of warnings that differ in their numbers alone the first is told.
     """

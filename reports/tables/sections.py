@@ -10,7 +10,7 @@ from functools import cached_property
 
 import pandas as pd
 
-from envgs_bench.records import ProtocolName, Record, ScoredOn
+from envgs_bench.records import ProtocolName, Record, RepairKind, ScoredOn
 
 from ..numbers.choices import Choice, choices
 from ..numbers.estimates import Numbers
@@ -46,6 +46,7 @@ class LabeledRun:
 class Section:
     protocol: ProtocolName
     scored_on: ScoredOn
+    repair: tuple[RepairKind, ...]
     device: str
     runs: tuple[LabeledRun, ...]  # the unperturbed ones
     superseded: tuple[LabeledRun, ...]  # older runs of the same data set, method and seed
@@ -67,8 +68,9 @@ class Section:
 
     @property
     def _views(self) -> str:
-        """What names say of the views: test views go without saying."""
-        return "" if self.scored_on == "test" else f", {self.scored_on} views"
+        """What names say of the views: test views of a scene as given go without saying."""
+        views = "" if self.scored_on == "test" else f", {self.scored_on} views"
+        return views + (f", repair of {' and '.join(self.repair)}" if self.repair else "")
 
     def csv_name(self, index: int, table: str = "table") -> str:
         """The file of the section's tidy table, or of another: the first section's has the plain name."""
@@ -202,15 +204,16 @@ class Section:
 
 
 def split_sections(runs: Sequence[Run]) -> list[Section]:
-    """Sections by protocol (name and hash), scored views (test or validation) and device, that with most runs first.
+    """Sections by protocol (name and hash), scored views, repair of the scene and device, that with most runs first.
 
     Perturbed runs are kept apart within each. Runs that took no times, as their pictures came from elsewhere, stand
     beside every device's.
     """
-    groups: dict[tuple[str, str, ScoredOn], dict[str, list[Run]]] = {}
+    groups: dict[tuple[str, str, ScoredOn, tuple[RepairKind, ...]], dict[str, list[Run]]] = {}
     for run in runs:
         record = run.record
-        devices = groups.setdefault((record.protocol.name, record.protocol.hash, record.scored_on), {})
+        key = (record.protocol.name, record.protocol.hash, record.scored_on, record.repair)
+        devices = groups.setdefault(key, {})
         devices.setdefault(run.device, []).append(run)
     sections = []
     for devices in groups.values():
@@ -235,7 +238,13 @@ def _section(runs: list[Run], device: str) -> Section:
         newest[key] = item
     record = runs[0].record
     return Section(
-        record.protocol, record.scored_on, device, tuple(newest.values()), tuple(superseded), _stability(runs)
+        record.protocol,
+        record.scored_on,
+        record.repair,
+        device,
+        tuple(newest.values()),
+        tuple(superseded),
+        _stability(runs),
     )
 
 

@@ -20,6 +20,7 @@ def structured(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> d
                 "title": section.title,
                 "protocol": section.protocol.model_dump(),
                 "scored_on": section.scored_on,
+                "repair": list(section.repair),
                 "device": section.device,
                 "tables": [_table(table) for table in section.tables],
             }

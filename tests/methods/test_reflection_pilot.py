@@ -116,13 +116,13 @@ def test_a_run_that_keeps_its_reflections_is_to_the_last_bit_what_it_is_without_
     assert_same_sets(kept, untried)
     assert set(kept.sets) == {"base", "env"}
     assert torch.equal(kept.generator.get_state(), untried.generator.get_state())
-    assert (len(kept.mended), len(untried.mended)) == (1, 0)
+    assert (len(kept.notes), len(untried.notes)) == (1, 0)
 
 
 def test_a_run_that_reflects_late_is_tried_as_any_other(short_runs: pytest.MonkeyPatch) -> None:
     method = create_method("envgs", SMALL | {"bootstrap": 29_000})
     method.initialize(tiny_scene(), STEPS)
-    assert "times the weight" in method.mended[0]
+    assert "times the weight" in method.notes[0]
 
 
 @pytest.mark.parametrize("budget", [None, Budget(primitives=300), Budget(mb=0.03)])
@@ -137,7 +137,7 @@ def test_where_nothing_reflects_envgs_is_2dgs_to_the_last_bit(
     assert torch.equal(drawn.color, baseline.render(camera).color)
     assert not drawn.layers
     assert plain.model_bytes() == baseline.model_bytes()
-    assert "2DGS" in plain.mended[0]
+    assert "2DGS" in plain.notes[0]
 
     plain.save(tmp_path)
     loaded = create_method("envgs", SMALL)
@@ -155,7 +155,7 @@ def test_an_interrupted_run_is_tried_once(short_runs: pytest.MonkeyPatch) -> Non
     second.resume(scene, STEPS, first.training_state())
     assert len(tried) == 1
     assert second.plain
-    assert second.mended == first.mended
+    assert second.notes == first.notes
     for step in (1, 2):
         for method in (first, second):
             method.training_step(scene.train[step], step)

@@ -42,18 +42,18 @@ def test_a_view_without_room_is_copied_each_time() -> None:
 
 
 def test_what_the_view_has_itself_takes_no_room() -> None:
-    """On a CPU images stay the tensors that they are; normals that are mended are made once, not at every step."""
-    mended = []
+    """On a CPU images stay the tensors that they are; normals that are turned are made once, not at every step."""
+    learned = []
 
     def with_other_normals(view: View) -> View:
-        mended.append(view.name)
+        learned.append(view.name)
         assert view.normal is not None
         return replace(view, normal=view.normal + 1)
 
     views, one = ResidentViews(DEVICE, NORMAL_BYTES, with_other_normals), view("a")
     for _ in range(2):
         assert views.on_device(one).image is one.image
-    assert mended == ["a"]
+    assert learned == ["a"]
     as_given = ResidentViews(DEVICE, room=0)
     assert as_given.on_device(one) is as_given.on_device(one)
 

@@ -240,7 +240,7 @@ def test_cameras_at_one_place_still_have_a_scale(scene):
 def test_the_base_set_has_a_primitive_for_so_many_training_pixels(scene, pixels, most, expected):
     """Five training views of 24×18 pixels; never fewer than the 250 points that it starts from."""
     growth = {"pixels_per_primitive": pixels, "max_primitives": most, "min_coverage": 0.0, "min_views": 0.0}
-    method = make_method("envmap", mends_input=False, **growth)
+    method = make_method("envmap", **growth)
     method.initialize(scene, STEPS)
     counts = []
     for step in range(1, STEPS + 1):
@@ -264,7 +264,7 @@ def test_scales_are_bounded_while_opacities_recover(scene, share, step, largest)
     points = torch.cat([torch.stack([view.camera.center + ahead, view.camera.center - ahead]), scene.points])
     more = dataclasses.replace(scene, points=points, point_colors=torch.full((len(points), 3), 0.5))
     still = {"scale_lr": 0.0, "position_lr": 1e-9, "position_lr_final": 1e-9}
-    method = make_method("envgs", max_scale=share, mends_input=False, **still)
+    method = make_method("envgs", max_scale=share, **still)
     method.initialize(more, 3_000)
     assert (method.phase(step) == method.phase(599)) == (largest == 0.75)  # a GPU records such a step apart
     method.sets["base"].parameters.tensors["log_scales"].data[:2] = math.log(0.75)

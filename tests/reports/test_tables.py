@@ -177,6 +177,17 @@ def test_protocols_and_devices_never_share_a_table(tmp_path: Path) -> None:
     assert lengths["table.csv"] == 1 + len(sections[0].tidy)
 
 
+def test_repaired_and_unrepaired_runs_never_share_a_table(tmp_path: Path) -> None:
+    write_runs(tmp_path / "runs", pictures=False)
+    write_runs(tmp_path / "runs/b", seeds=(0, 1), pictures=False, repair=["poses", "normals"])
+    sections = sections_of(tmp_path / "runs")
+    assert [(s.repair, len(s.runs)) for s in sections] == [((), 12), (("poses", "normals"), 8)]
+    assert len({section.slug for section in sections}) == 2
+    for text in (sections[1].title, sections[1].short, markdown(sections, [])):
+        assert "repair of poses and normals" in text
+    assert "repair" not in sections[0].title
+
+
 def test_test_and_validation_views_never_share_a_table(tmp_path: Path) -> None:
     write_runs(tmp_path / "runs", pictures=False)
     write_runs(tmp_path / "runs/b", seeds=(0, 1), pictures=False, scored_on="validation")
@@ -400,7 +411,7 @@ def test_times_on_a_busy_machine_are_noted(tmp_path: Path) -> None:
     assert "Others kept up to 1.5 processor cores busy" in " ".join(notes(section, section.tables[0]))
 
 
-def test_what_runs_mended_and_warned_of_stands_below_the_table_of_their_data_set(tmp_path: Path) -> None:
+def test_what_runs_noted_and_warned_of_stands_below_the_table_of_their_data_set(tmp_path: Path) -> None:
     turned = "turns the normals of 42 of 42 training views"
     write_runs(tmp_path, (ROOM, "toy/sky_ball"), ("2dgs", "envmap"), pictures=False)
     write_runs(tmp_path, (ROOM,), ("envmap",), pictures=False, notes=[turned])

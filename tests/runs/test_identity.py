@@ -54,6 +54,7 @@ def settings(**changes: Any) -> RunSettings:
         {"protocol": "strict"},
         {"score_on": "validation"},
         {"budget": {"primitives": 1000, "mb": None}},
+        {"repair": "poses"},
         {"seed": 1},
         {"steps": 11},
         {"timing": {"frames": 51, "seconds": 1.0}},
@@ -69,6 +70,16 @@ def test_scoring_on_validation_views_takes_them_out_of_the_training_views() -> N
     assert "validation" not in settings().dataset
     with pytest.raises(SettingsError, match="score_on='train'"):
         settings(score_on="train")
+
+
+def test_equal_repairs_are_one_run_however_they_are_written() -> None:
+    assert settings(repair="none").repair == settings(repair=None).repair == settings().repair == ()
+    assert settings(repair=["normals", "points"]).repair == settings(repair=["points", "normals"]).repair
+    assert settings(repair="poses").repair == settings(repair=["poses"]).repair == ("poses",)
+    with pytest.raises(
+        SettingsError, match=r"repair=\['windows'\]: Input should be 'none', or a list of points, poses"
+    ):
+        settings(repair=["windows"])
 
 
 def test_the_device_and_the_code_change_the_identity(monkeypatch: pytest.MonkeyPatch) -> None:

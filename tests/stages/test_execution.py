@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,10 @@ import torch
 from fakes.methods import MeanColor, Settings
 
 from envgs_bench.core import Scene
-from envgs_bench.methods import gaussian_method
+from envgs_bench.diagnosis.diagnosis import Diagnosis
 from envgs_bench.methods.registry import create_method
-from envgs_bench.methods.start.mending import Mended
 from envgs_bench.metrics import WeightsUnavailable
+from envgs_bench.records import RepairOutcome
 from envgs_bench.settings import parse_settings
 from envgs_bench.stages import cost, execution
 from envgs_bench.stages.results import Results
@@ -107,18 +108,32 @@ def test_a_run_that_a_method_ends_sooner_has_the_steps_that_it_trained(
     assert (tmp_path / "curve.csv").read_text().splitlines()[-1].startswith("2,")
 
 
-def test_what_is_wrong_with_a_scene_and_what_was_mended_are_results(
+def test_what_is_wrong_with_a_scene_and_what_was_repaired_are_results(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    scene, note = tiny_scene(), "starts from other points"
+    scene = tiny_scene()
     at_a_camera = replace(scene, points=scene.train[0].camera.center + 0.01 * scene.points)
-    monkeypatch.setattr(gaussian_method, "mended", lambda given, *_: Mended(given, notes=[note]))
-    results = execute("2dgs", {"mends_input": True}, 1, monkeypatch, tmp_path, at_a_camera)
+    outcome = RepairOutcome(kind="points", kept=True, message="other points", evidence={"coverage": 0.5})
+    given: list[tuple[Any, ...]] = []
+
+    def repaired(diagnosis: Diagnosis, *arguments: Any) -> tuple[Diagnosis, list[RepairOutcome]]:
+        given.append(arguments)
+        return Diagnosis(scene), [outcome]
+
+    monkeypatch.setattr(execution, "repaired", repaired)
+    started = []
+    monkeypatch.setattr(
+        execution, "Training", lambda method, scene, *_: started.append(scene) or Training(method, scene, *_)
+    )
+    results = execute("2dgs", {}, 1, monkeypatch, tmp_path, at_a_camera, ["exposures", "points"])
+    assert given == [(("points", "exposures"), 0)]
+    assert started == [scene]
+    assert results.repairs == [outcome]
     assert [(warning.kind, warning.step) for warning in results.warnings] == [
         ("run_short", 0),
         ("points_unsupported", 0),
     ]
-    assert results.notes[-1] == note
+    assert results.notes[-1] == "repair of points: other points"
 
 
 def test_test_views_without_exact_normals_are_said_to_be(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -153,6 +168,7 @@ def execute(
     monkeypatch: pytest.MonkeyPatch,
     folder: Path,
     scene: Scene | None = None,
+    repair: Sequence[str] = (),
 ) -> Results:
     """What a run has reached, on a tiny scene without normals for training where no other is given."""
     monkeypatch.setattr(execution, "load_run_scene", lambda *_: scene or scene_without_normals(5))
@@ -160,6 +176,7 @@ def execute(
         "method": {"name": kind, "kind": kind, "settings": settings},
         "dataset": {"name": "tiny", "kind": "tiny"},
         "timing": {"frames": 1, "seconds": 0.01},
+        "repair": repair,
         **{"protocol": "envgs", "seed": 0, "steps": steps, "device": "cpu", "timeout_minutes": None},
         **{"runs_dir": folder, "cache_dir": folder, "force": False},
     }

@@ -1,4 +1,4 @@
-"""Points, poses and normals that the photographs contradict are mended; what is in order stays as it is."""
+"""Points, poses and normals that the photographs contradict are repaired; what is in order stays as it is."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from toy_scenes import coarse_toys, worst
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
-from envgs_bench.methods.registry import create_method
-from envgs_bench.methods.start.evidence import Evidence
-from envgs_bench.methods.start.mending import MendedViews, mended_points, mended_poses, with_far_points
-from envgs_bench.methods.start.mending import mended as mended_scene
-from envgs_bench.methods.start.plane_sweep import swept_points
-from envgs_bench.methods.training.resident_views import ResidentViews
+from envgs_bench.diagnosis.agreed_normals import with_agreed_normals
+from envgs_bench.diagnosis.diagnosis import Diagnosis
+from envgs_bench.diagnosis.observations import Observations
+from envgs_bench.diagnosis.plane_sweep import swept_points
+from envgs_bench.diagnosis.points import repaired_points, with_far_points
+from envgs_bench.diagnosis.repair import REPAIRS, repaired
+from envgs_bench.records import RepairKind, RepairOutcome
 
 NEAR = 0.2
 CPU = torch.device("cpu")
@@ -38,8 +39,10 @@ def sky(tmp_path_factory: pytest.TempPathFactory) -> Scene:
         return load_scene(toy, tmp_path_factory.mktemp("cache"))
 
 
-def mended(scene: Scene) -> Scene:
-    return mended_points(scene, NEAR, torch.Generator().manual_seed(0), CPU)
+def after(scene: Scene, kind: RepairKind) -> tuple[Scene, RepairOutcome]:
+    found, (outcome,) = repaired(Diagnosis(scene), [kind], seed=0)
+    assert (found.scene is not scene) == outcome.kept
+    return found.scene, outcome
 
 
 def off_surfaces(points: torch.Tensor, scene: Scene) -> np.ndarray:
@@ -53,16 +56,17 @@ def off_surfaces(points: torch.Tensor, scene: Scene) -> np.ndarray:
 
 
 def test_what_is_in_order_stays_as_it_is(room: Scene) -> None:
-    assert mended(room) is room
-    assert mended_poses(Evidence.of(room, NEAR), CPU) == {}
-    assert Evidence.of(room, NEAR).mirrored_views() == []
+    given = Diagnosis(room)
+    found, outcomes = repaired(given, list(REPAIRS), seed=0)
+    assert found is given
+    assert {outcome.kind: outcome.kept for outcome in outcomes} == dict.fromkeys(REPAIRS, False)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["points_random", "points_at_cameras", "points_near_cameras"])
 def test_points_that_are_wrong_or_missing_are_found_on_the_surfaces(room: Scene, kind: str) -> None:
     broken = worst(room, kind)
-    found = mended(broken)
+    found = repaired_points(broken, NEAR, torch.Generator().manual_seed(0), CPU)
     assert len(found.points) > 300
     assert np.median(off_surfaces(found.points, room)) < 0.1
 
@@ -82,15 +86,15 @@ def test_a_sky_is_found_far_away_and_no_surface_is(
     assert distant[0] <= (away > 1.5 * sky.radius).float().mean() <= distant[1]
 
 
-@pytest.mark.parametrize(("severity", "mended"), [(0, False), (3, True)])
-def test_a_sky_without_points_gets_points_and_all_others_stay(sky: Scene, severity: int, mended: bool) -> None:
+@pytest.mark.parametrize(("severity", "repaired"), [(0, False), (3, True)])
+def test_a_sky_without_points_gets_points_and_all_others_stay(sky: Scene, severity: int, repaired: bool) -> None:
     scene = PERTURBATIONS["points_far_fewer"].applied(sky, severity, "points_far_fewer", seed=0) if severity else sky
     generator = torch.Generator().manual_seed(0)
     before = generator.get_state()
     found = with_far_points(scene, NEAR, generator, CPU)
-    assert (found is not scene) == mended
-    assert torch.equal(generator.get_state(), before) != mended
-    if mended:
+    assert (found is not scene) == repaired
+    assert torch.equal(generator.get_state(), before) != repaired
+    if repaired:
         added = found.points[len(scene.points) :]
         assert torch.equal(found.points[: len(scene.points)], scene.points)
         assert len(added) == len(found.point_colors) - len(scene.points) > 100
@@ -107,7 +111,7 @@ def test_of_very_many_points_the_last_is_looked_at_too(room: Scene) -> None:
     """So many that their number has no neighbor in float32."""
     count = 2**24 + 4
     many = replace(room, points=torch.zeros(1, 3).expand(count, 3), point_colors=torch.zeros(1, 3).expand(count, 3))
-    assert len(Evidence.of(many, NEAR).points) == 4_000
+    assert len(Observations.of(many, NEAR).points) == 4_000
 
 
 def test_pictures_a_pixel_high_are_swept() -> None:
@@ -130,75 +134,58 @@ def test_views_with_mirrored_normals_are_found_and_mirrored_back(room: Scene, sh
     broken = PERTURBATIONS["normals_mirrored"].applied(room, level, "normals_mirrored", seed=0)
     changed = [b.name for a, b in zip(room.train, broken.train, strict=True) if a is not b]
     assert len(changed) == round(share * len(room.train))
-    assert Evidence.of(broken, NEAR).mirrored_views() == changed
-    views = ResidentViews(CPU, room=0, mended=MendedViews(mirrored=frozenset(changed)))
-    for exact, view in zip(room.train, broken.train, strict=True):
-        torch.testing.assert_close(views.on_device(view).normal, exact.normal, atol=1e-5, rtol=0)
+    assert Diagnosis(broken).mirrored == changed
+    found, outcome = after(broken, "normals")
+    assert outcome.message == f"the normals of {len(changed)} of {len(room.train)} training views are mirrored back"
+    for exact, view in zip(room.train, found.train, strict=True):
+        torch.testing.assert_close(view.normal, exact.normal, atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_normals_count_less_the_less_views_agree_on_them(room: Scene, mirrored: bool) -> None:
-    """As the inverse of the variance that is left once they are corrected, be they mirrored besides or not."""
+    """As the inverse of the variance that is left once they are corrected, be they mirrored back before or not."""
     weights = []
     for severity in (0, 2, 3):
         scene = PERTURBATIONS["normals_turned"].applied(room, severity, "normals_turned", seed=0) if severity else room
         if mirrored:
             scene = PERTURBATIONS["normals_mirrored"].applied(scene, 3, "normals_mirrored", seed=0)
-        found = mended_scene(scene, NEAR, True, torch.Generator().manual_seed(0), CPU)
-        assert bool(found.views.mirrored) == mirrored
-        weights.append(found.normal_weight)
-        assert ("as much" in found.notes[-1]) == bool(severity)
+        found, _ = repaired(Diagnosis(scene), ["normals"], seed=0)
+        prior = with_agreed_normals(found).normals
+        assert prior is not None
+        weights.append(prior.weight)
+        assert ("as much" in prior.notes[-1]) == bool(severity)
     assert weights[0] == 1
     assert 0.4 < weights[1] < 0.8
     assert 0.1 < weights[2] < 0.3
-    assert mended_scene(scene, NEAR, False, torch.Generator().manual_seed(0), CPU).normal_weight == 1
 
 
-def test_l_mono_is_weighed_by_what_normals_are_worth(room: Scene) -> None:
-    broken = PERTURBATIONS["normals_turned"].applied(room, 3, "normals_turned", seed=0)
-    found = mended_scene(broken, NEAR, True, torch.Generator().manual_seed(0), CPU)
-    corrected = replace(broken, train=[found.views(view) for view in broken.train])
-    terms = []
-    for mends, scene in ((True, broken), (False, corrected)):
-        method = create_method("envgs", {"env_grid": 2, "env_far_count": 10, "mends_input": mends})
-        method.initialize(scene, steps=10)
-        terms.append(float(method.training_step(scene.train[0], 1)["mono"]))
-    assert terms[0] == pytest.approx(found.normal_weight * terms[1], rel=1e-4)
-
-
-def test_views_are_learned_from_as_they_are_turned_back(room: Scene) -> None:
-    """Their normals, too, which had turned with them; those of mirrored ones are mirrored about the mended axes."""
+def test_views_are_turned_back(room: Scene) -> None:
+    """Their normals, too, which had turned with them."""
     broken = worst(room, "pose_rotation")
-    views = ResidentViews(CPU, room=0, mended=MendedViews(turns=mended_poses(Evidence.of(broken, NEAR), CPU)))
-    off = {"given": [], "mended": []}
-    for exact, view in zip(room.train, broken.train, strict=True):
-        for kind, each in (("given", view), ("mended", views.on_device(view))):
+    found, _ = after(broken, "poses")
+    off = {"given": [], "repaired": []}
+    for exact, *both in zip(room.train, broken.train, found.train, strict=True):
+        for kind, each in zip(off, both, strict=True):
             off[kind].append(float((each.normal - exact.normal).norm(dim=-1).mean()))
             torch.testing.assert_close(each.camera.center, exact.camera.center, atol=1e-5, rtol=0)
-    assert np.mean(off["mended"]) < np.mean(off["given"]) / 5
+    assert np.mean(off["repaired"]) < np.mean(off["given"]) / 5
 
 
 def test_points_that_are_missing_or_of_one_color_turn_no_view(room: Scene) -> None:
     broken = worst(room, "pose_rotation")
     gray = replace(broken, point_colors=torch.full_like(room.point_colors, 0.5))
-    assert mended_poses(Evidence.of(gray, NEAR), CPU) == {}
     few = replace(broken, points=broken.points[::12], point_colors=broken.point_colors[::12])
-    assert mended_scene(few, NEAR, False, torch.Generator().manual_seed(0), CPU).views.turns == {}
+    for scene in (gray, few):
+        found, outcome = after(scene, "poses")
+        assert found is scene
+        assert "say nothing" in outcome.message
 
 
-def test_published_recipes_take_points_and_normals_as_they_are_given() -> None:
-    assert not any(create_method(kind).settings.mends_input for kind in ("2dgs", "3dgs", "3dgs_dr", "ref_gaussian"))
-    assert all(create_method(kind).settings.mends_input for kind in ("envgs", "envmap"))
-
-
-def test_a_method_says_what_it_mended_and_starts_from_it(room: Scene) -> None:
+def test_repairs_are_done_in_one_order_whatever_was_asked_for_first(room: Scene) -> None:
     few = replace(room, points=room.points[::12], point_colors=room.point_colors[::12])
     mirrored = PERTURBATIONS["normals_mirrored"].applied(few, 1, "normals_mirrored", seed=0)
-    method = create_method("envgs", {"env_grid": 2, "env_far_count": 10})
-    method.initialize(mirrored, steps=10)
-    points, normals, _ = method.mended
-    assert f"{method.primitives()['base']:,} points in place of {len(few.points):,}" in points
-    assert normals == f"mirrors the normals of 7 of {len(room.train)} training views back"
-    as_given = create_method("envgs", {"env_grid": 2, "env_far_count": 10, "mends_input": False})
-    as_given.initialize(mirrored, steps=10)
-    assert (as_given.mended, as_given.primitives()["base"]) == ([], len(few.points))
+    found, (points, normals) = repaired(Diagnosis(mirrored), ["normals", "points"], seed=0)
+    assert points.message.startswith(f"{len(found.scene.points):,} points in place of {len(few.points):,}")
+    assert normals.message == f"the normals of 7 of {len(room.train)} training views are mirrored back"
+    assert points.evidence.keys() == {"photo_consistency", "coverage"}
+    assert found.scene.test is mirrored.test

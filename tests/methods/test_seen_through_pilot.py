@@ -1,4 +1,4 @@
-"""A trial of windows: it compares what was not trained on, where windows may be, and a run goes by what it says."""
+"""A pilot run of what may lie behind glass: it compares what was not trained on, and a run goes by what it says."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ from fakes.methods import MeanColor, Settings
 from torch import Tensor
 
 from envgs_bench.core import Camera, Rendering, Scene, View
+from envgs_bench.core.normal_prior import NormalPrior
 from envgs_bench.datasets import load_scene
+from envgs_bench.diagnosis.agreed_normals import with_agreed_normals
+from envgs_bench.diagnosis.coverage import CELLS
+from envgs_bench.diagnosis.diagnosis import Diagnosis
 from envgs_bench.methods import gaussian_method
 from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.gaussians.budget import Budget
 from envgs_bench.methods.registry import create_method
-from envgs_bench.methods.start.evidence import CELLS
-from envgs_bench.methods.start.mending import Mended
-from envgs_bench.methods.start.windows import Windows
 from envgs_bench.methods.training.pilot_run import SHORTEST_RUN
-from envgs_bench.methods.windows_trial import LEAST_GAIN, WindowsOutcome, windows_trial
+from envgs_bench.methods.training.resident_views import as_given
+from envgs_bench.methods.training.seen_through_pilot import LEAST_GAIN, SeenThroughOutcome, seen_through_pilot
 from envgs_bench.testing import tiny_scene
 
-SETTINGS = {"mono_weight": 0.01, "mends_input": True}
+SETTINGS = {"mono_weight": 0.01, "normals": "agreed"}
 
 
 class Flat(MeanColor):
@@ -60,12 +62,12 @@ def twelve_black_views() -> Scene:
     return replace(scene, train=[replace(first, name=f"{index:02d}") for index in range(12)])
 
 
-def test_what_was_held_out_is_compared_inside_likely_windows() -> None:
+def test_what_was_held_out_is_compared_where_it_may_lie_behind() -> None:
     scene = twelve_black_views()
     likely = {view.name: upper_half() for view in scene.train}
-    found = Mended(scene, windows=Windows(likely=likely))
+    prior = NormalPrior(as_given, maybe_seen_through=likely)
     held, free = Flat(0.2, elsewhere=0.9), Flat(0.1, elsewhere=0.3)
-    outcome = windows_trial(found, held, free)
+    outcome = seen_through_pilot(scene, prior, held, free)
     assert outcome.gain == pytest.approx(20 * math.log10(2), abs=1e-4)
     assert outcome.share == pytest.approx(0.5)
     for method, without in ((held, False), (free, True)):
@@ -80,39 +82,36 @@ def test_what_was_held_out_is_compared_inside_likely_windows() -> None:
 
 def test_where_no_view_held_out_shows_any_nothing_is_gained() -> None:
     scene = twelve_black_views()
-    found = Mended(scene, windows=Windows(likely={"03": upper_half()}))
-    assert windows_trial(found, Flat(0.2), Flat(0.1)).gain == 0
+    prior = NormalPrior(as_given, maybe_seen_through={"03": upper_half()})
+    assert seen_through_pilot(scene, prior, Flat(0.2), Flat(0.1)).gain == 0
 
 
 @pytest.mark.parametrize("gain", [-1.0, LEAST_GAIN - 0.01, LEAST_GAIN + 0.01, math.nan])
-def test_windows_are_what_is_drawn_better_without_normals(gain: float) -> None:
-    outcome = WindowsOutcome(0.25, gain)
+def test_what_is_drawn_better_without_normals_lies_behind_them(gain: float) -> None:
+    outcome = SeenThroughOutcome(0.25, gain)
     assert outcome.lies_behind is (gain > LEAST_GAIN)
     assert "25%" in outcome.sentence
     assert f"{gain:+.2f} dB" in outcome.sentence
     assert ("no normals are learned" in outcome.sentence) is outcome.lies_behind
 
 
-@pytest.fixture
-def window(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
-    """What the tiny scene shows in the upper half of its views may be windows, in a quarter of them it surely is."""
-    likely = {view.name: upper_half() for view in tiny_scene().train}
+def scene_with_prior() -> Scene:
+    """The upper half of the tiny scene's views may be seen through glass, a quarter of them surely is."""
+    scene = tiny_scene()
+    likely = {view.name: upper_half() for view in scene.train}
     sure = {name: cells & upper_half().T for name, cells in likely.items()}
-    monkeypatch.setattr(
-        gaussian_method, "mended", lambda scene, *_: Mended(scene, notes=["first"], windows=Windows(sure, likely))
-    )
-    return monkeypatch
+    return replace(scene, normals=NormalPrior(as_given, 1.0, sure, likely, ["first"]))
 
 
 def tells(monkeypatch: pytest.MonkeyPatch, gain: float) -> list[tuple[GaussianMethod, ...]]:
-    """Trials find this gain from now on; the methods that they are given."""
+    """Pilot runs find this gain from now on; the methods that they are given."""
     given = []
 
-    def found(start: Mended, *methods: GaussianMethod) -> WindowsOutcome:
+    def found(scene: Scene, prior: NormalPrior, *methods: GaussianMethod) -> SeenThroughOutcome:
         given.append(methods)
-        return WindowsOutcome(0.5, gain)
+        return SeenThroughOutcome(0.5, gain)
 
-    monkeypatch.setattr(gaussian_method, "windows_trial", found)
+    monkeypatch.setattr(gaussian_method, "seen_through_pilot", found)
     return given
 
 
@@ -131,28 +130,29 @@ def share_of_normals(method: GaussianMethod) -> float:
 
 @pytest.mark.parametrize("kind", ["envgs", "envmap", "2dgs"])
 @pytest.mark.parametrize(("gain", "share"), [(LEAST_GAIN + 1, 0.5), (LEAST_GAIN - 1, 1.0)])
-def test_a_long_run_goes_by_the_trial(kind: str, gain: float, share: float, window: pytest.MonkeyPatch) -> None:
-    given = tells(window, gain)
+def test_a_long_run_goes_by_the_pilot_run(
+    kind: str, gain: float, share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = tells(monkeypatch, gain)
     method = create_method(kind, SETTINGS, seed=3)
     assert isinstance(method, GaussianMethod)
     before = method.generator.get_state()
-    method.initialize(tiny_scene(), SHORTEST_RUN)
+    method.initialize(scene_with_prior(), SHORTEST_RUN)
     assert share_of_normals(method) == pytest.approx(share, abs=0.1)
-    assert method.mended[:2] == ["first", WindowsOutcome(0.5, gain).sentence]
+    assert method.notes[:2] == ["first", SeenThroughOutcome(0.5, gain).sentence]
     ((held, free),) = given
     assert type(held) is type(free) is type(method)
-    assert held.settings == free.settings == replace(method.settings, mends_input=False)
+    assert held.settings == free.settings == replace(method.settings, normals="as_given")
     assert held.generator.initial_seed() == free.generator.initial_seed() == 3
     assert held.generator is not method.generator
     assert torch.equal(held.generator.get_state(), before)
 
 
-def test_a_trial_that_refuses_leaves_a_run_alone(window: pytest.MonkeyPatch) -> None:
-    tells(window, LEAST_GAIN - 1)
-    scene, methods = tiny_scene(), [create_method("envgs", SETTINGS, seed=1) for _ in range(2)]
+def test_a_pilot_run_that_refuses_leaves_a_run_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    tells(monkeypatch, LEAST_GAIN - 1)
+    scene, methods = scene_with_prior(), [create_method("envgs", SETTINGS, seed=1) for _ in range(2)]
     methods[0].initialize(scene, SHORTEST_RUN)
-    window.setattr(gaussian_method, "mended", lambda given, *_: Mended(given))
-    methods[1].initialize(scene, SHORTEST_RUN)
+    methods[1].initialize(tiny_scene(), SHORTEST_RUN)
     for method in methods:
         for step in (1, 2, 3):
             method.training_step(scene.train[step], step)
@@ -160,28 +160,28 @@ def test_a_trial_that_refuses_leaves_a_run_alone(window: pytest.MonkeyPatch) -> 
     assert torch.equal(*drawn)
 
 
-def test_a_short_run_goes_by_what_is_sure(window: pytest.MonkeyPatch) -> None:
-    given = tells(window, LEAST_GAIN + 1)
+def test_a_short_run_goes_by_what_is_sure(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = tells(monkeypatch, LEAST_GAIN + 1)
     method = create_method("envgs", SETTINGS)
     assert isinstance(method, GaussianMethod)
-    method.initialize(tiny_scene(), SHORTEST_RUN - 1)
+    method.initialize(scene_with_prior(), SHORTEST_RUN - 1)
     assert given == []
     assert share_of_normals(method) == pytest.approx(0.75, abs=0.1)
-    assert "learns no normals from 25%" in method.mended[1]
+    assert "learns no normals from 25%" in method.notes[1]
 
 
-def test_an_interrupted_run_is_tried_once_and_within_its_budget(window: pytest.MonkeyPatch) -> None:
-    given = tells(window, LEAST_GAIN + 1)
+def test_an_interrupted_run_is_tried_once_and_within_its_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = tells(monkeypatch, LEAST_GAIN + 1)
     first, second = (create_method("envgs", SETTINGS, seed=1) for _ in range(2))
     assert isinstance(first, GaussianMethod)
     assert isinstance(second, GaussianMethod)
     for method in (first, second):
         method.limit(Budget(primitives=400))
-    first.initialize(tiny_scene(), SHORTEST_RUN)
-    second.resume(tiny_scene(), SHORTEST_RUN, first.training_state())
+    first.initialize(scene_with_prior(), SHORTEST_RUN)
+    second.resume(scene_with_prior(), SHORTEST_RUN, first.training_state())
     assert len(given) == 1
     assert all(method._budget is not None for method in given[0])
-    assert second.mended == first.mended
+    assert second.notes == first.notes
     assert torch.equal(learned(second), learned(first))
 
 
@@ -190,6 +190,6 @@ def test_an_interrupted_run_is_tried_once_and_within_its_budget(window: pytest.M
 def test_panes_are_told_from_curved_mirrors(kind: str, lies_behind: bool, tmp_path: Path) -> None:
     toy = {"kind": "toy", "scene": kind, "width": 96, "height": 72, "normal_noise": 5.0}
     method = create_method("envgs")
-    method.initialize(load_scene(toy, tmp_path), SHORTEST_RUN)
-    (said,) = (note for note in method.mended if "trial" in note)
+    method.initialize(with_agreed_normals(Diagnosis(load_scene(toy, tmp_path))), SHORTEST_RUN)
+    (said,) = (note for note in method.notes if "pilot run" in note)
     assert ("no normals are learned" in said) is lies_behind

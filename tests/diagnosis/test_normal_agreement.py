@@ -16,14 +16,14 @@ from envgs_bench.core import Scene
 from envgs_bench.core.vectors import rotated, unit
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
+from envgs_bench.diagnosis.agreed_normals import with_agreed_normals
+from envgs_bench.diagnosis.diagnosis import Diagnosis
+from envgs_bench.diagnosis.normal_agreement import LEAST_POINTS, NormalAgreement, corrected, normal_agreement
+from envgs_bench.diagnosis.observations import Observations
 from envgs_bench.methods.registry import create_method
-from envgs_bench.methods.start.agreement import LEAST_POINTS, Agreement, agreement, corrected
-from envgs_bench.methods.start.evidence import Evidence
-from envgs_bench.methods.start.mending import MendedViews, mended
 
 NEAR = 0.2
-CPU = torch.device("cpu")
-AS_GIVEN = Agreement(torch.zeros(0))
+AS_GIVEN = NormalAgreement(torch.zeros(0))
 TOY = {"kind": "toy", "scene": "chrome_room", "width": 40, "height": 30, "views": 33, "supersampling": 1}
 
 
@@ -39,18 +39,19 @@ def estimated(tmp_path_factory: pytest.TempPathFactory) -> Scene:
         return load_scene(TOY | {"normal_noise": 5.0}, tmp_path_factory.mktemp("cache"))
 
 
-def agreed(scene: Scene) -> Agreement:
-    evidence = Evidence.of(scene, NEAR)
-    return agreement(evidence, evidence.seen_normals)
+def agreed(scene: Scene) -> NormalAgreement:
+    observations = Observations.of(scene, NEAR)
+    return normal_agreement(observations, observations.seen_normals)
 
 
-def degrees(scene: Scene, found: Agreement, exact: Scene, region: str | None = None) -> float:
+def degrees(scene: Scene, found: NormalAgreement, exact: Scene, region: str | None = None) -> float:
     """By how much the corrected normals of the training views are off on average, there."""
-    views = MendedViews(corrections=found.corrections)
     angles = []
     for view, truth in zip(scene.train, exact.train, strict=True):
         assert truth.normal is not None
-        given = views(view).normal
+        given = view.normal
+        if view.name in found.corrections:
+            given = corrected(given, found.corrections[view.name])
         known = truth.normal.any(dim=-1) & (truth.masks[region] if region else True)
         angles.append((given * truth.normal).sum(dim=-1)[known].clamp(-1, 1).acos().rad2deg())
     return float(torch.cat(angles).mean())
@@ -73,8 +74,10 @@ def test_so_it_is_where_estimates_are_far_off(estimated: Scene, exact: Scene) ->
 
 def test_normals_that_agree_stay_to_the_last_bit(exact: Scene) -> None:
     assert agreed(exact).corrections == {}
-    found = mended(exact, NEAR, True, torch.Generator().manual_seed(0), CPU)
-    assert (found.views, found.normal_weight, list(found.notes)) == (MendedViews(), 1.0, [])
+    prior = with_agreed_normals(Diagnosis(exact)).normals
+    assert prior is not None
+    assert all(prior.agreed(view) is view for view in exact.train)
+    assert (prior.weight, list(prior.notes)) == (1.0, [])
 
 
 def test_views_that_are_turned_are_turned_back(exact: Scene) -> None:
@@ -116,10 +119,12 @@ def test_views_that_show_too_few_points_stay(estimated: Scene) -> None:
 
 def test_a_method_learns_from_what_agrees_and_says_so(estimated: Scene) -> None:
     small = {"env_grid": 2, "env_far_count": 10}
-    terms: dict[bool, Tensor] = {}
-    for mends in (True, False):
-        method = create_method("envgs", small | {"mends_input": mends})
-        method.initialize(estimated, steps=10)
-        terms[mends] = method.training_step(estimated.train[0], 1)["mono"]
-        assert any("to agree" in note for note in method.mended) == mends
-    assert not torch.isclose(terms[True], terms[False], rtol=1e-3)
+    scene = with_agreed_normals(Diagnosis(estimated))
+    terms: dict[str, Tensor] = {}
+    for normals in ("agreed", "as_given"):
+        method = create_method("envgs", small | {"normals": normals})
+        assert method.uses_agreed_normals == (normals == "agreed")
+        method.initialize(scene, steps=10)
+        terms[normals] = method.training_step(scene.train[0], 1)["mono"]
+        assert any("to agree" in note for note in method.notes) == (normals == "agreed")
+    assert not torch.isclose(terms["agreed"], terms["as_given"], rtol=1e-3)

@@ -1,4 +1,4 @@
-"""Where views' normals are of glass and what they show lies behind it: flat mirrors and panes.
+"""Regions seen through flat mirrors or glass: the normals there are the glass's, and what is shown lies behind it.
 
 The normals that an estimator, or a scanner, has of a mirror are its glass's. If that is flat, what it shows stands
 still behind it, and photographs have depths of it as of any room; what a curved mirror shows moves with the eye and is
@@ -20,7 +20,8 @@ from torch import Tensor
 from envgs_bench.core import View
 from envgs_bench.core.vectors import unit
 
-from .evidence import CELLS, SAME_COLOR, cells_of
+from .coverage import CELLS, cells_of
+from .observations import SAME_COLOR
 from .plane_sweep import PlaneSweep, SweptView
 
 PAIRS = 400  # that are drawn in each view
@@ -33,7 +34,7 @@ AROUND = 1.5  # cells, the deviation of the Gaussian by which a cell counts pair
 
 @dataclass(frozen=True)
 class Criterion:
-    """When a cell shows a window.
+    """When a cell is seen through a mirror or glass.
 
     Attributes:
         steep: degrees to the surface beyond which two points do not lie along it: depths are good to 15 or so.
@@ -48,11 +49,11 @@ SURE, LIKELY = Criterion(45.0, 0.5), Criterion(30.0, 0.3)
 
 
 @dataclass(frozen=True)
-class Windows:
-    """Cells of views that show windows, [CELLS, CELLS] by rows and columns, on the CPU; by names of views with any.
+class SeenThrough:
+    """Cells seen through mirrors or glass, [CELLS, CELLS] by rows and columns, on the CPU; by names of views with any.
 
     Attributes:
-        sure: what nothing but windows looks like.
+        sure: what nothing else looks like.
         likely: these, and what curved mirrors look like here and there.
     """
 
@@ -94,8 +95,8 @@ class _Pairs:
 
 
 @torch.no_grad()
-def windows(views: Iterable[View], near: float, far: float, device: torch.device) -> Windows:
-    """What of the views shows windows.
+def seen_through(views: Iterable[View], near: float, far: float, device: torch.device) -> SeenThrough:
+    """Which parts of the views are seen through mirrors or glass.
 
     Args:
         views: asked for one at a time.
@@ -111,7 +112,7 @@ def windows(views: Iterable[View], near: float, far: float, device: torch.device
     sweep = PlaneSweep(swept, near, far)
     found = [_points(sweep, index, each) for index, each in pairs.items() if sweep.neighbors[index]]
     if not found:
-        return Windows()
+        return SeenThrough()
     points, colors, angles = (torch.cat(parts) for parts in zip(*found, strict=True))
     sure, likely = dict[str, Tensor](), dict[str, Tensor]()
     for index in pairs:
@@ -119,23 +120,7 @@ def windows(views: Iterable[View], near: float, far: float, device: torch.device
         for cells, where in zip((sure, likely), each, strict=True):
             if where.any():
                 cells[names[index]] = where.cpu()
-    return Windows(sure, likely)
-
-
-def share_of(cells: Mapping[str, Tensor], views: int) -> float:
-    """The share of what so many views show that these cells are."""
-    return sum(float(where.float().mean()) for where in cells.values()) / views
-
-
-def inside(cells: Tensor, height: int, width: int) -> Tensor:
-    """Which pixels of a picture lie in the cells [CELLS, CELLS], [H, W]."""
-    rows, columns = (torch.arange(size, device=cells.device) * CELLS // size for size in (height, width))
-    return cells[rows[:, None], columns]
-
-
-def outside(normal: Tensor, cells: Tensor) -> Tensor:
-    """A view's normals [H, W, 3], 0 in the `windows`' cells [CELLS, CELLS]."""
-    return torch.where(inside(cells.to(normal.device), *normal.shape[:2])[..., None], 0.0, normal)
+    return SeenThrough(sure, likely)
 
 
 def _points(sweep: PlaneSweep, index: int, pairs: _Pairs) -> tuple[Tensor, Tensor, Tensor]:
@@ -153,7 +138,7 @@ def _points(sweep: PlaneSweep, index: int, pairs: _Pairs) -> tuple[Tensor, Tenso
 
 
 def _cells(view: SweptView, near: float, points: Tensor, colors: Tensor, angles: Tensor) -> list[Tensor]:
-    """Which cells of the view are sure and likely windows, by the points [P, 3] that it shows in their colors.
+    """Which cells of the view surely and likely are, by the points [P, 3] that it shows in their colors.
 
     Each is [CELLS, CELLS].
     """

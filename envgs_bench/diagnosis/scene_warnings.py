@@ -1,51 +1,46 @@
-"""What is wrong with a scene before anything is trained on it, and would not show in a training that fits what it sees.
+"""Warnings of a scene before anything is trained on it: what would not show in a training that fits what it sees.
 
 A run with too few or bad views, or with points or normals that contradict the pictures, learns the training views and
-fails on all others. Its losses know nothing of that; the scene does (`envgs_bench.methods.start`). A run that is too
-short for its views, or is told to learn too slowly, looks as sound as any.
+fails on all others. Its losses know nothing of that; the scene does. A run that is too short for its views, or is told
+to learn too slowly, looks as sound as any.
 """
 
 from __future__ import annotations
 
 import math
 
-import torch
-
-from envgs_bench.core import Scene
-from envgs_bench.methods.start.alignment import alignment
-from envgs_bench.methods.start.evidence import Evidence, empty_cells
-from envgs_bench.methods.start.exposures import UNEQUAL, exposures
-from envgs_bench.methods.start.mending import MISSING, UNSUPPORTED
-from envgs_bench.methods.start.photographs import BLOCK, BLOCKY, BLURRED, NOISY, Photographs
 from envgs_bench.records import TrainingWarning, WarningKind
 
-SPARSE = 12.0  # degrees between the two nearest views of a point from which views are too few to agree on its depth
-DISAGREEING = 18.0  # degrees between two views' normals of a point from which EnvGS lost its lead over 2DGS
-PASSES = 4  # times that a training view is learned from, below which EnvGS was behind 2DGS inside reflections
-POSES_OFF = 0.075  # share of its differences to the points' colors that the median view loses when it is turned
+from .diagnosis import Diagnosis
+from .photographs import BLOCK
+from .thresholds import (
+    BLOCKY,
+    BLURRED,
+    DISAGREEING,
+    MISSING,
+    NOISY,
+    PASSES,
+    POSES_OFF,
+    SPARSE,
+    UNEQUAL,
+    UNSUPPORTED,
+)
 
 
-def scene_warnings(
-    scene: Scene, steps: int, quickness: float = 1.0, device: torch.device | str = "cpu"
-) -> list[TrainingWarning]:
+def scene_warnings(diagnosis: Diagnosis, steps: int, quickness: float = 1.0) -> list[TrainingWarning]:
     """What training views, their poses, points and normals warn of, and few steps for them; each of step 0.
 
     Args:
+        diagnosis: of a scene with points; methods refuse others.
         steps: of the training, a view each.
         quickness: learning rates beside the method's own: steps at a third of them count as a third of the steps.
-        device: where all pixels are looked at.
     """
-    if not len(scene.points):
-        return []  # the method refuses them
-    evidence = Evidence.of(scene, scene.free_space)
-    covered = empty_cells(scene, scene.free_space, device)[1]
-    support, parallax = evidence.support(), evidence.parallax()
-    # Points that are wrong or missing say nothing of exposures or poses, nor do those without colors.
-    in_order = support >= UNSUPPORTED and covered >= MISSING
-    aligned, bright = alignment(evidence, device), exposures(evidence)
-    mirrored, views = evidence.mirrored_views(), len(scene.train)
-    taken = Photographs.of(scene.train)
-    disagreement = evidence.normal_disagreement(evidence.normals_unmirrored(mirrored))
+    views, taken = len(diagnosis.scene.train), diagnosis.photographs
+    support, covered = diagnosis.photo_consistency, diagnosis.coverage
+    parallax, in_order = diagnosis.parallax, diagnosis.points_in_order
+    aligned, bright = diagnosis.alignment, diagnosis.exposures
+    mirrored, disagreement = diagnosis.mirrored, diagnosis.disagreement
+    colorless = diagnosis.observations.colorless
     slowly = f", at {quickness:.2g} times the method's own learning rates" if quickness < 1 else ""
     found: list[tuple[WarningKind, bool, str]] = [
         (
@@ -95,7 +90,7 @@ def scene_warnings(
         ),
         (
             "poses_off",
-            aligned.gain > POSES_OFF and in_order and not evidence.colorless,
+            aligned.gain > POSES_OFF and in_order and not colorless,
             f"the training views agree {aligned.gain:.0%} better with the points' colors once they are turned, the "
             f"median view by {aligned.degrees:.1f}°: their poses may be off",
         ),

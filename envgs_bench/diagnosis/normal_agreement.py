@@ -15,7 +15,7 @@ from torch import Tensor
 
 from envgs_bench.core.vectors import rotated, unit
 
-from .evidence import Evidence
+from .observations import Observations
 
 IN_AGREEMENT = 1.5  # degrees from the points' normals up to which a view's are left, to the last bit
 COLUMNS = 6  # cells of a picture's width, at whose corners rotations are found; as many to its height as make squares
@@ -32,7 +32,7 @@ POINTS_AT_ONCE = 256
 
 
 @dataclass(frozen=True)
-class Agreement:
+class NormalAgreement:
     """Normals at a scene's points once they agree, and what that takes of the views.
 
     Attributes:
@@ -45,7 +45,7 @@ class Agreement:
     corrections: Mapping[str, Tensor] = field(default_factory=dict)
 
 
-def agreement(evidence: Evidence, normals: Tensor) -> Agreement:
+def normal_agreement(observations: Observations, normals: Tensor) -> NormalAgreement:
     """That of the views' normals [V, P, 3] at the points, 0 where a view has none.
 
     In turn each point's normal is found from its views', turned as far as is known, and then each view's rotations from
@@ -55,9 +55,9 @@ def agreement(evidence: Evidence, normals: Tensor) -> Agreement:
     """
     given, has = unit(normals), normals.any(dim=-1)
     seen = has & (has.sum(dim=0) >= LEAST_VIEWS)
-    if evidence.colorless or not seen.any():
-        return Agreement(given)
-    bends = [_Bend.over(evidence, view, has[view]) for view in range(len(given))]
+    if observations.colorless or not seen.any():
+        return NormalAgreement(given)
+    bends = [_Bend.over(observations, view, has[view]) for view in range(len(given))]
     turned, corners = given.clone(), [bend.still() for bend in bends]
     common = _common(given, seen, _medoids(given, seen), FIRST_SCALE)
     for _ in range(ROUNDS):
@@ -68,12 +68,12 @@ def agreement(evidence: Evidence, normals: Tensor) -> Agreement:
         for view, bend in enumerate(bends):
             corners[view] = bend.fitted(given[view], turned[view], common, seen[view] & one_sided)
             turned[view] = bend.turned(given[view], corners[view])
-    named = zip(evidence.views, corners, strict=True)
-    return Agreement(turned, {view.name: each for view, each in named if each.any()})
+    named = zip(observations.views, corners, strict=True)
+    return NormalAgreement(turned, {view.name: each for view, each in named if each.any()})
 
 
 def corrected(normals: Tensor, corners: Tensor) -> Tensor:
-    """A view's normals [H, W, 3] turned by its `Agreement.corrections` [R + 1, C + 1, 3]; 0 stays 0."""
+    """A view's normals [H, W, 3] turned by its `NormalAgreement.corrections` [R + 1, C + 1, 3]; 0 stays 0."""
     across, down = (
         _hats((torch.arange(size) + 0.5) / size, count - 1).to(normals)
         for size, count in zip((normals.shape[1], normals.shape[0]), (corners.shape[1], corners.shape[0]), strict=True)
@@ -98,11 +98,11 @@ class _Bend:
     shape: tuple[int, int]
 
     @classmethod
-    def over(cls, evidence: Evidence, view: int, has: Tensor) -> _Bend:
+    def over(cls, observations: Observations, view: int, has: Tensor) -> _Bend:
         """That of a view with normals at the points where `has` [P]."""
-        camera, rows = evidence.views[view].camera, torch.nonzero(has)[:, 0]
+        camera, rows = observations.views[view].camera, torch.nonzero(has)[:, 0]
         down, across = max(1, round(COLUMNS * camera.height / camera.width)), COLUMNS
-        x, y = (evidence.pixels[view, rows] / torch.tensor([camera.width, camera.height])).unbind(dim=-1)
+        x, y = (observations.pixels[view, rows] / torch.tensor([camera.width, camera.height])).unbind(dim=-1)
         shares = (_hats(y, down)[:, :, None] * _hats(x, across)[:, None]).flatten(1)
         rough_down, rough_across = (step.T @ step for step in (torch.eye(n + 1).diff(dim=0) for n in (down, across)))
         rough = torch.kron(rough_down, torch.eye(across + 1)) + torch.kron(torch.eye(down + 1), rough_across)

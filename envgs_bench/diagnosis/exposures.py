@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from .evidence import Evidence
+from .observations import Observations
+from .thresholds import UNEQUAL
 
 DARKEST, BRIGHTEST = 10 / 255, 245 / 255  # sRGB values beyond which a factor of light is cut off or lost in rounding
 LEAST_POINTS = 30  # that a view must show for its exposure to be judged
 LEAST_VIEWS = 4  # that must show a point for its color to be theirs
-UNEQUAL = 0.19  # how far the median view's light is off, as a logarithm, from which views are made equal
 WIDEST, TRIED = 3.0, 25  # offsets, as logarithms, that each view is first tried with
 OTHER = 0.2  # difference of sRGB values from which a view shows something else
 ROUNDS = 10
@@ -47,23 +47,23 @@ class Exposures:
 
 
 @torch.no_grad()
-def exposures(evidence: Evidence) -> Exposures:
-    """Those of the evidence's views, as far as its points tell.
+def exposures(observations: Observations) -> Exposures:
+    """Those of the observations's views, as far as its points tell.
 
     In turn the views' offsets are found from the points' colors and the points' colors from the views, as weighted
     means of logarithms. Weights fall with the difference that is left, since something may lie before a point, and with
     the variance of what a point's views show, since some lie on fine texture or shine. How bright all views should be
     is said by the colors that came with the points.
     """
-    if evidence.colorless:
+    if observations.colorless:
         return Exposures()
-    valid = ((evidence.seen_colors > DARKEST) & (evidence.seen_colors < BRIGHTEST)).all(dim=-1)  # not where NaN
+    valid = ((observations.seen_colors > DARKEST) & (observations.seen_colors < BRIGHTEST)).all(dim=-1)  # not where NaN
     judged, known = valid.sum(dim=1) >= LEAST_POINTS, valid.sum(dim=0) >= LEAST_VIEWS
     if not judged.any() or not known.any():
         return Exposures()
-    seen = _light(torch.where(valid[..., None], evidence.seen_colors, 0.5)).log()
-    given = common = _light(evidence.colors[None].clamp(DARKEST, BRIGHTEST))[0].log()
-    offsets = _first(evidence, common)
+    seen = _light(torch.where(valid[..., None], observations.seen_colors, 0.5)).log()
+    given = common = _light(observations.colors[None].clamp(DARKEST, BRIGHTEST))[0].log()
+    offsets = _first(observations, common)
     for _ in range(ROUNDS):
         distance = (seen - offsets[:, None] - common).norm(dim=-1)
         scale = max(SPREAD * float(distance[valid].median()), LEAST_SCALE)
@@ -80,9 +80,9 @@ def exposures(evidence: Evidence) -> Exposures:
     deviation = float((offsets - middle)[judged].abs().amax(dim=1).median())
     if deviation < UNEQUAL:
         return Exposures(deviation)
-    as_given = _differences(evidence, common[None])
-    off = judged & (_differences(evidence, common + offsets[:, None]) < as_given)
-    named = zip(evidence.views, offsets, off.tolist(), strict=True)
+    as_given = _differences(observations, common[None])
+    off = judged & (_differences(observations, common + offsets[:, None]) < as_given)
+    named = zip(observations.views, offsets, off.tolist(), strict=True)
     return Exposures(deviation, {view.name: offset.exp() for view, offset, is_off in named if is_off})
 
 
@@ -95,14 +95,14 @@ def equalized(image: Tensor, factors: Tensor) -> Tensor:
     return (255 * encoded).round().byte().contiguous()
 
 
-def _first(evidence: Evidence, logs: Tensor) -> Tensor:
+def _first(observations: Observations, logs: Tensor) -> Tensor:
     """Of each view the offset, of all channels alike, at which it shows most points in their colors: [V, 3]."""
     tried = torch.linspace(-WIDEST, WIDEST, TRIED)
-    differences = [_differences(evidence, (logs + offset)[None]) for offset in tried]
+    differences = [_differences(observations, (logs + offset)[None]) for offset in tried]
     return tried[torch.stack(differences).argmin(dim=0)][:, None].expand(-1, 3)
 
 
-def _differences(evidence: Evidence, logs: Tensor) -> Tensor:
+def _differences(observations: Observations, logs: Tensor) -> Tensor:
     """How far what the views show at the points is from these logarithms of light, cut off as it is: [V].
 
     The logarithms are [V, P, 3], or [1, P, 3] for all views alike.
@@ -110,7 +110,7 @@ def _differences(evidence: Evidence, logs: Tensor) -> Tensor:
     from kornia.color import linear_rgb_to_rgb
 
     expected = linear_rgb_to_rgb(logs.exp().clamp(0, 1).movedim(-1, -3)).movedim(-3, -1)
-    difference = (expected - evidence.seen_colors).abs().mean(dim=-1).clamp_max(OTHER)
+    difference = (expected - observations.seen_colors).abs().mean(dim=-1).clamp_max(OTHER)
     mean: Tensor = difference.nanmean(dim=1)
     return mean
 

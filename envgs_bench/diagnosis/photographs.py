@@ -17,13 +17,10 @@ from torch.nn import functional
 from envgs_bench.core import View
 
 VIEWS = 12  # that are looked at, evenly over their order
-NOISY = 0.06  # standard deviation of a pixel's noise, of the range of sRGB
-BLURRED = 0.015  # the finest detail's power, as a share of that of detail three times as coarse
-BLOCKY = 0.11  # how much larger steps between JPEG's blocks are than within, as a share of the mean step
-WINDOW = 7  # pixels along a window that noise is told in
-FLATTEST = 0.1  # share of the windows that show hardly anything but noise
-DARKEST, BRIGHTEST = 0.1, 0.9  # a window's mean beyond which noise is cut off
-LEAST_WINDOWS = 100  # below which texture is not told from noise
+PATCH = 7  # pixels along a patch that noise is told in
+FLATTEST = 0.1  # share of the patches that show hardly anything but noise
+DARKEST, BRIGHTEST = 0.1, 0.9  # a patch's mean beyond which noise is cut off
+LEAST_PATCHES = 100  # below which texture is not told from noise
 WIDTH = 160  # pixels, about, at which detail is judged: many photographs have none as fine as their pixels
 LEAST_EDGE = 40  # pixels of a picture in which detail is judged
 FINEST, COARSER = (0.3, 0.5), (0.1, 0.2)  # cycles a pixel
@@ -58,16 +55,16 @@ def noise(green: Tensor) -> float:
 
     By the difference of two Laplacians, which leaves little of edges (Immerkær 1996).
     """
-    if min(green.shape) < WINDOW + 2:
+    if min(green.shape) < PATCH + 2:
         return 0.0
     mask = torch.tensor([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]]) / 6
     differences = functional.conv2d(green[None, None], mask[None, None])[0]
     variance, mean = (
-        functional.avg_pool2d(values, WINDOW, stride=WINDOW // 2)
+        functional.avg_pool2d(values, PATCH, stride=PATCH // 2)
         for values in (differences.square(), green[None, 1:-1, 1:-1])
     )
     told = variance[(mean > DARKEST) & (mean < BRIGHTEST)]
-    return float(told.quantile(FLATTEST)) ** 0.5 if len(told) >= LEAST_WINDOWS else 0.0
+    return float(told.quantile(FLATTEST)) ** 0.5 if len(told) >= LEAST_PATCHES else 0.0
 
 
 def detail(green: Tensor) -> float:

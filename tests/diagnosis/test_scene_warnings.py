@@ -12,7 +12,8 @@ from toy_scenes import coarse_toys
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
-from envgs_bench.stages.scene_check import scene_warnings
+from envgs_bench.diagnosis.diagnosis import Diagnosis
+from envgs_bench.diagnosis.scene_warnings import scene_warnings
 
 SAYS = {  # kind of data -> what is said from which severity on
     "exposure": (2, ["exposures_differ"]),
@@ -39,7 +40,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 
 def said(scene: Scene, steps: int = 300, quickness: float = 1.0) -> list[str]:
-    warnings = scene_warnings(scene, steps, quickness)
+    warnings = scene_warnings(Diagnosis(scene), steps, quickness)
     assert all(warning.step == 0 for warning in warnings)
     return [warning.kind for warning in warnings]
 
@@ -72,7 +73,7 @@ def test_a_run_is_short_that_hardly_sees_its_views(room: Scene, times: float, sh
     steps = int(times * len(room.train))
     assert said(room, steps) == ["run_short"] * short
     if short:
-        (warning,) = scene_warnings(room, steps)
+        (warning,) = scene_warnings(Diagnosis(room), steps)
         assert f"{4 * len(room.train)} steps" in warning.message
 
 
@@ -81,7 +82,7 @@ def test_steps_at_lower_rates_are_fewer_steps(room: Scene, quickness: float, sho
     views = len(room.train)
     assert said(room, 4 * views, quickness) == ["run_short"] * short
     if short:
-        (warning,) = scene_warnings(room, 4 * views, quickness)
+        (warning,) = scene_warnings(Diagnosis(room), 4 * views, quickness)
         assert f"{quickness:.2g} times the method's own learning rates" in warning.message
         steps = int(re.search(r"take (\d+) steps", warning.message)[1])
         assert said(room, steps, quickness) == []
@@ -103,4 +104,3 @@ def test_no_view_that_lacks_texture_normals_or_neighbors_is_an_error(room: Scene
     assert said(replace(room, train=blank)) == ["points_unsupported"]
     assert said(replace(room, train=blank[:1])) == ["points_unsupported"]
     assert said(replace(room, train=room.train[:1])) == ["views_sparse"]
-    assert said(replace(room, points=room.points[:0], point_colors=room.point_colors[:0])) == []

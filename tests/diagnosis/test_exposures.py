@@ -12,12 +12,12 @@ from toy_scenes import coarse_toys, worst
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.formats.srgb import to_linear, to_srgb
-from envgs_bench.methods.start.evidence import Evidence
-from envgs_bench.methods.start.exposures import Exposures, equalized, exposures
-from envgs_bench.methods.start.mending import MendedViews, mended, mended_exposures
+from envgs_bench.diagnosis.diagnosis import Diagnosis
+from envgs_bench.diagnosis.exposures import Exposures, equalized, exposures
+from envgs_bench.diagnosis.observations import Observations
+from envgs_bench.diagnosis.repair import repaired
 
 NEAR = 0.2
-CPU = torch.device("cpu")
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 
 def found_in(scene: Scene) -> Exposures:
-    return exposures(Evidence.of(scene, NEAR))
+    return exposures(Observations.of(scene, NEAR))
 
 
 def brightened(scene: Scene, factors: np.ndarray) -> Scene:
@@ -71,17 +71,20 @@ def test_tints_are_found_channel_by_channel(room: Scene) -> None:
 @pytest.mark.parametrize("kind", ["exposure", "white_balance"])
 def test_what_is_learned_from_is_nearer_to_the_truth(room: Scene, kind: str) -> None:
     broken = worst(room, kind)
-    start = mended(broken, NEAR, False, torch.Generator().manual_seed(0), CPU)
-    assert start.scene is broken
-    assert "equally bright" in start.notes[0]
-    learned = replace(broken, train=[start.views(view) for view in broken.train])
+    found, (outcome,) = repaired(Diagnosis(broken), ["exposures"], seed=0)
+    assert outcome.kept
+    assert "equally bright" in outcome.message
+    learned = found.scene
+    assert learned.points is broken.points
     assert off_by(learned, room) < 0.5 * off_by(broken, room)
     assert torch.equal(learned.test[0].image, room.test[0].image)
 
 
 def test_views_that_are_equally_bright_stay_as_they_are(room: Scene) -> None:
-    start = mended(room, NEAR, True, torch.Generator().manual_seed(0), CPU)
-    assert (start.views, list(start.notes)) == (MendedViews(), [])
+    given = Diagnosis(room)
+    found, (outcome,) = repaired(given, ["exposures"], seed=0)
+    assert found is given
+    assert not outcome.kept
     assert 0 < found_in(room).deviation < 0.1
 
 
@@ -102,7 +105,8 @@ def test_points_in_no_view_say_nothing(room: Scene) -> None:
 def test_points_that_the_views_contradict_say_nothing(room: Scene) -> None:
     """Of pictures that differ, but not by what they show at the points."""
     other = replace(worst(room, "exposure"), points=room.points.roll(1, dims=0))
-    assert mended_exposures(Evidence.of(other, NEAR)) == Exposures()
+    given = Diagnosis(other)
+    assert repaired(given, ["exposures"], seed=0)[0] is given
 
 
 def test_a_picture_made_equal_is_as_it_would_have_been() -> None:

@@ -16,7 +16,8 @@ from torch.nn.utils.rnn import pad_sequence
 
 from envgs_bench.core import View
 
-from .evidence import CELLS, Evidence
+from .coverage import CELLS
+from .observations import Observations
 
 SIZES = (32, 64, 96)  # pixels along both sides of what a picture is resized to, one after the other
 ROUNDS = 8  # Gauss-Newton steps at each size
@@ -71,17 +72,17 @@ class _Sights:
 
 
 @torch.no_grad()
-def alignment(evidence: Evidence, device: torch.device | str = "cpu") -> Alignment:
+def alignment(observations: Observations, device: torch.device | str = "cpu") -> Alignment:
     """The turns that make the views agree with the points' colors; none of a view that shows too few points.
 
     Args:
         device: where all pixels and points are looked at; what is found is on the CPU.
     """
-    turns = none = torch.eye(3, device=device).repeat(len(evidence.views), 1, 1)
-    if not evidence.shown.any():
+    turns = none = torch.eye(3, device=device).repeat(len(observations.views), 1, 1)
+    if not observations.shown.any():
         return Alignment(none.cpu(), torch.zeros(len(none)))
-    sights = _sights(evidence).to(device)
-    pictures = torch.cat([_resized(view.rgb(device).permute(2, 0, 1)[None], SIZES[-1]) for view in evidence.views])
+    sights = _sights(observations).to(device)
+    pictures = torch.cat([_resized(view.rgb(device).permute(2, 0, 1)[None], SIZES[-1]) for view in observations.views])
     for size in SIZES:
         maps = _with_gradients(_resized(pictures, size))
         for _ in range(ROUNDS):
@@ -102,15 +103,15 @@ def turned(view: View, turn: Tensor) -> View:
     return replace(view, camera=replace(view.camera, world_to_camera=pose), normal=normal)
 
 
-def _sights(evidence: Evidence) -> _Sights:
+def _sights(observations: Observations) -> _Sights:
     points, colors, projections = [], [], []
-    for index, view in enumerate(evidence.views):
+    for index, view in enumerate(observations.views):
         camera = view.camera
-        in_camera = evidence.points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-        rows = torch.nonzero(_in_front(evidence, index, in_camera[:, 2]))[:, 0]
+        in_camera = observations.points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+        rows = torch.nonzero(_in_front(observations, index, in_camera[:, 2]))[:, 0]
         rows = rows[:: len(rows) // POINTS_A_VIEW + 1]
         points.append(in_camera[rows])
-        colors.append(evidence.colors[rows])
+        colors.append(observations.colors[rows])
         scale = 2 / camera.intrinsics.new_tensor([[camera.width], [camera.height]])
         projections.append(camera.intrinsics[:2] * scale - camera.intrinsics.new_tensor([0.0, 0.0, 1.0]))
     counts = torch.tensor([len(each) for each in points])
@@ -120,11 +121,11 @@ def _sights(evidence: Evidence) -> _Sights:
     return _Sights(points_of_all, colors_of_all, known, torch.stack(projections))
 
 
-def _in_front(evidence: Evidence, index: int, depths: Tensor) -> Tensor:
+def _in_front(observations: Observations, index: int, depths: Tensor) -> Tensor:
     """Which points [P] the view shows, but for those that lie well behind the nearest in their part of the picture."""
-    shown, camera = evidence.shown[index], evidence.views[index].camera
+    shown, camera = observations.shown[index], observations.views[index].camera
     size = depths.new_tensor([camera.width, camera.height])
-    column, row = torch.where(shown[:, None], evidence.pixels[index] / size * CELLS, 0.0).long().unbind(dim=1)
+    column, row = torch.where(shown[:, None], observations.pixels[index] / size * CELLS, 0.0).long().unbind(dim=1)
     cell = row * CELLS + column
     depths = torch.where(shown, depths, torch.inf)
     nearest = torch.full((CELLS**2,), torch.inf).scatter_reduce(0, cell, depths, "amin")

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from envgs_bench.core import Camera, View
+from envgs_bench.core import Camera, Scene, View
 
 WIDTH = 160  # pixels: pictures at least twice as wide are reduced, by a whole factor, to less than twice this
 NEIGHBORS = 4  # other views that a patch is looked for in
@@ -28,7 +28,14 @@ CLEARLY = 0.6  # × the least difference at any other depth is the most that a m
 LEAST_CONTRAST = 0.01  # by how much other depths must look worse, of the range of sRGB
 OTHERWISE = 2  # depths beside the best that are no others
 INFINITY = 1e4  # × the farthest depth
+NEAREST, FARTHEST = 0.1, 20.0  # depths that are swept, × the scene radius
 DISTANT = 4  # pixels by which the nearest views show what is at infinity beside what is at a depth that is another
+
+
+def depth_range(scene: Scene, near: float) -> tuple[float, float]:
+    """Between which depths a sweep looks, world units; `near` is the nearest that anything may have."""
+    scale = scene.radius or 1.0
+    return max(near, NEAREST * scale), FARTHEST * scale
 
 
 @dataclass(frozen=True)

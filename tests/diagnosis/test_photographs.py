@@ -12,8 +12,10 @@ from toy_scenes import coarse_toys
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
-from envgs_bench.methods.start.photographs import BLOCKY, BLURRED, NOISY, Photographs, blockiness, detail, noise
-from envgs_bench.stages.scene_check import scene_warnings
+from envgs_bench.diagnosis.diagnosis import Diagnosis
+from envgs_bench.diagnosis.photographs import Photographs, blockiness, detail, noise
+from envgs_bench.diagnosis.scene_warnings import scene_warnings
+from envgs_bench.diagnosis.thresholds import BLOCKY, BLURRED, NOISY
 
 KINDS = {"noise": "views_noisy", "blur": "views_blurred", "jpeg": "views_blocky"}
 
@@ -30,7 +32,7 @@ def perturbed(scene: Scene, kind: str, severity: int) -> Scene:
 
 
 def said(scene: Scene) -> set[str]:
-    return {warning.kind for warning in scene_warnings(scene, 300)} & set(KINDS.values())
+    return {warning.kind for warning in scene_warnings(Diagnosis(scene), 300)} & set(KINDS.values())
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -13,8 +13,8 @@ from toy_scenes import coarse_toys
 from envgs_bench.core import Scene, View
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
-from envgs_bench.methods.start.alignment import FEWEST, alignment, turned
-from envgs_bench.methods.start.evidence import Evidence
+from envgs_bench.diagnosis.observations import Observations
+from envgs_bench.diagnosis.poses import FEWEST, alignment, turned
 from envgs_bench.testing import NotFinite
 
 
@@ -30,7 +30,7 @@ def perturbed(scene: Scene, kind: str, severity: int) -> Scene:
 
 
 def aligned_views(scene: Scene) -> list[View]:
-    found = alignment(Evidence.of(scene, 0.0))
+    found = alignment(Observations.of(scene, 0.0))
     return [turned(view, turn) for view, turn in zip(scene.train, found.turns, strict=True)]
 
 
@@ -53,7 +53,7 @@ def test_turns_of_two_degrees_are_found_whatever_the_exposure(room: Scene, expos
 
 
 def test_views_in_order_gain_nothing_by_a_turn(room: Scene) -> None:
-    found = alignment(Evidence.of(room, 0.0))
+    found = alignment(Observations.of(room, 0.0))
     assert found.gain < 0.03
     assert found.degrees < 0.3
 
@@ -80,7 +80,7 @@ def test_what_shows_nothing_or_too_little_stays_as_it_is(room: Scene) -> None:
     at_cameras = perturbed(wrong, "points_at_cameras", 3)
     for scene in (few, blank, unseen):
         assert degrees_between(aligned_views(scene), scene.train).max() == 0
-    assert alignment(Evidence.of(at_cameras, 0.0)).turns.isfinite().all()
+    assert alignment(Observations.of(at_cameras, 0.0)).turns.isfinite().all()
 
 
 def test_a_view_whose_picture_is_not_finite_stays_and_leaves_the_others_theirs(room: Scene) -> None:

@@ -1,0 +1,79 @@
+"""Normals that follow another convention of axes: mirrored from left to right, in some views or in all.
+
+What a view and another one say of the same point has to be one normal, and a wrong convention of axes leaves them apart
+unless the cameras' axes are parallel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import torch
+from torch import Tensor
+
+from envgs_bench.core import View
+
+from .observations import Observations
+from .thresholds import MIRROR_GAIN, MIRROR_PAIRS
+
+ROUNDS = 10
+
+
+def mirrored_views(observations: Observations) -> list[str]:
+    """Names of the views whose normals agree better with the others' once they are mirrored from left to right.
+
+    Starting from none and from all of them, each view in turn takes the side that agrees better with all others, until
+    none changes.
+    """
+    agreement, pairs = _agreement(observations)
+    judged = pairs.sum(dim=1) >= MIRROR_PAIRS
+    if not judged.any():
+        return []
+    sides = [_sides(agreement, judged, first) for first in (0, 1)]
+    none = torch.zeros_like(sides[0])
+    best = max([none, *sides], key=lambda side: _total(agreement, side))
+    if _total(agreement, best) < _total(agreement, none) + MIRROR_GAIN * float(pairs.sum()):
+        return []
+    return [view.name for view, mirrored in zip(observations.views, best.tolist(), strict=True) if mirrored]
+
+
+def normals_unmirrored(observations: Observations, mirrored: Collection[str]) -> Tensor:
+    """The views' normals at the points [V, P, 3], those of the views named mirrored from left to right."""
+    normals = zip(observations.seen_normals, observations.views, strict=True)
+    return torch.stack([mirrored_normals(own, view) if view.name in mirrored else own for own, view in normals])
+
+
+def mirrored_normals(normal: Tensor, view: View) -> Tensor:
+    """Normals [..., 3] mirrored from left to right in the axes of the view's camera."""
+    right = view.camera.world_to_camera[0, :3].to(normal)
+    return normal - 2 * (normal @ right)[..., None] * right
+
+
+def _agreement(observations: Observations) -> tuple[Tensor, Tensor]:
+    """Σ of cosines of two views' normals [V, 2, V, 2], as they are and mirrored, and of how many points [V, V]."""
+    normals, views = observations.seen_normals, observations.views
+    mirrored = [mirrored_normals(normal, view) for normal, view in zip(normals, views, strict=True)]
+    sides, counted = torch.stack([normals, torch.stack(mirrored)], dim=1), normals.any(dim=-1).float()
+    count = len(views)
+    flat = sides.reshape(2 * count, -1)
+    agreement, pairs = (flat @ flat.T).reshape(count, 2, count, 2), counted @ counted.T
+    each = torch.arange(count)
+    agreement[each, :, each], pairs[each, each] = 0, 0
+    return agreement, pairs
+
+
+def _sides(agreement: Tensor, judged: Tensor, first: int) -> Tensor:
+    each = torch.arange(len(judged))
+    side = torch.where(judged, first, 0)
+    for _ in range(ROUNDS):
+        before = side.clone()
+        for index in each[judged].tolist():
+            side[index] = agreement[index][:, each, side].sum(dim=1).argmax()
+        if bool((side == before).all()):
+            break
+    return side
+
+
+def _total(agreement: Tensor, side: Tensor) -> float:
+    each = torch.arange(len(side))
+    return float(agreement[each[:, None], side[:, None], each[None], side[None]].sum())

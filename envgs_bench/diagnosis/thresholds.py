@@ -1,0 +1,32 @@
+"""Thresholds of all warnings and repairs: what each is compared with, and in which unit.
+
+They are frozen: none is chosen on a scene that it is then counted on.
+"""
+
+from __future__ import annotations
+
+# Training views and points
+SPARSE = 12.0  # degrees between the two nearest views of a point from which views are too few to agree on its depth
+PASSES = 4  # times that each training view is learned from, below which a run is too short to judge a method by
+UNSUPPORTED = 0.04  # photo-consistency of points below which they are where chance put them
+MISSING = 0.7  # share of a view's textured cells with a point below which pictures show much that no point starts
+FAR_MISSING = 0.01  # share of the views' cells in which points far away must be found to be missed
+MIN_POINTS = 8  # that a set can start from
+
+# Photographs
+NOISY = 0.06  # standard deviation of a pixel's noise, of the range of sRGB
+BLURRED = 0.015  # the finest detail's power, as a share of that of detail three times as coarse
+BLOCKY = 0.11  # how much larger steps between JPEG's blocks are than within, as a share of the mean step
+UNEQUAL = 0.19  # how far the median view's linear light is off, as a logarithm
+
+# Poses: shares of its differences to the points' colors that the median view loses when it is turned
+POSES_OFF = 0.075  # said from here on
+TURNED = 0.12  # repaired from here on
+
+# Normals
+DISAGREEING = 18.0  # degrees between two views' normals of a point from which EnvGS lost its lead over 2DGS
+AGREEING = 14.0  # degrees up to which normals count in full: each is then off by 10
+MIRROR_PAIRS = 1_000  # points that a view must share with others, times these views, for its normals to be judged
+MIRROR_GAIN = 0.03  # by how much the mean cosine to others' normals must rise when views' normals are mirrored
+SEEN_THROUGH = 0.05  # share of the views' cells that must surely be: fewer may be chance, and matter little
+MAYBE_SEEN_THROUGH = 0.1  # … that must be likely to
