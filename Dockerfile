@@ -8,7 +8,7 @@ RUN apt-get update \
 
 WORKDIR /envgs-bench
 COPY . .
-RUN make install weights PIP_FLAGS="--no-cache-dir --extra-index-url https://download.pytorch.org/whl/cpu"
+RUN make install weights PIP_FLAGS="--compile --no-cache-dir --extra-index-url https://download.pytorch.org/whl/cpu"
 
 ENV PATH="/envgs-bench/.venv/bin:$PATH"
 CMD ["make", "demo"]

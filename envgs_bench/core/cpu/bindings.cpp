@@ -1,4 +1,7 @@
-// What Python sees. Arrays are borrowed, never copied; the Python side keeps them alive as long as a pass is.
+// What Python sees, the same for every kind of CPU: compiled once, for any. Arrays are borrowed, never copied; the Python
+// side keeps them alive as long as a pass is.
+#include "bindings.h"
+
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
@@ -70,10 +73,9 @@ PinholeCamera camera_of(const In& world_to_camera, const In& intrinsics, const I
 
 }  // namespace
 
-NB_MODULE(NATIVE_MODULE, m) {
+void envgs::bind(nb::module_& m) {
     m.doc() = "The core's CPU backend. Called through envgs_bench.core.rasterize and trace, which check their input.";
     nb::set_leak_warnings(false);  // objects that outlive the interpreter at exit are no fault of the user's
-    m.attr("pixel_lanes") = kPixelLanes;
     m.def("sleep_while_waiting", &sleep_while_waiting, "From now on OpenMP threads that wait sleep, torch's too.");
 
     nb::class_<RasterPass>(m, "RasterPass")

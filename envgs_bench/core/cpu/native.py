@@ -1,4 +1,4 @@
-"""The C++ extension, compiled once for each kind of CPU: which of its modules this machine runs.
+"""The C++ extension, compiled for each kind of CPU or, in place, for the machine's own: which module this one runs.
 
 `$ENVGS_BENCH_CPU_TARGET` names another than the best, to repeat what a lesser machine computed: results of two targets
 differ in their last bits. It is read once, when the backend is first imported.
@@ -7,6 +7,7 @@ differ in their last bits. It is read once, when the backend is first imported.
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import os
 from types import ModuleType
 
@@ -25,14 +26,21 @@ def load() -> tuple[str, ModuleType]:
     except ImportError as error:
         raise ImportError(f"{error}; reinstall the package with a C++20 compiler present") from error
     supported = _targets.supported()
-    target = os.environ.get(VARIABLE) or next(iter(supported), "none")
-    if target not in supported:
+    if not supported:
+        raise ImportError("it needs a CPU of x86-64-v2, which has SSE4.2, or newer")
+    compiled = [target for target in supported if importlib.util.find_spec(_module_of(target))]
+    if not compiled:
         raise ImportError(
-            f"${VARIABLE} is {target}, this CPU runs {', '.join(supported)}: choose one of these"
-            if supported
-            else "it needs a CPU of x86-64-v2, which has SSE4.2, or newer"
+            f"it was compiled for another kind of CPU, this one runs {', '.join(supported)}: install it on this machine"
         )
-    module = importlib.import_module(f"{__package__}._native_{target.replace('-', '_')}")
+    target = os.environ.get(VARIABLE) or compiled[0]
+    if target not in compiled:
+        raise ImportError(f"${VARIABLE} is {target}, this CPU runs {', '.join(compiled)}: choose one of these")
+    module = importlib.import_module(_module_of(target))
     if not any(name in os.environ for name in WAITING):
         module.sleep_while_waiting()
     return target, module
+
+
+def _module_of(target: str) -> str:
+    return f"{__package__}._native_{target.replace('-', '_')}"

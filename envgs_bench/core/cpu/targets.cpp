@@ -1,38 +1,11 @@
-// Which of the targets that the extension is compiled for this CPU runs. Compiled for any CPU of the architecture.
+// targets.h for Python. Compiled for any CPU of the architecture.
+#include "targets.h"
+
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
-#include <string>
-#include <vector>
-
-namespace {
-
-// The best first; names as in CMakeLists.txt.
-std::vector<std::string> supported() {
-#if defined(__x86_64__)
-    __builtin_cpu_init();
-    bool v2 = __builtin_cpu_supports("sse4.2") && __builtin_cpu_supports("popcnt");
-    bool v3 = v2 && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi") &&
-              __builtin_cpu_supports("bmi2");
-    bool v4 = v3 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
-              __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&
-              __builtin_cpu_supports("avx512vl");
-    std::vector<std::string> names;
-    if (v4) names.push_back("x86-64-v4");
-    if (v3) names.push_back("x86-64-v3");
-    if (v2) names.push_back("x86-64-v2");
-    return names;
-#elif defined(__APPLE__)
-    return {"arm64"};
-#else
-    return {"aarch64"};
-#endif
-}
-
-}  // namespace
-
 NB_MODULE(_targets, m) {
     m.doc() = "Which of the targets that the CPU backend is compiled for this CPU runs.";
-    m.def("supported", &supported, "Names of targets, the best first.");
+    m.def("supported", &envgs::supported_targets, "Names of targets, the best first.");
 }
