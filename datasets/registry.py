@@ -10,6 +10,7 @@ from typing import Any
 from envgs_bench.core import Scene
 from envgs_bench.import_path import load_import_path
 
+from .consistency.scenes import check_scene
 from .errors import DatasetError
 from .formats.pictures import PICTURE_EXTENSIONS
 from .settings import SceneSettings, parse_dataset_settings, require_folder
@@ -45,6 +46,7 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     """
     source, stated = _accepted(settings)
     scene = source(own_settings(settings), Path(cache_dir))
+    check_scene(scene)
     scene = with_validation(scene) if stated.validation else replace(scene, val=())
     free_space, bounds = stated.free_space or scene.free_space, stated.bounds or scene.bounds
     return replace(scene, free_space=free_space, bounds=bounds)

@@ -62,7 +62,7 @@ def _frame(view: View, name: str) -> dict[str, Any]:
     to_world = np.linalg.inv(camera.world_to_camera.double().numpy()) @ OPENGL_TO_OPENCV
     frame: dict[str, Any] = {"file_path": f"./{name}", "transform_matrix": to_world.tolist()}
     if _angle(camera) is None:
-        return {**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
+        return {**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "w": camera.width, "h": camera.height}
     return {**frame, "camera_angle_x": _angle(camera)}
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from envgs_bench.regular_file import read_regular_text
 
+from ..consistency.frames import check_frame, check_size_stated
 from ..errors import DatasetError, listed
 from .names import clean_name, path_below
 from .photograph import LONGEST_EDGE, Photograph
@@ -60,7 +61,7 @@ class FrameFile:
             own = any(key in frame for key in INTRINSICS)
             camera_id = f"{self.path.name}, frame {index}" if own else self.path.name
             name = PurePosixPath(name).with_suffix("").as_posix() if _has_extension(name) else name
-            camera, pose = self._camera(frame, path), self.pose(frame, name)
+            camera, pose = self._camera(frame, path, images), self.pose(frame, name)
             found.append(Photograph(name + path.suffix, path, camera, camera_id, pose, self._masks(frame)))
         without = [photograph.name for photograph in found if not photograph.masks]
         if 0 < len(without) < len(found):
@@ -132,8 +133,9 @@ class FrameFile:
             candidates += [path.with_suffix(extension) for extension in PICTURE_EXTENSIONS]
         return next((candidate for candidate in candidates if candidate.is_file()), None)
 
-    def _camera(self, frame: dict[str, Any], path: Path) -> pycolmap.Camera:
+    def _camera(self, frame: dict[str, Any], path: Path, images: str | None) -> pycolmap.Camera:
         width, height = (self.within(edge, frame, 1, LONGEST_EDGE) for edge in ("w", "h"))
+        unknown = width is None or height is None
         if width is None or height is None:
             header = read_header(path)
             width, height = header.width, header.height
@@ -142,6 +144,9 @@ class FrameFile:
             raise DatasetError(
                 f"{self.path}: gives no focal length for {path.name}: neither fl_x, pixels, nor camera_angle_x, radians"
             )
+        check_frame(self.path, self.shared, frame)
+        if unknown:
+            check_size_stated(self.path, {**self.shared, **frame}, round(width), round(height), images is not None)
         fy = self.focal("y", frame, height) or fx
         cx, cy = self.number("cx", frame), self.number("cy", frame)
         center = [width / 2 if cx is None else cx, height / 2 if cy is None else cy]

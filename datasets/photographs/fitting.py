@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pycolmap
 
+from ..consistency.intrinsics import check_intrinsics
+from ..consistency.lenses import check_lenses
 from ..errors import DatasetError, listed
 from ..formats.photograph import Photograph
 from ..formats.pictures import read_header
@@ -25,12 +27,15 @@ def fit_to_files(photographs: Sequence[Photograph]) -> list[Photograph]:
 
     Raises:
         DatasetError: a file is no picture or has another shape than its camera; files of one camera differ in size;
-            masks or normals have another shape than their picture; names are not unique.
+            masks or normals have another shape than their picture; names are not unique; a camera cannot have taken
+            its pictures.
     """
     _refuse_equal_names(photographs)
     fitted = [fit_to_file(photograph) for photograph in photographs]
     _refuse_mixed_sizes(fitted)
     _check_siblings(fitted)
+    check_intrinsics(fitted)
+    check_lenses(fitted)
     return fitted
 
 

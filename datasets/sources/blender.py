@@ -26,7 +26,7 @@ from ..split import validation_of, without_normals
 from ..store.scene_file import on_disk
 from .capture import CaptureSettings, Channel, Missing, cached_capture, files_of, refuse_missing
 
-VERSION = 2  # raise it with every change that alters a scene
+VERSION = 3  # raise it with every change that alters a scene
 TRANSFORMS = ("transforms_train.json", "transforms_test.json")
 POINTS = "points3d.ply"  # what 3DGS writes beside such a scene
 

@@ -21,7 +21,7 @@ from ..photographs.siblings import sibling_files, with_siblings
 from ..settings import parse_dataset_settings, require_folder
 from .capture import Missing, PhotographSettings, cached_capture, make_scene, refuse_missing
 
-VERSION = 4  # raise it with every change that alters a scene
+VERSION = 5  # raise it with every change that alters a scene
 
 
 class ColmapSettings(PhotographSettings):
@@ -31,7 +31,7 @@ class ColmapSettings(PhotographSettings):
     equalize_exposure: bool = False  # undo automatic exposure and white balance, as estimated from the points
     images: str = "images"  # folder below root
     missing: Missing = "refuse"  # images of the model that are not there
-    model: str | None = None  # folder below root; sparse/0, or else sparse, where None
+    model: str | None = None  # folder below root; the largest of sparse/0, sparse/1 …, or else sparse, where None
     normals_frame: Frame = "world"  # axes of normals/; camera: right, down, forward; opengl: right, up, backward
 
 
@@ -39,7 +39,7 @@ def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     """A capture: `root` with its images, its model, and what lies beside them.
 
         images/…         the photographs; subfolders and extensions as in the model
-        sparse/0/        cameras, images and points3D, as .bin or .txt
+        sparse/0/        cameras, images and points3D, as .bin or .txt; of several beside it the largest
         masks/…          optional, one an image: region `foreground`, white inside
         masks_<name>/…   optional: region <name>
         normals/…        optional, one an image: rgb = 255·(n/2 + 1/2), or float .npy
@@ -57,6 +57,7 @@ def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     def make() -> Scene:
         found, missing = model.photographs(images)
         refuse_missing(choice.missing, len(found) + len(missing), missing, model.folder)
+        _note_others(choice, model)
         _note_without_pose(images, found)
         if choice.equalize_exposure:
             found = with_equal_exposure(found, model.observations(), choice.background)
@@ -96,14 +97,35 @@ def _images(choice: ColmapSettings) -> Path:
 
 
 def _model(choice: ColmapSettings) -> Model:
-    wanted = [choice.model] if choice.model else ["sparse/0", "sparse"]
-    for model in (Model(choice.root / below) for below in wanted):
-        if model.exists:
-            return model
+    if choice.model is None:
+        parts = _parts(choice)
+        if parts:
+            return max(parts, key=lambda model: len(model.listed_images())) if len(parts) > 1 else parts[0]
+    wanted = choice.model or "sparse"
+    model = Model(choice.root / wanted)
+    if model.exists:
+        return model
     raise DatasetError(
-        f"{choice.root}: no COLMAP model in {' or '.join(wanted)} (cameras, images and points3D, as .bin or .txt); "
-        "name its folder with dataset.model=…"
+        f"{choice.root}: no COLMAP model in {choice.model or 'sparse/0 or sparse'} (cameras, images and points3D, as "
+        ".bin or .txt); name its folder with dataset.model=…"
     )
+
+
+def _parts(choice: ColmapSettings) -> list[Model]:
+    """The models that structure from motion leaves of images that it cannot join, sparse/0 first."""
+    folders = [path for path in (choice.root / "sparse").glob("*") if path.name.isdecimal()]
+    return [model for path in sorted(folders, key=lambda path: int(path.name)) if (model := Model(path)).exists]
+
+
+def _note_others(choice: ColmapSettings, taken: Model) -> None:
+    """A model that lies beside sparse/0 and is larger is taken in its place, which its user may not expect."""
+    parts = _parts(choice)
+    if choice.model is None and len(parts) > 1 and taken.folder != parts[0].folder:
+        sizes = [f"sparse/{model.folder.name} {len(model.listed_images())}" for model in parts]
+        note(
+            f"{taken.folder}: taken, the largest of {len(parts)} models (images: {listed(sizes)}). For another "
+            f"give its folder, as dataset.model=sparse/{parts[0].folder.name}"
+        )
 
 
 def _note_without_pose(images: Path, photographs: list[Photograph]) -> None:

@@ -16,6 +16,7 @@ from PIL import Image
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.formats.colmap_model import Model
+from envgs_bench.datasets.notes import collecting
 from envgs_bench.datasets.sources import colmap
 
 NAMES = [f"{index:03d}.png" for index in range(10)]
@@ -65,6 +66,17 @@ def test_a_model_is_read_as_it_was_written(root: Path, form: str) -> None:
 @pytest.mark.parametrize("folder", ["sparse/0", "sparse"])
 def test_the_model_is_found(tmp_path: Path, folder: str) -> None:
     assert len(load(write_capture(tmp_path / "bench", NAMES, model=folder)).train) == 8
+
+
+def test_of_several_models_the_largest_is_taken(tmp_path: Path) -> None:
+    root = write_capture(tmp_path / "bench", NAMES[:3])
+    write_capture(tmp_path / "bench", NAMES[3:], model="sparse/1")
+    with collecting() as notes:
+        assert len([*load(root).train, *load(root).test]) == 7
+    assert "sparse/1: taken, the largest of 2 models (images: sparse/0 3, sparse/1 7)" in notes[0]
+    with collecting() as notes:
+        assert len([*(chosen := load(root, model="sparse/0")).train, *chosen.test]) == 3
+    assert not any("the largest" in note for note in notes)
 
 
 def expected_gradient(camera: Camera, distort: Any) -> np.ndarray:
