@@ -13,7 +13,7 @@ from envgs_bench.import_path import load_import_path
 from .consistency.scenes import check_scene
 from .errors import DatasetError
 from .formats.pictures import PICTURE_EXTENSIONS
-from .settings import SceneSettings, parse_dataset_settings, require_folder
+from .settings import SceneSettings, SourceSettings, parse_dataset_settings, require_folder
 from .split import with_validation
 
 # Its scene's `val` are those of its training views that may validate, as scores are to see them, and still train too:
@@ -28,6 +28,14 @@ BUILT_IN = {
     "transforms": "envgs_bench.datasets.sources.transforms:load_transforms",
     "photos": "envgs_bench.datasets.sources.photos:load_photos",
 }
+SETTINGS = {  # of those
+    "toy": "envgs_bench.datasets.toy:ToySettings",
+    "colmap": "envgs_bench.datasets.sources.colmap:ColmapSettings",
+    "blender": "envgs_bench.datasets.sources.blender:BlenderSettings",
+    "transforms": "envgs_bench.datasets.sources.transforms:TransformsSettings",
+    "photos": "envgs_bench.datasets.sources.photos:PhotosSettings",
+}
+MISSING = "???"  # Hydra's word for what has to be given
 
 
 def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
@@ -50,6 +58,13 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     scene = with_validation(scene) if stated.validation else replace(scene, val=())
     free_space, bounds = stated.free_space or scene.free_space, stated.bounds or scene.bounds
     return replace(scene, free_space=free_space, bounds=bounds)
+
+
+def default_settings(kind: str) -> dict[str, Any]:
+    """The settings of a data set of a built-in kind where nobody says otherwise; MISSING what has to be given."""
+    model: type[SourceSettings] = load_import_path(SETTINGS[kind])
+    fields = {name: MISSING if field.is_required() else field.default for name, field in model.model_fields.items()}
+    return {"name": None, **fields, "kind": kind}
 
 
 def check_source(settings: Mapping[str, Any]) -> None:

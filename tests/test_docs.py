@@ -101,7 +101,7 @@ def test_what_is_not_there_is_found(text: str) -> None:
     assert len(problems(text, ROOT / "envgs_bench" / "docs" / "core.md")) == 1
 
 
-CHOICE = re.compile(r"\b(method|dataset|experiment|protocol)=([^\s`'\")…]+)")
+CHOICE = re.compile(r"\b(method|dataset|experiment|suite|size|protocol)=([^\s`'\")…]+)")
 CALL = re.compile(r"envgs-bench ([a-z]\w*)\b")
 EXAMPLES = {"mine", "blobs"}  # what readers are shown how to add
 

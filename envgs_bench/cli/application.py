@@ -22,7 +22,7 @@ from envgs_bench.settings import SettingsError
 from envgs_bench.stages.stop import INTERRUPTED
 
 from .checks import check_choices, checked
-from .composition import CONF, explain, register_methods, settings_of
+from .composition import CONF, explain, register_choices, settings_of
 from .ledger import (
     SWEEP_VARIABLE,
     Sweep,
@@ -63,7 +63,7 @@ def run(arguments: list[str], dry: bool = False) -> int:
 
 
 def _run(arguments: list[str]) -> int:
-    register_methods(arguments)
+    register_choices(arguments)
     try:
         arguments = checked(arguments)
     except (CompactHydraException, HydraException, OmegaConfBaseException, SettingsError) as error:

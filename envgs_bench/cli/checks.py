@@ -23,9 +23,7 @@ from envgs_bench.settings import RunSettings, SettingsError
 from envgs_bench.stages.budget import check_budget
 from envgs_bench.stages.perturbations import perturbation_of, perturbed_settings
 
-from .composition import CONF, settings_of
-
-SETTING = "method.settings."  # what the key of a method's setting begins with
+from .composition import CONF, SETTING, settings_of
 
 
 def checked(arguments: list[str]) -> list[str]:
@@ -65,7 +63,8 @@ def checked(arguments: list[str]) -> list[str]:
             print(f"{_experiment(overrides)} is a sweep: running all its jobs, as with -m", file=sys.stderr)
             arguments = ["-m", *arguments]
         for choices in _each_choice(axes):
-            _check(settings_of(compose("config", [*fixed, *choices]), []))
+            lines = [*fixed, *choices]
+            _check(settings_of(compose("config", lines), lines))
     _tell_of_weights()
     return arguments
 

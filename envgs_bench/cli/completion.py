@@ -44,8 +44,8 @@ def _script() -> str:
     from .composition import config_names
     from .main import COMMANDS
 
-    groups = {group: config_names(group) for group in ("method", "dataset", "experiment")}
+    groups = {group: config_names(group) for group in ("method", "dataset", "experiment", "suite", "size")}
     groups |= {"protocol": list(PROTOCOLS), "device": ["auto", "cpu", "cuda"]}
     cases = [f'        {group}=*) words="{" ".join(names)}" ;;' for group, names in groups.items()]
-    keys = sorted({f"{key}=" for key in (*RunSettings.model_fields, "experiment")} - {"overrides="})
+    keys = sorted({f"{key}=" for key in (*RunSettings.model_fields, "experiment", "suite", "size")} - {"overrides="})
     return SCRIPT.format(commands=" ".join(COMMANDS), cases="\n".join(cases), keys=" ".join(["-m", "--dry-run", *keys]))

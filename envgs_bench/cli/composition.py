@@ -6,7 +6,7 @@ import dataclasses
 import difflib
 import shlex
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, cast
@@ -23,18 +23,21 @@ from omegaconf.errors import (
     ValidationError,
 )
 
+from envgs_bench.datasets.registry import BUILT_IN as DATASET_KINDS
+from envgs_bench.datasets.registry import default_settings as default_dataset_settings
 from envgs_bench.methods.registry import method_class, method_names, method_paths
 from envgs_bench.settings import MethodChoice, RunSettings, SettingsError, parse_settings
 
 CONF = Path(__file__).parents[1] / "conf"
+SETTING = "method.settings."  # what the key of a method's setting begins with
 
 
 def config_names(group: str) -> list[str]:
     """The options of a configuration group, as they are written behind `<group>=`."""
     root = CONF / group
     files = (path.relative_to(root).with_suffix("").as_posix() for path in root.rglob("*.yaml"))
-    registered = method_names() if group == "method" else []
-    return sorted({*_whole(files), *registered})
+    registered = {"method": method_names(), "dataset": list(DATASET_KINDS)}
+    return sorted({*_whole(files), *registered.get(group, [])})
 
 
 def _whole(options: Iterable[str]) -> Iterable[str]:
@@ -44,7 +47,7 @@ def _whole(options: Iterable[str]) -> Iterable[str]:
 
 def composed(overrides: list[str]) -> RunSettings:
     """The settings that one run with these overrides has. Raises SettingsError, explained, where there is none."""
-    register_methods(overrides)
+    register_choices(overrides)
     try:
         with initialize_config_dir(str(CONF), version_base="1.3"):
             return settings_of(compose("config", overrides), overrides)
@@ -55,24 +58,31 @@ def composed(overrides: list[str]) -> RunSettings:
 def settings_of(config: DictConfig, overrides: list[str]) -> RunSettings:
     """The settings of a composed configuration, those of the method all written out.
 
+    Args:
+        overrides: those that it was composed of; a method's setting among them counts before the scene's release.
+
     Raises:
         SettingsError, OmegaConfBaseException: a key is missing, unknown or of a wrong value.
     """
     content: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     for shorthand in ("data_root", "path"):  # they have done their work, in dataset.root and method.settings.path
         content.pop(shorthand, None)
+    release = content.pop("release", None) or {}
     settings = parse_settings({**content, "overrides": overrides})
-    method = settings.method.model_copy(update={"settings": _written_out(settings.method)})
+    written = _written_out(settings.method) | _released(settings.method.name, release, overrides)
+    method = settings.method.model_copy(update={"settings": written})
     _refuse_unknown(method)
     return settings.model_copy(update={"method": method})
 
 
-def register_methods(overrides: Iterable[str] = ()) -> None:
-    """Offer every method as method=<name>, with the defaults of its settings dataclass.
+def register_choices(overrides: Iterable[str] = ()) -> None:
+    """Offer every kind of data set as dataset=<kind>, and every method as method=<name>, with their own defaults.
 
-    These are the ones built in, those of installed packages, and whatever `overrides` choose by import path, as
+    The methods are the ones built in, those of installed packages, and whatever `overrides` choose by import path, as
     method=package.module:Class.
     """
+    for kind in DATASET_KINDS:
+        _offer_dataset(kind)
     chosen = [override.partition("=")[2].split(",") for override in overrides if override.startswith("method=")]
     by_path = {path: path for paths in chosen for path in paths if ":" in path}
     for kind, path in {**by_path, **method_paths()}.items():
@@ -80,6 +90,11 @@ def register_methods(overrides: Iterable[str] = ()) -> None:
             _offer(kind, method_class(kind).Settings)
         except Exception as error:
             print(f"method {kind} of {path} cannot be loaded: {error}", file=sys.stderr)
+
+
+@cache  # as below
+def _offer_dataset(kind: str) -> None:
+    ConfigStore.instance().store(group="dataset", name=kind, node=default_dataset_settings(kind))
 
 
 @cache  # the store lives as long as the process
@@ -105,6 +120,12 @@ def _written_out(method: MethodChoice) -> dict[str, Any]:
     except Exception:
         return method.settings  # a folder of renders; or what cannot be loaded, as the run itself will say
     return {**cast(dict, OmegaConf.to_container(defaults)), **method.settings}
+
+
+def _released(name: str, release: Mapping[str, Any], overrides: Iterable[str]) -> dict[str, Any]:
+    """What the scene's release sets apart for the method `name`, but for what an override gives."""
+    given = {override.lstrip("+").partition("=")[0] for override in overrides}
+    return {key: value for key, value in (release.get(name) or {}).items() if f"{SETTING}{key}" not in given}
 
 
 def _refuse_unknown(method: MethodChoice) -> None:

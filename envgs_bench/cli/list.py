@@ -47,7 +47,8 @@ def _list_names() -> int:
     table.add_row("dataset.kind=", ", ".join(BUILT_IN))
     table.add_row("perturb.kind=", ", ".join(["none", *OF_SCENES, *OF_SETTINGS]))
     table.add_row("protocol=", ", ".join(PROTOCOLS))
-    table.add_row("experiment=", ", ".join(config_names("experiment")))
+    for group in ("experiment", "suite", "size"):
+        table.add_row(f"{group}=", ", ".join(config_names(group)))
     table.add_row("backends", ", ".join(backends))
     table.add_row("layouts of models", ", ".join(LAYOUTS))
     Console(width=120).print(table, highlight=False)

@@ -18,7 +18,7 @@ from envgs_bench.methods.settings import setting_comments
 from envgs_bench.records import RENDERS
 from envgs_bench.stages.renders import RendersSettings
 
-from .composition import CONF, explain, register_methods
+from .composition import CONF, explain, register_choices
 
 WRONG_ARGUMENTS = 2
 
@@ -32,7 +32,7 @@ def print_method_settings(name: str) -> int:
         The exit status: 0, or 2 where there is no such method; standard error then says which there are.
     """
     chosen = f"method={name}"
-    register_methods([chosen])
+    register_choices([chosen])
     try:
         with initialize_config_dir(str(CONF), version_base="1.3"):
             method = compose("config", [chosen]).method

@@ -9,7 +9,7 @@ import pytest
 from fakes.runs import records, run, set_environment
 
 from envgs_bench.cli.checks import checked
-from envgs_bench.cli.composition import register_methods
+from envgs_bench.cli.composition import register_choices
 from envgs_bench.cli.main import COMMANDS, main
 from envgs_bench.settings import SettingsError
 
@@ -47,7 +47,7 @@ def test_every_choice_of_a_sweep_is_looked_at(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_a_comma_is_a_sweep_or_quoted() -> None:
-    register_methods()
+    register_choices()
     with pytest.raises(SettingsError, match=r"add -m to run each, or quote one value .*: 'method=\"2dgs,3dgs\"'"):
         checked(["method=2dgs,3dgs"])
     with pytest.raises(SettingsError, match="leave -m out, or list the jobs of a sweep with --dry-run"):
@@ -55,7 +55,7 @@ def test_a_comma_is_a_sweep_or_quoted() -> None:
 
 
 def test_an_experiment_that_is_a_sweep_is_run_as_one(capsys: pytest.CaptureFixture[str]) -> None:
-    register_methods()
+    register_choices()
     assert checked(["experiment=demo"]) == ["-m", "experiment=demo"]
     assert "experiment=demo is a sweep: running all its jobs, as with -m" in capsys.readouterr().err
     assert checked(["-m", "experiment=demo"]) == ["-m", "experiment=demo"]
@@ -68,7 +68,7 @@ def test_settings_that_a_methods_file_does_not_name_need_no_plus(
 ) -> None:
     (tmp_path / "method").mkdir()
     (tmp_path / "method" / "short.yaml").write_text("name: short\nkind: fakes.methods:MeanColor\n")
-    register_methods()
+    register_choices()
     arguments = ["--config-dir", str(tmp_path), "method=short", "method.settings.rate=0.25"]
     assert checked(arguments) == [*arguments[:3], "+method.settings.rate=0.25"]
     with pytest.raises(SettingsError, match=r"unknown key 'method.settings.rats'.*Did you mean 'rate'\?"):
@@ -76,7 +76,7 @@ def test_settings_that_a_methods_file_does_not_name_need_no_plus(
 
 
 def test_missing_weights_are_told_of_before_the_first_job(capsys: pytest.CaptureFixture[str]) -> None:
-    register_methods()
+    register_choices()
     checked(["method=2dgs"])
     assert "LPIPS will read n/c, and no perceptual loss is trained with: VGG-16" in capsys.readouterr().err
 

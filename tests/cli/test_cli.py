@@ -151,7 +151,7 @@ def test_asking_for_cuda_where_there_is_none_is_explained(
 
 
 def test_every_shipped_configuration_composes(capsys: pytest.CaptureFixture[str]) -> None:
-    composition.register_methods()
+    composition.register_choices()
     for group in ("method", "dataset"):
         names = composition.config_names(group)
         assert names

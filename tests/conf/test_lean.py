@@ -28,7 +28,7 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_sweep_has_every_lean_method_beside_the_full_one_on_the_scenes_of_the_results() -> None:
     choices = swept("lean")
     assert set(choices["method"]) == {*FULL, *FULL.values()}
-    assert choices["dataset"] == swept("ladder_gpu")["dataset"]
+    assert choices["dataset"] == swept("scores")["dataset"]
     assert choices["seed"] == ["0", "1", "2"]
     assert one_run("lean").score_on == "test"
 

@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 from tuned_baselines import TUNED_2DGS, TUNED_3DGS
 
 from envgs_bench.cli import composition
-from envgs_bench.cli.composition import config_names, default_settings, register_methods
+from envgs_bench.cli.composition import config_names, default_settings, register_choices
 from envgs_bench.cli.main import main
 from envgs_bench.methods import registry
 from envgs_bench.methods.envgs import EnvGS
@@ -36,11 +36,7 @@ DIFFERENCES = {
     "gaussian_shader_tuned": TUNED_3DGS
     | {"rotation_lr_final": 1e-4, "densify_until": 18_000, "densify_every": 300, "min_coverage": 1.5}
     | {"pixels_per_primitive": 7.0, "mono_weight": 0.05, "mono_loss": "l1_cos"},
-    "envmap128": {"envmap_size": 128},
-    "envmap256": {"envmap_size": 256},
     "envgs_no_joint": {"joint": False},
-    "envgs_4spp": {"supersampling": 2},
-    "envmap_4spp": {"supersampling": 2},
     "2dgs_lean": TUNED_2DGS | LEAN,
     "3dgs_lean": TUNED_3DGS | LEAN,
     "envgs_lean": {"prune_error": 0.05, "reflection_trial": True},
@@ -52,40 +48,45 @@ ABLATIONS = {  # of the published recipe
     "envgs_paper_no_normal_propagation": {"propagate": False},
     "envgs_paper_no_perceptual": {"perceptual_weight": 0.0},
 }
-RELEASED = {  # as the released code sets scenes apart
-    "envgs_released_sedan": {"densify_until": 30_000, "env_densify_until": 30_000, "disturb_until": 24_000},
-    "envgs_released_toycar": {"sh_from": 10_000},
-    "envgs_released_spheres": {"sh_from": 10_000, "initial_beta": 0.1, "perceptual_weight": 0.1},
-    "envgs_released_late": {"perceptual_from": 45_000},
-    "envgs_released_metal": {"perceptual_from": 45_000, "initial_beta": 0.01},
-    "envgs_released_synthetic": {
-        "sh_from": 10_000,
-        "env_sh_from": 10_000,
-        "bootstrap": 6_000,
-        "initial_beta": 0.1,
-        "beta_reset_from": 9_000,
-        "env_densify_until": 42_000,
-        "oversized": "prune",
-        "env_opacity_reset_every": 3_000,
-        "normal_from": 4_000,
-        "mono_from": 4_000,
-        "normal_weighting": "alpha",
-        "perceptual_weight": 0.0,
-        "reflect_alpha": 0.75,
-        "reflect_alpha_from": 30_000,
-    },
+SYNTHETIC = {
+    "sh_from": 10_000,
+    "env_sh_from": 10_000,
+    "bootstrap": 6_000,
+    "initial_beta": 0.1,
+    "beta_reset_from": 9_000,
+    "env_densify_until": 42_000,
+    "oversized": "prune",
+    "env_opacity_reset_every": 3_000,
+    "normal_from": 4_000,
+    "mono_from": 4_000,
+    "normal_weighting": "alpha",
+    "perceptual_weight": 0.0,
+    "reflect_alpha": 0.75,
+    "reflect_alpha_from": 30_000,
 }
-RELEASED["envgs_released_ball"] = RELEASED["envgs_released_synthetic"] | {"initial_beta": 0.8}
+LATE = {"perceptual_from": 45_000}
+RELEASED = {  # what EnvGS's released code sets apart, by scene
+    "toy/chrome_room": {},
+    "mipnerf360/garden": {},
+    "ref_real/sedan": {"densify_until": 30_000, "env_densify_until": 30_000, "disturb_until": 24_000},
+    "ref_real/toycar": {"sh_from": 10_000},
+    "ref_real/spheres": {"sh_from": 10_000, "initial_beta": 0.1, "perceptual_weight": 0.1},
+    **dict.fromkeys(("envgs/audi", "envgs/dog", "nerf_casting/compact", "nerf_casting/hatchback"), LATE),
+    **dict.fromkeys(("nerf_casting/grinder", "nerf_casting/toaster"), LATE | {"initial_beta": 0.01}),
+    **{f"shiny_blender/{name}": SYNTHETIC for name in ("car", "coffee", "helmet", "teapot", "toaster")},
+    "shiny_blender/ball": SYNTHETIC | {"initial_beta": 0.8},
+}
 TUNED_RIVALS = {  # where they are not as the environment map
     "3dgs_dr_tuned": {"min_opacity", "normal_weight", "normal_from", "beta_threshold", "beta_reset"},
     "ref_gaussian_tuned": {"beta_threshold", "beta_reset"},
 }
-RELEASED_RIVALS = {  # steps that are trained at most, and settings that say nothing of how long
-    "3dgs_dr_real": (97_000, {"scope_radius": 0.5}),
-    "ref_gaussian_real": (20_000, {"shade_until": 0}),
-    "ref_gaussian_smooth": (50_000, {"smooth_weight": 1.0}),
-    "3igs_real": (30_000, {"field_size": 300}),
-}
+RELEASED_RIVALS = [  # method, scene, steps that are trained at most, and settings that say nothing of how long
+    ("3dgs_dr", "ref_real/sedan", 97_000, {"scope_radius": 0.5}),
+    ("ref_gaussian", "ref_real/sedan", 20_000, {"shade_until": 0, "smooth_weight": 0.0}),
+    ("ref_gaussian", "ref_real/spheres", 20_000, {"shade_until": 0, "smooth_weight": 0.45}),
+    ("ref_gaussian", "shiny_blender/helmet", 50_000, {"smooth_weight": 1.0}),
+    ("3igs", "ref_real/toycar", 30_000, {"field_size": 300}),
+]
 REPLACED = {"envmap_paper": "envmap", "envgs_paper_single_set": "envgs_single_set"}  # name -> kind
 
 
@@ -96,7 +97,7 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def composed(name: str) -> dict[str, Any]:
     """The node `method` of a run with method=<name>."""
-    register_methods()
+    register_choices()
     with initialize_config_dir(str(composition.CONF), version_base="1.3"):
         content = OmegaConf.to_container(compose("config", [f"method={name}"]).method)
     assert isinstance(content, dict)
@@ -142,18 +143,19 @@ def test_a_tuned_rival_is_given_what_the_environment_map_is(name: str) -> None:
     assert unlike - {"disturb_until"} == TUNED_RIVALS[name]  # what is never disturbed ends that at no step
 
 
-@pytest.mark.parametrize("name", RELEASED_RIVALS)
-def test_a_rival_as_released_for_some_scenes_is_called_as_the_other_and_trains_as_long_as_released(name: str) -> None:
-    steps, settings = RELEASED_RIVALS[name]
-    method = composed(name)
-    assert method["name"] == method["kind"] == name.rpartition("_")[0]
-    assert create_method(method["kind"], method["settings"]).training_steps(100_000) == steps
-    assert settings.items() <= method["settings"].items()
-    assert not settings.items() <= composed(method["kind"])["settings"].items()
+@pytest.mark.parametrize(("name", "scene", "steps", "settings"), RELEASED_RIVALS)
+def test_a_rival_trains_a_scene_as_its_release_does(
+    name: str, scene: str, steps: int, settings: dict[str, Any]
+) -> None:
+    found = run_on(scene, name)
+    assert create_method(name, found).training_steps(100_000) == steps
+    assert settings.items() <= found.items()
+    assert run_on("toy/chrome_room", name) == composed(name)["settings"]
+    assert run_on(scene, f"{name}_tuned") == composed(f"{name}_tuned")["settings"]  # our own is no release's
 
 
 def test_ref_gaussian_on_captures_does_everything_at_the_released_steps() -> None:
-    method = create_method("ref_gaussian", composed("ref_gaussian_real")["settings"] | {"envmap_size": 4})
+    method = create_method("ref_gaussian", run_on("ref_real/sedan", "ref_gaussian") | {"envmap_size": 4})
     method.initialize(tiny_scene(), 20_000)
     stages = []
     for step in (3_000, 3_001, 10_000, 10_001):
@@ -223,17 +225,29 @@ def test_the_tuned_baselines_have_the_growth_and_the_colors_of_the_other_methods
         assert {key: tuned[key] for key in differences} == {key: shared[key] for key in differences}
 
 
-@pytest.mark.parametrize("name", RELEASED)
-def test_a_scene_of_the_release_is_a_row_of_its_recipe(name: str) -> None:
-    method, released = composed(name), composed("envgs_released")
-    assert (method["name"], method["kind"]) == ("envgs_released", "envgs")
-    assert method["settings"] == released["settings"] | RELEASED[name]
-    create_method("envgs", method["settings"])
+@pytest.mark.parametrize("scene", RELEASED)
+def test_the_release_trains_a_scene_as_the_scenes_preset_says(scene: str) -> None:
+    settings = run_on(scene, "envgs_released")
+    assert settings == composed("envgs_released")["settings"] | RELEASED[scene]
+    create_method("envgs", settings)
+    assert run_on(scene, "envgs_paper") == composed("envgs_paper")["settings"]
 
 
-def events(name: str, steps: int) -> dict[str, list[int]]:
-    """For each event the steps of a run with method=<name> in which it happens."""
-    method = create_method("envgs", composed(name)["settings"])
+def test_a_setting_that_is_given_counts_before_the_scenes_release() -> None:
+    given = run_on("shiny_blender/ball", "envgs_released", "method.settings.initial_beta=0.25")
+    assert given == run_on("shiny_blender/ball", "envgs_released") | {"initial_beta": 0.25}
+
+
+def run_on(scene: str, method: str, *overrides: str) -> dict[str, Any]:
+    """The settings of a method on a scene."""
+    run = composition.composed([f"dataset={scene}", f"method={method}", *overrides])
+    assert "release" not in run.dataset
+    return run.method.settings
+
+
+def events(scene: str, steps: int) -> dict[str, list[int]]:
+    """For each event the steps of a run of EnvGS as released in which it happens."""
+    method = create_method("envgs", run_on(scene, "envgs_released"))
     assert isinstance(method, EnvGS)
     method.schedule = Schedule(steps, method.settings.stretches)
     found: dict[str, list[int]] = {}
@@ -249,7 +263,7 @@ def thousands(*numbers: int) -> list[int]:
 
 def test_the_sedan_grows_and_is_disturbed_for_longer() -> None:
     """In 60,000 steps; the released code's loop has so many of each."""
-    found = events("envgs_released_sedan", 60_000)
+    found = events("ref_real/sedan", 60_000)
     counts = {name: len(steps) for name, steps in found.items()}
     assert [counts[name] for name in ("densify_base", "densify_env", "propagate", "sabotage")] == [126, 53, 14, 14]
     assert [counts[name] for name in ("reset_base_opacity", "reset_beta", "reset_env_opacity")] == [9, 8, 4]
@@ -262,7 +276,7 @@ def test_the_sedan_grows_and_is_disturbed_for_longer() -> None:
 
 
 def test_the_synthetic_scenes_have_a_schedule_of_their_own() -> None:
-    found = events("envgs_released_synthetic", 60_000)
+    found = events("shiny_blender/car", 60_000)
     assert found.pop("densify_base") == [*range(600, 6001, 100), *range(6500, 18_001, 500), *range(18_100, 21_000, 100)]
     assert found.pop("densify_env") == list(range(6500, 42_000, 500))
     assert found.pop("sabotage") == found.pop("propagate") == thousands(7, 8, 10, 11, 13, 14, 16, 17)
@@ -292,8 +306,7 @@ def test_what_has_no_learning_rates_is_not_slow() -> None:
 
 
 def test_every_configuration_is_tested() -> None:
-    rivals = {*TUNED_RIVALS, *RELEASED_RIVALS}
-    tested = {*DIFFERENCES, *ABLATIONS, *RELEASED, *REPLACED, *rivals, "envgs_paper", "envgs_released", "renders"}
+    tested = {*DIFFERENCES, *ABLATIONS, *REPLACED, *TUNED_RIVALS, "envgs_paper", "envgs_released", "renders"}
     assert tested == set(config_names("method"))
 
 
@@ -337,13 +350,11 @@ def test_a_methods_settings_are_listed_with_defaults_and_comments(capsys: pytest
 
 
 def test_a_variant_is_listed_by_its_differences(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["list", "method", "envmap256"]) == 0
+    assert main(["list", "method", "envgs_no_joint"]) == 0
     shown = capsys.readouterr().out
-    assert [line.split()[:3] for line in shown.splitlines() if line.startswith("envmap_size")] == [
-        ["envmap_size", "256", "128"]
-    ]
+    assert [line.split()[:3] for line in shown.splitlines() if line.startswith("joint")] == [["joint", "false", "true"]]
     assert "beta_lr" not in shown
-    assert "envgs-bench list method envmap" in shown
+    assert "envgs-bench list method envgs" in shown
 
 
 def test_a_method_that_is_not_there_cannot_be_listed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 
 import envgs_bench
 from envgs_bench.cli import checks
-from envgs_bench.cli.composition import config_names, register_methods
+from envgs_bench.cli.composition import config_names, register_choices
 from envgs_bench.cli.main import main
 from envgs_bench.datasets import DatasetError, load_scene
 from envgs_bench.methods.registry import create_method
@@ -38,7 +38,7 @@ def composed(*overrides: str) -> dict[str, Any]:
 
 @cache  # composing takes a while
 def _composed(_data_root: str | None, *overrides: str) -> dict[str, Any]:
-    register_methods()
+    register_choices()
     with initialize_config_dir(str(Path(envgs_bench.__file__).parent / "conf"), version_base="1.3"):
         content = OmegaConf.to_container(compose("config", list(overrides)), resolve=True)
     assert isinstance(content, dict)

@@ -5,26 +5,28 @@ from __future__ import annotations
 import pytest
 from sweeps import one_run, swept
 
-SUITES = ("tuning", "tuning_test", "untouched")
+EXPERIMENTS = ("tuning", "scores")
 
 
-@pytest.mark.parametrize("suite", SUITES)
-def test_a_suite_is_of_the_baselines_as_published_and_tuned(suite: str) -> None:
-    assert swept(suite)["method"] == ["2dgs", "2dgs_tuned", "3dgs", "3dgs_tuned", "envmap", "envgs"]
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_a_suite_is_of_the_baselines_as_published_and_tuned(experiment: str) -> None:
+    assert swept(experiment)["method"] == ["2dgs", "2dgs_tuned", "3dgs", "3dgs_tuned", "envmap", "envgs"]
 
 
 def test_settings_are_chosen_on_validation_views_and_judged_on_test_views() -> None:
-    tuning, tested, untouched = (swept(suite) for suite in SUITES)
-    assert tuning["dataset"] == tested["dataset"]
-    assert not set(tuning["dataset"]) & set(untouched["dataset"])
-    assert tuning["seed"] == ["0", "1"]
-    assert tested["seed"] == untouched["seed"] == ["0", "1", "2"]
-    assert [one_run(suite).score_on for suite in SUITES] == ["validation", "test", "test"]
+    tested = swept("scores", "suite=tuning")
+    held_out, results = (swept("scores", f"suite={suite}")["dataset"] for suite in ("held_out", "results"))
+    assert swept("tuning")["dataset"] == tested["dataset"]
+    assert not set(tested["dataset"]) & set(held_out)
+    assert sorted(results) == sorted([*tested["dataset"], *held_out])
+    assert swept("tuning")["seed"] == ["0", "1"]
+    assert tested["seed"] == ["0", "1", "2"]
+    assert [one_run(name).score_on for name in EXPERIMENTS] == ["validation", "test"]
 
 
 def test_a_run_of_the_suite_is_as_long_as_its_data_set_says() -> None:
     assert {one_run("tuning", dataset=name).steps for name in swept("tuning")["dataset"]} == {3_000}
-    assert one_run("untouched", dataset="captures/gold_cape").steps == 7_000
+    assert one_run("scores", dataset="captures/gold_cape").steps == 7_000
 
 
 def test_a_room_of_other_textures_is_a_data_set_of_its_own_name() -> None:

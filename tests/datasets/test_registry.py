@@ -10,29 +10,15 @@ from typing import Any
 
 import pytest
 import torch
-import yaml
 
-from envgs_bench import core
 from envgs_bench.core import Scene
 from envgs_bench.datasets import DatasetError, load_scene
-from envgs_bench.datasets.settings import SourceSettings, parse_dataset_settings
-from envgs_bench.datasets.sources.blender import BlenderSettings
-from envgs_bench.datasets.sources.colmap import ColmapSettings
-from envgs_bench.datasets.sources.photos import PhotosSettings
-from envgs_bench.datasets.sources.transforms import TransformsSettings
+from envgs_bench.datasets.registry import BUILT_IN, MISSING, SETTINGS, default_settings
+from envgs_bench.datasets.settings import parse_dataset_settings
 from envgs_bench.datasets.split import split_views
 from envgs_bench.datasets.store.cache import cached_scene
-from envgs_bench.datasets.toy import ToySettings
+from envgs_bench.import_path import load_import_path
 from envgs_bench.testing import tiny_scene
-
-MODELS: dict[str, type[SourceSettings]] = {
-    "toy": ToySettings,
-    "colmap": ColmapSettings,
-    "blender": BlenderSettings,
-    "transforms": TransformsSettings,
-    "photos": PhotosSettings,
-}
-CONF = Path(core.__file__).parents[1] / "conf" / "dataset"
 
 
 def own_source(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
@@ -134,20 +120,10 @@ def test_a_crash_while_making_leaves_nothing(tmp_path: Path) -> None:
     assert not list(tmp_path.rglob("*.*"))
 
 
-SOURCES = [path for path in sorted(CONF.rglob("*.yaml")) if "kind" in yaml.safe_load(path.read_text())]
-
-
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.stem)
-def test_shipped_configurations_hold_every_setting(path: Path) -> None:
-    """Each file gives every key of its source, so that a reader sees them all, and at the code's own defaults."""
-    content = yaml.safe_load(path.read_text())
-    model = MODELS[content["kind"]]
-    if content.get("root") == "???":
-        content["root"] = "somewhere"
-    settings = parse_dataset_settings(model, content)
-    assert set(content) == set(model.model_fields)
-    defaults = model(**{key: value for key, value in content.items() if model.model_fields[key].is_required()})
-    assert settings.model_copy(update={"name": None}) == defaults
-    if content["kind"] == "toy":
-        assert path.stem == content["scene"]
-        assert content["name"] == f"toy/{content['scene']}"
+@pytest.mark.parametrize("kind", BUILT_IN)
+def test_defaults_hold_every_setting_and_are_the_sources_own(kind: str) -> None:
+    given = default_settings(kind)
+    model = load_import_path(SETTINGS[kind])
+    assert set(given) == set(model.model_fields)
+    required = {key: "chrome_room" for key, value in given.items() if value == MISSING}
+    assert parse_dataset_settings(model, given | required) == model(kind=kind, **required)

@@ -8,14 +8,14 @@ from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig
 
-from envgs_bench.cli.composition import CONF, register_methods, settings_of
+from envgs_bench.cli.composition import CONF, register_choices, settings_of
 from envgs_bench.settings import RunSettings
 
 
 @cache
-def swept(experiment: str) -> dict[str, list[str]]:
-    """What the experiment takes in turn, by key."""
-    parameters = _config(f"experiment={experiment}", with_hydra=True).hydra.sweeper.params
+def swept(experiment: str, *overrides: str) -> dict[str, list[str]]:
+    """What the experiment takes in turn, by key, with overrides as suite=toys."""
+    parameters = _config(f"experiment={experiment}", *overrides, with_hydra=True).hydra.sweeper.params
     parser = OverridesParser.create()
     overrides = {key: parser.parse_override(f"{key}={values}") for key, values in parameters.items()}
     return {
@@ -32,6 +32,6 @@ def one_run(experiment: str, **choices: str) -> RunSettings:
 
 
 def _config(*overrides: str, with_hydra: bool = False) -> DictConfig:
-    register_methods()
+    register_choices()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         return compose("config", list(overrides), return_hydra_config=with_hydra)
