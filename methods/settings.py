@@ -67,9 +67,7 @@ class GaussianSettings:
     normal_reference: str = "unit"  # depth map's normals in L_norm: unit, or alpha: × the pixel's alpha (2DGS's code)
     normal_rendered: str = "unit"  # rendered normals in L_norm: unit, or blended: as they are, which pulls at alpha too
     mono_weight: float = 0.01  # weight of L_mono, rendered normals against the view's own where it has any
-    normals: str = (
-        "agreed"  # in L_mono: as_given, or agreed: turned to agree, weighed by that, none behind flat mirrors
-    )
+    normals: str = "agreed"  # the views' own, in L_mono: as_given, or agreed: turned to agree, and weighed by that
     mono_loss: str = "cos"  # cos: 1 − cos (paper); l1_cos: the L1 distance beside it (released code)
     mono_rendered: str = "blended"  # rendered normals in L_mono: blended, as they are, or unit: normalized
     mono_from: int = 0  # step after which L_mono counts
