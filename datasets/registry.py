@@ -13,6 +13,7 @@ from envgs_bench.import_path import load_import_path
 from .consistency.scenes import check_scene
 from .errors import DatasetError
 from .formats.pictures import PICTURE_EXTENSIONS
+from .placing import placed_scene
 from .settings import SceneSettings, SourceSettings, parse_dataset_settings, require_folder
 from .split import with_validation
 
@@ -54,9 +55,12 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     """
     source, stated = _accepted(settings)
     scene = source(own_settings(settings), Path(cache_dir))
+    if settings["kind"] not in BUILT_IN:
+        scene = placed_scene(scene)  # sources of ours have done so, before anything was float32
     check_scene(scene)
     scene = with_validation(scene) if stated.validation else replace(scene, val=())
-    free_space, bounds = stated.free_space or scene.free_space, stated.bounds or scene.bounds
+    unit = scene.placement.scale
+    free_space, bounds = stated.free_space / unit or scene.free_space, stated.bounds / unit or scene.bounds
     return replace(scene, free_space=free_space, bounds=bounds)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from plyfile import PlyData, PlyElement
 
-from envgs_bench.core import Camera, Scene, View
+from envgs_bench.core import Camera, Placement, Scene, View
 
 from ..errors import DatasetError
 from ..formats.transforms_json import OPENGL_TO_OPENCV
@@ -22,7 +22,7 @@ def write_blender(scene: Scene, root: Path) -> dict[str, Any]:
     """Write the scene; returns the source's own settings.
 
     A view lies in train/<view>.png or test/<view>.png, its normals beside it as <view>_normal.npy; read back, its name
-    begins with train_ or test_. Points are in points3d.ply.
+    begins with train_ or test_. Points are in points3d.ply. Coordinates are the data's, in float64.
 
     Raises:
         DatasetError: a camera is skewed: the layout has no place for it.
@@ -31,7 +31,7 @@ def write_blender(scene: Scene, root: Path) -> dict[str, Any]:
     files = []
     for split, views in (("train", scene.train), ("test", scene.test)):
         names = [f"{split}/{stem}" for stem in _stems(views, split)]
-        frames = [_frame(view, name) for view, name in zip(views, names, strict=True)]
+        frames = [_frame(view, name, scene.placement) for view, name in zip(views, names, strict=True)]
         content = {**_shared([*scene.train, *scene.test]), "frames": frames}
         (root / f"transforms_{split}.json").write_text(json.dumps(content, indent=2), encoding="utf-8")
         files += [ViewFiles(view, name, name, f"{name}_normal") for view, name in zip(views, names, strict=True)]
@@ -54,12 +54,12 @@ def _shared(views: list[View]) -> dict[str, Any]:
     return {"camera_angle_x": angles.pop()} if len(angles) == 1 and None not in angles else {}
 
 
-def _frame(view: View, name: str) -> dict[str, Any]:
+def _frame(view: View, name: str, placement: Placement) -> dict[str, Any]:
     camera = view.camera
     (fx, skew, cx), (_, fy, cy), _ = camera.intrinsics.double().tolist()
     if skew:
         raise DatasetError(f"view {view.name}: its intrinsics have a skew of {skew:g}; transforms.json has none")
-    to_world = np.linalg.inv(camera.world_to_camera.double().numpy()) @ OPENGL_TO_OPENCV
+    to_world = np.linalg.inv(placement.pose_to_data(camera.world_to_camera.double().numpy())) @ OPENGL_TO_OPENCV
     frame: dict[str, Any] = {"file_path": f"./{name}", "transform_matrix": to_world.tolist()}
     if _angle(camera) is None:
         return {**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "w": camera.width, "h": camera.height}
@@ -75,13 +75,14 @@ def _angle(camera: Camera) -> float | None:
 
 
 def _write_points(path: Path, scene: Scene) -> None:
-    """Positions as float32; colors as bytes where that loses nothing, as floats otherwise."""
-    points, colors = scene.points.float().numpy(), scene.point_colors.float().numpy()
+    """Positions as float32, of a world that was moved as float64; colors as bytes where that loses nothing."""
+    points, colors = scene.placement.points_to_data(scene.points.numpy()), scene.point_colors.float().numpy()
     as_bytes = np.round(255 * colors.astype(np.float64)).astype(np.uint8)
     if np.array_equal((as_bytes / 255).astype(np.float32), colors):
         colors = as_bytes
     color_type = "u1" if colors.dtype == np.uint8 else "f4"
-    fields = [(axis, "f4") for axis in "xyz"] + [(channel, color_type) for channel in ("red", "green", "blue")]
+    position_type = "f8" if any(scene.placement.shift) else "f4"
+    fields = [(axis, position_type) for axis in "xyz"] + [(channel, color_type) for channel in ("red", "green", "blue")]
     vertices = np.empty(len(points), dtype=fields)
     for index, (axis, channel) in enumerate(zip("xyz", ("red", "green", "blue"), strict=True)):
         vertices[axis], vertices[channel] = points[:, index], colors[:, index]

@@ -11,7 +11,7 @@ import pycolmap
 import torch
 from scipy.spatial.transform import Rotation
 
-from envgs_bench.core import Camera, Scene, View
+from envgs_bench.core import Camera, Placement, Scene, View
 
 from ..errors import DatasetError
 from ..split import TEST_EVERY, split_views
@@ -23,7 +23,7 @@ def write_colmap(scene: Scene, root: Path, text: bool) -> dict[str, Any]:
     """Write the scene; the model as text or binary. Returns the source's own settings.
 
     Images are called <view>.png, so that their order, and with it the split, is the views'. Points have no tracks and
-    views no keypoints, as in a model whose features were thrown away.
+    views no keypoints, as in a model whose features were thrown away. Coordinates are the data's, in float64.
 
     Raises:
         DatasetError: the split is not every eighth view, or a camera is skewed: neither has a place in this layout.
@@ -33,11 +33,10 @@ def write_colmap(scene: Scene, root: Path, text: bool) -> dict[str, Any]:
     numbers: dict[tuple[float, ...], int] = {}
     for number, view in enumerate(views, start=1):
         camera_id = _add_camera(model, view, numbers)
-        pose = pycolmap.Rigid3d(_rotation(view.camera), view.camera.world_to_camera[:3, 3].double().numpy())
         image = pycolmap.Image(name=f"{view.name}.png", camera_id=camera_id, image_id=number)
-        model.add_image_with_trivial_frame(image, pose)
+        model.add_image_with_trivial_frame(image, _pose(view.camera, scene.placement))
     colors = np.round(255 * scene.point_colors.double().numpy()).astype(np.uint8)
-    for point, color in zip(scene.points.double().numpy(), colors, strict=True):
+    for point, color in zip(scene.placement.points_to_data(scene.points.numpy()), colors, strict=True):
         model.add_point3D(point, pycolmap.Track(), color)
     folder = root / "sparse/0"
     folder.mkdir(parents=True)
@@ -95,6 +94,9 @@ def _add_camera(model: pycolmap.Reconstruction, view: View, numbers: dict[tuple[
     return numbers[key]
 
 
-def _rotation(camera: Camera) -> pycolmap.Rotation3d:
-    matrix = camera.world_to_camera[:3, :3].float().numpy()
-    return pycolmap.Rotation3d(Rotation.from_matrix(exact_rotation(matrix)).as_quat())
+def _pose(camera: Camera, placement: Placement) -> pycolmap.Rigid3d:
+    """The camera's pose in the data's coordinates."""
+    pose = camera.world_to_camera.double().numpy()
+    pose[:3, :3] = exact_rotation(camera.world_to_camera[:3, :3].float().numpy())
+    pose = placement.pose_to_data(pose)
+    return pycolmap.Rigid3d(pycolmap.Rotation3d(Rotation.from_matrix(pose[:3, :3]).as_quat()), pose[:3, 3])

@@ -27,7 +27,8 @@ def export_scene(scene: Scene, folder: Path, form: str) -> dict[str, Any]:
     """Write the scene as one of FORMATS into a new folder.
 
     Reading it back by the settings returned gives the same views, split, points, regions, background and normals to
-    the last bit, cameras too (`rotation.exact_rotation` says when not). Depth has no place in these formats.
+    the last bit, cameras too (`rotation.exact_rotation` says when not; a world that was moved may be off by float64's
+    last digits in the data's coordinates, which the files have). Depth has no place in these formats.
 
     Returns:
         what `load_scene` is to be given.
@@ -50,6 +51,7 @@ def export_scene(scene: Scene, folder: Path, form: str) -> dict[str, Any]:
     finally:
         shutil.rmtree(part, ignore_errors=True)
     background = [float(channel) for channel in scene.background]
-    facts = {"free_space": scene.free_space, "bounds": scene.bounds}
+    unit = scene.placement.scale
+    facts = {"free_space": scene.free_space * unit, "bounds": scene.bounds * unit}
     stated = {key: value for key, value in facts.items() if value}
     return {"root": str(folder.absolute()), "name": scene.name, "background": background, **stated, **settings}

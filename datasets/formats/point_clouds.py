@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
+from envgs_bench.core import Placement
 from envgs_bench.ply_file import number_names, read_elements
 
 from ..errors import DatasetError
@@ -22,7 +24,7 @@ class PointCloud(NamedTuple):
     """Points with their colors.
 
     Attributes:
-        points: [P, 3] float32, world frame.
+        points: [P, 3] float64, the data's coordinates; float32 once placed in the scene's world.
         colors: [P, 3] float32 in [0, 1], sRGB.
     """
 
@@ -36,12 +38,12 @@ def point_cloud(points: ArrayLike, colors: ArrayLike, source: Path) -> PointClou
     Raises:
         DatasetError: there is no point, one at infinity, where float32 does not reach, or one of another color.
     """
-    places = torch.as_tensor(np.asarray(points, dtype=np.float64)).float()
+    places = torch.as_tensor(np.asarray(points, dtype=np.float64))
     if not len(places):
         raise DatasetError(
             f"{source}: holds no points to start from; triangulate some, as colmap point_triangulator does"
         )
-    infinite = int((~torch.isfinite(places).all(dim=1)).sum())
+    infinite = int((~torch.isfinite(places.float()).all(dim=1)).sum())
     if infinite:
         raise DatasetError(
             f"{source}: {infinite} of {len(places)} points lie at infinity (no finite numbers); remove them, as colmap "
@@ -74,15 +76,31 @@ def read_point_cloud(path: Path) -> PointCloud:
     return point_cloud(points, colors / 255 if colors.dtype.kind in "ui" else np.clip(colors, 0, 1), path)
 
 
-def random_points(count: int, center: tuple[float, float, float], half: float, seed: int = 0) -> PointCloud:
-    """Points evenly spread over a cube of half edge `half`, almost gray, as 3DGS starts without structure from motion.
+@dataclass(frozen=True)
+class RandomPoints:
+    """Points evenly spread over a cube, almost gray, as 3DGS starts without structure from motion.
 
     There, colors are spherical harmonics' first coefficients in [0, 1/255): c = ½ + Y₀·random/255.
+
+    Attributes:
+        half: half the cube's edge, in the data's units.
+        center: in the data's coordinates; where their world is moved, the cube is around its new origin instead.
     """
-    rng = np.random.default_rng(seed)
-    points = np.asarray(center) + half * rng.uniform(-1, 1, (count, 3))
-    colors = GRAY + SH_BAND_0 * rng.uniform(0, 1, (count, 3)) / 255
-    return point_cloud(points, colors, Path("random points"))
+
+    count: int
+    half: float
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    seed: int = 0
+
+    def placed(self, placement: Placement) -> PointCloud:
+        """The points in the scene's world, float32."""
+        moved = any(placement.shift)
+        center = np.zeros(3) if moved else np.asarray(self.center) / placement.scale
+        rng = np.random.default_rng(self.seed)
+        points = center + self.half / placement.scale * rng.uniform(-1, 1, (self.count, 3))
+        colors = GRAY + SH_BAND_0 * rng.uniform(0, 1, (self.count, 3)) / 255
+        cloud = point_cloud(points, colors, Path("random points"))
+        return cloud._replace(points=cloud.points.float())
 
 
 def far_points(centers: torch.Tensor, count: int) -> PointCloud:

@@ -11,14 +11,15 @@ from typing import Annotated, Any, Literal
 import torch
 from pydantic import Field
 
-from envgs_bench.core import Scene
+from envgs_bench.core import Placement, Scene
 
 from ..formats.normal_maps import NormalMap
 from ..formats.photograph import Photograph
-from ..formats.point_clouds import PointCloud, random_points, read_point_cloud
+from ..formats.point_clouds import PointCloud, RandomPoints, read_point_cloud
 from ..formats.transforms_json import read_frames
 from ..photographs.fitting import fit_to_files
 from ..photographs.normal_estimation import with_estimated_normals
+from ..photographs.placing import placed_cloud, placed_photographs, sights_of
 from ..photographs.siblings import with_masks
 from ..photographs.views import read_views
 from ..settings import parse_dataset_settings, require_folder
@@ -29,6 +30,10 @@ from .capture import CaptureSettings, Channel, Missing, cached_capture, files_of
 VERSION = 3  # raise it with every change that alters a scene
 TRANSFORMS = ("transforms_train.json", "transforms_test.json")
 POINTS = "points3d.ply"  # what 3DGS writes beside such a scene
+BOX, CAMERAS_OUT = (
+    1.3,
+    4.0,
+)  # half the edge of 3DGS's cube of random points, and NeRF's cameras' distance from its middle
 
 
 class BlenderSettings(CaptureSettings):
@@ -38,7 +43,9 @@ class BlenderSettings(CaptureSettings):
     background: tuple[Channel, Channel, Channel] = (1.0, 1.0, 1.0)  # sRGB
     missing: Missing = "refuse"  # images that the files name and that are not there
     random_points: Annotated[int, Field(ge=1)] = 100_000  # how many to start from without points3d.ply
-    random_box: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.3  # half edge of their cube
+    random_box: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = (
+        None  # half the edge of their cube; None: 1.3, or as much beside the cameras' distance in a world that is moved
+    )
     train_normals: bool = False  # learn from exact normals too, where there are any; scores always refer to them
 
 
@@ -65,14 +72,17 @@ def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     def make() -> Scene:
         for file, (_, missing) in zip(files, found, strict=True):
             refuse_missing(choice.missing, len(file.frames), missing, file.path)
-        cloud = read_point_cloud(root / POINTS) if (root / POINTS).is_file() else _random_points(choice)
-        views = on_disk(read_views(fit_to_files(photographs), choice.downsample, choice.background))
+        measured = read_point_cloud(root / POINTS) if (root / POINTS).is_file() else None
+        placed, placement = placed_photographs(fit_to_files(photographs), measured, root)
+        cloud = placed_cloud(measured, placement) if measured else _random_points(choice, placed, placement)
+        views = on_disk(read_views(placed, choice.downsample, choice.background))
         train, test = views[: len(learned)], views[len(learned) :]
         val = validation_of(train)
         if not choice.train_normals:
             train = without_normals(train)
         train = on_disk(with_estimated_normals(train, choice.normal_estimator))
-        return Scene(choice.scene_name, train, test, *cloud, torch.tensor(choice.background), val)
+        background = torch.tensor(choice.background)
+        return Scene(choice.scene_name, train, test, *cloud, background, val, placement=placement)
 
     return cached_capture(choice, VERSION, _files(choice, photographs), cache_dir, make)
 
@@ -104,8 +114,13 @@ def _files(choice: BlenderSettings, photographs: Sequence[Photograph]) -> list[P
     return [*(choice.root / name for name in (*TRANSFORMS, POINTS)), *files_of(photographs)]
 
 
-def _random_points(choice: BlenderSettings) -> PointCloud:
-    return random_points(choice.random_points, (0.0, 0.0, 0.0), choice.random_box)
+def _random_points(choice: BlenderSettings, placed: Sequence[Photograph], placement: Placement) -> PointCloud:
+    around = None if placement.unmoved else sights_of(placed).looked_at()
+    if choice.random_box is not None or around is None:
+        return RandomPoints(choice.random_points, choice.random_box or BOX).placed(placement)
+    point, distance = around
+    x, y, z = (float(value) for value in point)
+    return RandomPoints(choice.random_points, BOX * distance / CAMERAS_OUT, (x, y, z)).placed(Placement())
 
 
 def _with_normal(photograph: Photograph) -> Photograph:

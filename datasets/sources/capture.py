@@ -13,10 +13,11 @@ from envgs_bench.core import Scene
 
 from ..errors import DatasetError, listed
 from ..formats.photograph import Photograph
-from ..formats.point_clouds import PointCloud, far_points
+from ..formats.point_clouds import PointCloud, RandomPoints, far_points
 from ..notes import note
 from ..photographs.fitting import fit_to_files
 from ..photographs.normal_estimation import estimator_version, with_estimated_normals
+from ..photographs.placing import placed_cloud, placed_photographs
 from ..photographs.views import read_views
 from ..settings import SourceSettings
 from ..split import split_views, validation_of, without_normals
@@ -96,13 +97,16 @@ def refuse_missing(how: Missing, named: int, missing: Sequence[str], source: Pat
 
 
 def make_scene(
-    settings: PhotographSettings, photographs: Sequence[Photograph], cloud: PointCloud, source: Path
+    settings: PhotographSettings, photographs: Sequence[Photograph], cloud: PointCloud | RandomPoints, source: Path
 ) -> Scene:
     """The scene of these photographs, every eighth of which tests; `source` names them in errors.
 
-    Views that are scored keep their normals only where these are exact.
+    Poses and points come in the data's coordinates. Views that are scored keep their normals only where these are
+    exact.
     """
-    fitted = fit_to_files(photographs)
+    measured = cloud if isinstance(cloud, PointCloud) else None
+    fitted, placement = placed_photographs(fit_to_files(photographs), measured, source)
+    started = placed_cloud(cloud, placement) if isinstance(cloud, PointCloud) else cloud.placed(placement)
     views = on_disk(read_views(fitted, settings.downsample, settings.background))
     train, test = split_views(views, str(source))
     val = validation_of(train)
@@ -110,5 +114,6 @@ def make_scene(
         val, test = without_normals(val), without_normals(test)
     train = on_disk(with_estimated_normals(train, settings.normal_estimator))
     far = far_points(torch.stack([view.camera.center for view in train]), settings.far_points)
-    points, colors = (torch.cat(parts) for parts in zip(cloud, far, strict=True))
-    return Scene(settings.scene_name, train, test, points, colors, torch.tensor(settings.background), val)
+    points, colors = (torch.cat(parts) for parts in zip(started, far, strict=True))
+    background = torch.tensor(settings.background)
+    return Scene(settings.scene_name, train, test, points, colors, background, val, placement=placement)

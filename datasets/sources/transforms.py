@@ -16,7 +16,7 @@ from ..formats.colmap_model import Model
 from ..formats.names import path_below
 from ..formats.normal_maps import Frame
 from ..formats.photograph import Photograph
-from ..formats.point_clouds import PointCloud, random_points, read_point_cloud
+from ..formats.point_clouds import RandomPoints, read_point_cloud
 from ..formats.transforms_json import FrameFile, read_frames, without_common_folder
 from ..photographs.fitting import fit_to_files
 from ..photographs.reconstruction import Reconstructor
@@ -125,9 +125,9 @@ def _photographs(file: FrameFile, choice: TransformsSettings) -> tuple[list[Phot
     return [replace(photograph, name=name) for photograph, name in zip(found, names, strict=True)], missing
 
 
-def _random_points(choice: TransformsSettings, file: FrameFile) -> PointCloud:
+def _random_points(choice: TransformsSettings, file: FrameFile) -> RandomPoints:
     if choice.random_box is not None:
-        return random_points(choice.random_points, (0.0, 0.0, 0.0), choice.random_box)
+        return RandomPoints(choice.random_points, choice.random_box)
     aabb = file.within("aabb_scale", {}, *NGP_RANGE)
     if aabb is None:
         raise DatasetError(
@@ -139,4 +139,4 @@ def _random_points(choice: TransformsSettings, file: FrameFile) -> PointCloud:
     if not isinstance(offset, list) or len(offset) != 3:
         raise DatasetError(f"{file.path}: offset={str(offset)[:60]!r}, expected three numbers")
     x, y, z = ((0.5 - (file.number("offset", {"offset": shift}) or 0)) / scale for shift in offset)
-    return random_points(choice.random_points, (x, y, z), aabb / 2 / scale)
+    return RandomPoints(choice.random_points, aabb / 2 / scale, (x, y, z))

@@ -16,7 +16,7 @@ import uuid
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from contextvars import ContextVar
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
@@ -25,11 +25,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, Scene, View
+from envgs_bench.core import Camera, Placement, Scene, View
 
 from ..progress import mapped
 
-LAYOUT = 4  # raise it with every change of `_as_dict`
+LAYOUT = 5  # raise it with every change of `_as_dict`
 MAGIC = b"envgs-scene\0"
 ALIGNMENT = 64  # bytes
 FOOTER = struct.Struct(f"<QI{len(MAGIC)}s")
@@ -196,7 +196,7 @@ def _as_dict(scene: Scene, block: Callable[[Tensor], list[Any]]) -> dict[str, An
         camera = view.camera
         return {
             "name": view.name,
-            "camera": [camera.world_to_camera.tolist(), camera.intrinsics.tolist(), camera.width, camera.height],
+            "camera": [*map(_numbers, (camera.world_to_camera, camera.intrinsics)), camera.width, camera.height],
             "image": block(view.image),
             "masks": {region: block(mask) for region, mask in view.masks.items()},
             "normal": None if view.normal is None else block(view.normal),
@@ -210,8 +210,20 @@ def _as_dict(scene: Scene, block: Callable[[Tensor], list[Any]]) -> dict[str, An
         "val": [view_as_dict(view) for view in scene.val],
         "points": block(scene.points),
         "point_colors": block(scene.point_colors),
-        "background": scene.background.tolist(),
+        "background": _numbers(scene.background),
+        "free_space": scene.free_space,
+        "bounds": scene.bounds,
+        "placement": asdict(scene.placement),
     }
+
+
+def _numbers(tensor: Tensor) -> list[Any]:
+    """The tensor's dtype and values: float64 must not come back as float32."""
+    return [str(tensor.dtype), tensor.tolist()]
+
+
+def _tensor(dtype: str, values: list[Any]) -> Tensor:
+    return torch.tensor(values, dtype=DTYPES[dtype])
 
 
 def _from_dict(content: dict[str, Any], tensor: Callable[[list[Any]], Tensor]) -> Scene:
@@ -219,7 +231,7 @@ def _from_dict(content: dict[str, Any], tensor: Callable[[list[Any]], Tensor]) -
         pose, intrinsics, width, height = view["camera"]
         return View(
             name=view["name"],
-            camera=Camera(torch.tensor(pose), torch.tensor(intrinsics), width, height),
+            camera=Camera(_tensor(*pose), _tensor(*intrinsics), width, height),
             image=tensor(view["image"]),
             masks={region: tensor(block) for region, block in view["masks"].items()},
             normal=None if view["normal"] is None else tensor(view["normal"]),
@@ -233,5 +245,8 @@ def _from_dict(content: dict[str, Any], tensor: Callable[[list[Any]], Tensor]) -
         val=[view_from_dict(view) for view in content["val"]],
         points=tensor(content["points"]),
         point_colors=tensor(content["point_colors"]),
-        background=torch.tensor(content["background"]),
+        background=_tensor(*content["background"]),
+        free_space=content["free_space"],
+        bounds=content["bounds"],
+        placement=Placement(tuple(content["placement"]["shift"]), content["placement"]["scale"]),
     )

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import torch
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
@@ -54,9 +56,15 @@ def export(overrides: list[str], form: str, out: Path) -> int:
 
 
 def _difference(scene: Scene, again: Scene) -> str:
-    """How far the cameras of two readings of a scene differ, in words."""
+    """How far the cameras of two readings of a scene differ, in words; in the first one's world."""
     pairs = zip([*scene.train, *scene.test], [*again.train, *again.test], strict=True)
-    largest = max(_largest_difference(ours.camera, theirs.camera) for ours, theirs in pairs)
+    moved = again.placement != scene.placement
+
+    def in_our_world(camera: Camera) -> Camera:
+        pose = scene.placement.pose_from_data(again.placement.pose_to_data(camera.world_to_camera.numpy()))
+        return replace(camera, world_to_camera=torch.from_numpy(pose).float()) if moved else camera
+
+    largest = max(_largest_difference(ours.camera, in_our_world(theirs.camera)) for ours, theirs in pairs)
     return "bit by bit" if largest == 0 else f"off by up to {largest:.1e}"
 
 

@@ -5,6 +5,7 @@ from .camera import Camera
 from .contract import Bvh
 from .gaussians import GaussianSet
 from .normals import depth_normals
+from .placement import Placement
 from .rasterize import rasterize, rasterize_color
 from .reflect import reflect
 from .rendering import Rendering, Statistics
@@ -16,6 +17,7 @@ __all__ = [
     "Bvh",
     "Camera",
     "GaussianSet",
+    "Placement",
     "Rendering",
     "Scene",
     "Statistics",

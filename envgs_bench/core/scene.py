@@ -10,6 +10,7 @@ from torch import Tensor
 
 from .camera import Camera
 from .normal_prior import NormalPrior
+from .placement import Placement
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,8 @@ class Scene:
     """Half the edge of a cube around the world's origin that holds the surroundings."""
     normals: NormalPrior | None = None
     """What the training views' normals are worth, where a method asks for that."""
+    placement: Placement = field(default_factory=Placement)
+    """Where the world lies in that of the data: all positions and lengths here are the world's."""
 
     @property
     def radius(self) -> float:

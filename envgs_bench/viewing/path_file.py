@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from envgs_bench.core import Camera
+from envgs_bench.core import Camera, Placement
 from envgs_bench.datasets import DatasetError
 from envgs_bench.datasets.formats.transforms_json import FrameFile, read_json
 
@@ -26,8 +26,11 @@ LARGEST_EDGE = 16_384  # pixels
 EXPECTED = 'expected {"camera_path": [{"camera_to_world": […], "fov": …}, …]} or {"frames": [{"transform_matrix": …}]}'
 
 
-def read_path(path: Path, like: Camera) -> list[Camera]:
+def read_path(path: Path, like: Camera, placement: Placement) -> list[Camera]:
     """The file's cameras, each a frame; size and focal length are those of `like` where the file does not say.
+
+    Args:
+        placement: of the run's scene; the file is in the data's coordinates, the cameras are in the scene's world.
 
     Raises:
         DatasetError: there is no such file, or it holds no cameras; the message names it and the frame.
@@ -41,7 +44,7 @@ def read_path(path: Path, like: Camera) -> list[Camera]:
         content = {"w": content.get("render_width"), "h": content.get("render_height")}
         frames = [_as_frame(frame, path, index) for index, frame in enumerate(frames)]
     file = FrameFile(path, content, frames)
-    return [_camera(file, frame, f"frame {index}", like) for index, frame in enumerate(frames)]
+    return [_camera(file, frame, f"frame {index}", like, placement) for index, frame in enumerate(frames)]
 
 
 def _as_frame(entry: dict[str, Any], path: Path, index: int) -> dict[str, Any]:
@@ -54,7 +57,7 @@ def _as_frame(entry: dict[str, Any], path: Path, index: int) -> dict[str, Any]:
     return {"transform_matrix": matrix, "camera_angle_y": angle}
 
 
-def _camera(file: FrameFile, frame: dict[str, Any], name: str, like: Camera) -> Camera:
+def _camera(file: FrameFile, frame: dict[str, Any], name: str, like: Camera, placement: Placement) -> Camera:
     width = round(file.within("w", frame, 1, LARGEST_EDGE) or like.width)
     height = round(file.within("h", frame, 1, LARGEST_EDGE) or like.height)
     fx, fy = file.focal("x", frame, width), file.focal("y", frame, height)
@@ -67,7 +70,8 @@ def _camera(file: FrameFile, frame: dict[str, Any], name: str, like: Camera) -> 
         [0.0, 0.0, 1.0],
     ]
     try:
-        return Camera(torch.from_numpy(file.pose(frame, name)).float(), torch.tensor(intrinsics), width, height)
+        pose = torch.from_numpy(placement.pose_from_data(file.pose(frame, name))).float()
+        return Camera(pose, torch.tensor(intrinsics), width, height)
     except DatasetError:
         raise
     except ValueError as error:

@@ -37,7 +37,7 @@ def cameras_along(run: OpenedRun, path: str, frames: int | None, size: tuple[int
         known = [view.camera for view in run.views] if path == "interpolate" and len(run.views) > 1 else cameras
         along = PATHS[path](known, frames or 1)
     elif Path(path).is_file():
-        along = read_path(Path(path), like=cameras[0])
+        along = read_path(Path(path), cameras[0], run.scene.placement)
         along = along if frames is None else interpolate(along, frames)
     else:
         raise ValueError(f"--path {path}: is no file, and none of {', '.join(PATHS)}")

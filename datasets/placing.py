@@ -1,0 +1,147 @@
+"""Placing: a scene's world is moved near its origin, and given a usual size, where float32 or near planes ask for it.
+
+Cameras and points are float32 from here on, and methods' lengths, as their near plane of 0.2, are for worlds of usual
+sizes. A world that lies and measures as usual stays as it is, to the last bit. Any other keeps what was done to it in
+`Scene.placement`, and the run's notes say so.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from envgs_bench.core import Camera, Placement, Scene, View
+
+from .notes import note
+from .sights import Sights
+
+Array = NDArray[np.float64]
+
+SURE = (
+    0.01  # pixels: float32's spacing at the cameras' middle, seen from the nearest things' distance, that is harmless
+)
+SEEN = 0.1  # pixels: one that shows
+FAR_OUT = 4  # times their spread that the cameras' middle must be from the origin: nearer, moving them gains no digits
+FARTHEST = 1e15  # units from the origin
+NEAR_PLANE = 0.2  # methods' own: what is nearer is not drawn
+LARGEST = 2000.0  # usual distance of what cameras see: ten thousand near planes
+USUAL = 4.0  # that distance, or up to twice as much, once a world has been given a usual size
+DIGITS = 1e-3  # of float32's spacing: numbers this close to float32's are float32's
+
+
+def placement_of(sights: Sights, source: object) -> Placement:
+    """Where the world of these cameras and points should lie.
+
+    Notes say what is done, and which digits are lost; there, `source` names the data.
+    """
+    with np.errstate(all="ignore"):  # of numbers that no camera can have, as its own check will say
+        return _placement(sights, source) if np.abs(sights.centers).max() < FARTHEST else Placement()
+
+
+def _placement(sights: Sights, source: object) -> Placement:
+    depths = sights.depths()
+    shift = _shift(sights, depths)
+    scale = 1.0 if depths is None else _scale(*depths)
+    _note_lost_digits(sights, depths, shift, source)
+    if any(shift):
+        note(
+            f"{source}: the cameras are {float(np.abs(sights.middle).max()):,.6g} units from the origin, where float32 "
+            f"costs digits: the world is moved, its origin is at ({', '.join(f'{x:.15g}' for x in shift)}) of the "
+            "data; exports give the data's own coordinates"
+        )
+    if scale != 1 and depths is not None:
+        size = f"1/{1 / scale:g}" if scale < 1 else f"{scale:g}"
+        note(
+            f"{source}: cameras see the nearest things at {depths[0]:.3g} units and most at {depths[1]:.3g}, unlike "
+            f"what methods' lengths are for (they draw nothing nearer than {NEAR_PLANE:g}): the world's unit is {size} "
+            "of the data's; exports give the data's own lengths"
+        )
+    return Placement(shift, scale)
+
+
+def placed_scene(scene: Scene) -> Scene:
+    """The scene of a source that placed nothing itself: of one's own, whose tensors may be float64."""
+    views = [*scene.train, *scene.test]
+    if not views or not scene.placement.unmoved:
+        return scene
+    cameras = [view.camera for view in views]
+    sights = Sights(
+        np.stack([camera.world_to_camera.double().numpy() for camera in cameras]),
+        np.array([float(camera.intrinsics.diagonal()[:2].mean()) for camera in cameras]),
+        np.array([[camera.width, camera.height] for camera in cameras], np.float64),
+        scene.points.double().numpy().reshape(-1, 3),
+    )
+    placement = placement_of(sights, scene.name)
+    if placement.unmoved:
+        return scene
+    points = torch.from_numpy(placement.points_from_data(scene.points.double().numpy())).float()
+    train, test, val = ([_placed_view(v, placement) for v in part] for part in (scene.train, scene.test, scene.val))
+    lengths = {"free_space": scene.free_space / placement.scale, "bounds": scene.bounds / placement.scale}
+    return replace(scene, train=train, test=test, val=val, points=points, placement=placement, **lengths)
+
+
+def _placed_view(view: View, placement: Placement) -> View:
+    camera = view.camera
+    pose = torch.from_numpy(placement.pose_from_data(camera.world_to_camera.double().numpy())).float()
+    depth = None if view.depth is None else (view.depth / placement.scale).float()
+    return replace(view, camera=Camera(pose, camera.intrinsics.float(), camera.width, camera.height), depth=depth)
+
+
+def _shift(sights: Sights, depths: tuple[float, float] | None) -> tuple[float, float, float]:
+    """What is to be the origin: (0, 0, 0) unless cameras are far from it and float32's spacing there may show."""
+    middle, spread = sights.middle, sights.spread
+    nearest = depths[0] if depths else spread or 1.0
+    out = float(np.abs(middle).max())
+    if out <= FAR_OUT * spread or _pixels(out, sights, nearest) <= SURE:
+        return 0.0, 0.0, 0.0
+    step = 2.0 ** math.floor(math.log2(spread or nearest))  # short numbers, to which float64 loses nothing
+    x, y, z = (float(value) for value in np.round(middle / step) * step)
+    return x, y, z
+
+
+def _scale(nearest: float, usual: float) -> float:
+    """The power of two that is to be the world's unit: 1 unless near planes hide what is seen, or all is far off."""
+    if nearest >= NEAR_PLANE and usual <= LARGEST:
+        return 1.0
+    unit = 2.0 ** math.floor(math.log2(min(usual / USUAL, nearest / (2 * NEAR_PLANE))))
+    return unit if nearest < NEAR_PLANE else max(unit, 1.0)
+
+
+def _pixels(distance: float, sights: Sights, depth: float) -> float:
+    """The spacing of float32's numbers at `distance` from the origin, as seen from `depth` away."""
+    return float(np.spacing(np.float32(distance))) * sights.focal / depth
+
+
+def _note_lost_digits(
+    sights: Sights, depths: tuple[float, float] | None, shift: tuple[float, float, float], source: object
+) -> None:
+    """Note digits that were lost before, or that no place of the world can keep."""
+    nearest = depths[0] if depths else sights.spread or 1.0
+    out = float(np.abs(sights.middle).max())
+    if any(shift) and _pixels(out, sights, nearest) > SEEN:
+        rounded = [
+            name for name, at in (("cameras", sights.centers), ("points", sights.points)) if len(at) and _is_float32(at)
+        ]
+        if rounded:
+            note(
+                f"{source}: the {' and '.join(rounded)} have the digits of float32 only, off by up to "
+                f"{_pixels(out, sights, nearest) / 2:.2g} pixels so far from the origin; export them in double "
+                "precision, or nearer to their origin"
+            )
+    reach = float(np.quantile(np.abs(sights.centers - shift).max(axis=1), 0.9))
+    double = float(np.spacing(out)) * sights.focal / nearest
+    if max(_pixels(reach, sights, nearest), double) > SEEN:
+        note(
+            f"{source}: the cameras are too far apart, or too far out, for what they see at {nearest:.3g} units: "
+            f"positions are off by up to {max(_pixels(reach, sights, nearest), double):.2g} pixels; take a part of the "
+            "data, or give them an origin nearby"
+        )
+
+
+def _is_float32(values: Array) -> bool:
+    single = values.astype(np.float32)
+    return bool((np.abs(values - single) <= DIGITS * np.spacing(np.abs(single))).all())
