@@ -96,6 +96,13 @@ class RepairOutcome(_Part):
     evidence: dict[str, Finite] = {}  # what it was decided by
 
 
+class WorldPlacement(_Part):
+    """Where the world that the run's model is in lies in that of its data: data = shift + scale · world."""
+
+    shift: tuple[Finite, Finite, Finite]
+    scale: Annotated[Finite, Field(gt=0)]
+
+
 class ProtocolName(_Part):
     name: str
     hash: str
@@ -200,6 +207,7 @@ class Record(_Part):
     kind: str
     card: MethodCard | None = None  # of the kind; None where its class has none, and in older records
     dataset: str
+    placement: WorldPlacement | None = None  # None in older records, and where no data were loaded
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     steps: Count
     run_id: str

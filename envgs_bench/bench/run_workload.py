@@ -18,9 +18,8 @@ from envgs_bench.methods.training.resident_views import ResidentViews
 from envgs_bench.parts import BASE
 from envgs_bench.settings import RunSettings
 from envgs_bench.stages.evaluation import scored_views
-from envgs_bench.stages.perturbations import load_run_scene
 from envgs_bench.stages.training_log import spread
-from envgs_bench.stored.reopening import reopen
+from envgs_bench.stored.reopening import reopen, reopen_scene
 
 from .cases import LOOKUPS, METHODS, OFFERED, WITHOUT_PICTURE, WITHOUT_SET, Case, directions_of
 from .workload import Model, Workload
@@ -44,13 +43,13 @@ class TimedRun:
         """The run in `folder`, to be timed on so many views, spread evenly.
 
         Raises:
-            ValueError, FileNotFoundError: as `reopen` and `load_run_scene`; or it draws without the core, or shows no
+            ValueError, FileNotFoundError: as `reopen` and `reopen_scene`; or it draws without the core, or shows no
                 view.
         """
         settings, method = reopen(folder, "cpu")
         if not isinstance(method, GaussianMethod):
             raise ValueError(f"{folder}: method {settings.method.name} trains no Gaussians that the core draws")
-        scene = load_run_scene(settings)
+        scene = reopen_scene(folder, settings)
         scored = spread(scored_views(scene, settings.score_on), views)
         if not scored:
             raise ValueError(f"{folder}: its scene has no {settings.score_on} views whose cameras could be timed")

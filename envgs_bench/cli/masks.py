@@ -34,7 +34,7 @@ def main(arguments: Sequence[str]) -> int:
         type=float,
         nargs=4,
         metavar=("X", "Y", "Z", "RADIUS"),
-        help="the ball that holds the foreground, world units; by default what the cameras stand around",
+        help="the ball that holds the foreground, in the data's coordinates; by default what the cameras stand around",
     )
     parser.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"])
     options = parser.parse_args(arguments)
@@ -42,21 +42,15 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _masks(options: argparse.Namespace) -> int:
-    import torch
     from rich.console import Console
     from rich.progress import Progress
 
-    from envgs_bench.methods.gaussians.regions import Ball
     from envgs_bench.stored.region_masks import MaskChoice, make_masks
 
-    ball = None
-    if options.foreground:
-        *center, radius = options.foreground
-        ball = Ball(torch.tensor(center), radius)
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(f"masks {options.region}", total=None)
         for done, total in make_masks(
-            options.run, MaskChoice(options.region, options.beta, ball), options.out, options.device
+            options.run, MaskChoice(options.region, options.beta, options.foreground), options.out, options.device
         ):
             progress.update(task, completed=done, total=total)
     folder = options.out / f"masks_{options.region}"

@@ -50,6 +50,8 @@ def export(overrides: list[str], form: str, out: Path) -> int:
     finally:
         display.stop()
     print(f"{out}: {len(scene.train)} training and {len(scene.test)} test views, {len(scene.points):,} points")
+    if not scene.placement.unmoved:
+        print(f"its coordinates are the data's own; a run's world has them as {scene.placement}")
     print(f"cameras read back {_difference(scene, again)}")
     print(f"read it with: envgs-bench run {shlex.join(_as_overrides(written))}")
     return 0

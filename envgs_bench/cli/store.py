@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 from .explained import explained
+
+PLACEMENT_NAME = "placement.json"  # beside a model whose world is not its data's: data = shift + scale · model
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -26,11 +30,22 @@ def main(arguments: Sequence[str]) -> int:
 
 def _store(run: Path, name: str, out: Path) -> int:
     from envgs_bench.stored.layout_losses import open_sets, require_layouts
+    from envgs_bench.stored.reopening import placement_of
 
     (layout,) = require_layouts([name]).values()
     _, method = open_sets(run, "cpu")
     for path in layout.write(method, out):
         print(path)
+    placement = placement_of(run)
+    if placement is not None and not placement.unmoved:
+        path = out / PLACEMENT_NAME
+        path.write_text(json.dumps(asdict(placement)) + "\n", encoding="utf-8")
+        print(path)
+        print(
+            f"envgs-bench store: the model is in the world that the run was trained in, since float32 cannot hold the "
+            f"data's own coordinates: a place of the data is {placement}",
+            file=sys.stderr,
+        )
     if lacking := layout.lacks(method):
         print(f"envgs-bench store: {name} has no place for {', '.join(lacking)}: left out", file=sys.stderr)
     return 0

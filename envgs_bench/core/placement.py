@@ -22,6 +22,9 @@ class Placement:
     scale: float = 1.0
     """The world's unit, in the data's; a power of two, so that it costs no digits."""
 
+    def __str__(self) -> str:
+        return f"({', '.join(f'{x:.15g}' for x in self.shift)}) + {self.scale:g} · world"
+
     @property
     def unmoved(self) -> bool:
         """Whether the world is the data's own."""

@@ -46,6 +46,7 @@ class Draft:
             kind=settings.method.kind,
             card=card_of(settings.method.kind),
             dataset=results.dataset,
+            placement=results.placement,
             seed=settings.seed,
             steps=results.steps,
             run_id=run_id_of(self.folder),

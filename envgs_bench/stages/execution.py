@@ -22,7 +22,7 @@ from envgs_bench.methods.settings import quickness
 from envgs_bench.metrics import Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
 from envgs_bench.parts import PERCEPTUAL
 from envgs_bench.probe import write_probe
-from envgs_bench.records import RENDERS
+from envgs_bench.records import RENDERS, WorldPlacement
 from envgs_bench.run_folder import CHECKPOINT, CURVE_NAME
 from envgs_bench.settings import RunSettings
 
@@ -136,6 +136,7 @@ def _load(settings: RunSettings, results: Results, report: EventListener) -> Sce
         if len(scene.train) < FEW_VIEWS and settings.method.kind != RENDERS:
             note(f"data set {scene.name} has only {len(scene.train)} training views, of which little can be learned")
     results.dataset, results.notes = scene.name, notes
+    results.placement = WorldPlacement(shift=scene.placement.shift, scale=scene.placement.scale)
     if notes:
         report({"stage": "loading", "notes": notes})
     return scene

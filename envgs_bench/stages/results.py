@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from envgs_bench.records import Cost, MaskedScores, Metrics, RepairOutcome, Timing, TrainingWarning
+from envgs_bench.records import Cost, MaskedScores, Metrics, RepairOutcome, Timing, TrainingWarning, WorldPlacement
 
 
 @dataclass
@@ -13,6 +13,7 @@ class Results:
 
     dataset: str  # the configured name; once the data are loaded, the scene's own
     steps: int
+    placement: WorldPlacement | None = None  # of the world that is learned in
     went_on_from: list[int] = field(default_factory=list)  # steps of the snapshots that an interrupted run went on from
     notes: list[str] = field(default_factory=list)
     repairs: list[RepairOutcome] = field(default_factory=list)

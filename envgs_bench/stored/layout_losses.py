@@ -22,10 +22,9 @@ from envgs_bench.metrics import Protocol, get_protocol
 from envgs_bench.records import Scores
 from envgs_bench.settings import RunSettings
 from envgs_bench.stages.evaluation import scored_views
-from envgs_bench.stages.perturbations import load_run_scene
 from envgs_bench.stages.scoring import Pair, score_pairs
 
-from .reopening import reopen
+from .reopening import reopen, reopen_scene
 
 REFERENCE = "ply-two-scales"  # the layout that sizes are compared with: every parameter as float32 and nothing else
 
@@ -67,10 +66,10 @@ def layout_losses(run: Path, layouts: Mapping[str, Layout], device: str = "auto"
     """What each of the layouts makes of the model of the run in the folder `run`.
 
     Raises:
-        ValueError, FileNotFoundError: as `open_sets`, `load_run_scene` and the layouts' `write`.
+        ValueError, FileNotFoundError: as `open_sets`, `reopen_scene` and the layouts' `write`.
     """
     settings, method = open_sets(run, device)
-    scene, protocol = load_run_scene(settings), get_protocol(settings.protocol)
+    scene, protocol = reopen_scene(run, settings), get_protocol(settings.protocol)
     views = scored_views(scene, settings.score_on)
     original = method.state()
     own = _scores(method, views, protocol)

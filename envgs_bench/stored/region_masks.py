@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from envgs_bench.core import Camera, GaussianSet, Scene, build_bvh
+from envgs_bench.core import Camera, GaussianSet, Placement, Scene, build_bvh
 from envgs_bench.datasets.export.masks import write_masks
 from envgs_bench.methods.gaussians.initialization import quantile_box
 from envgs_bench.methods.gaussians.regions import (
@@ -28,9 +29,8 @@ from envgs_bench.parts import BASE
 from envgs_bench.records import write_atomically
 from envgs_bench.runs.draft import now
 from envgs_bench.settings import RunSettings
-from envgs_bench.stages.perturbations import load_run_scene
 
-from .reopening import reopen
+from .reopening import reopen, reopen_scene
 
 REGIONS = ("reflective", "near_field")
 BOX_QUANTILE = 0.995  # the share of the points that it holds, as where EnvGS places its environment (paper, Sec. 4.3)
@@ -43,7 +43,8 @@ class MaskChoice:
 
     region: str  # one of REGIONS
     beta_min: float  # primitives with a β above it reflect
-    ball: Ball | None = None  # the foreground; what the cameras stand around where None
+    foreground: Sequence[float] | None = None  # x, y, z, radius of the ball that holds it, in the data's coordinates;
+    # what the cameras stand around where None
 
 
 def make_masks(run: Path, choice: MaskChoice, out: Path, device: str = "auto") -> Iterator[tuple[int, int]]:
@@ -52,7 +53,7 @@ def make_masks(run: Path, choice: MaskChoice, out: Path, device: str = "auto") -
     Yields (masks made, of how many) after each; the files are written at the end, all or none.
 
     Raises:
-        ValueError, FileNotFoundError: as `reopen` and `load_scene`; a method without β; no primitive is taken; there
+        ValueError, FileNotFoundError: as `reopen` and `reopen_scene`; a method without β; no primitive is taken; there
             are masks that this command did not make.
     """
     folder, origin = out / f"masks_{choice.region}", out / f"masks_{choice.region}.json"
@@ -61,15 +62,20 @@ def make_masks(run: Path, choice: MaskChoice, out: Path, device: str = "auto") -
     settings, method = reopen(run, device)
     if not isinstance(method, ReflectiveMethod):
         raise ValueError(f"{run}: method {settings.method.name} knows no β; take a run of method=envgs")
-    scene = load_run_scene(settings)
+    scene = reopen_scene(run, settings)
     views = sorted([*scene.train, *scene.val, *scene.test], key=lambda view: view.name)
     base = method.sets[BASE].parameters.gaussians().map(Tensor.detach)
-    ball = choice.ball or foreground_ball([view.camera for view in scene.train])
+    if choice.foreground:
+        ball = _ball(choice.foreground, scene.placement)
+    else:
+        ball = foreground_ball([view.camera for view in scene.train])
+    *center, radius = _in_data(ball, scene.placement)
     kept = reflecting(base, ball, choice.beta_min)
     if not kept.any():
         raise ValueError(
-            f"{run}: none of {len(base):,} base primitives has β > {choice.beta_min:g} within {ball.radius:.3g} of "
-            f"{_point(ball.center)}; lower --beta, or give the foreground as --foreground X Y Z RADIUS"
+            f"{run}: none of {len(base):,} base primitives has β > {choice.beta_min:g} within {radius:.3g} of "
+            f"({', '.join(f'{value:.10g}' for value in center)}); lower --beta, or give the foreground as --foreground "
+            "X Y Z RADIUS"
         )
     drawing = _Drawing(choice.region, base, kept, scene, method.radius, method.near)
     masks: dict[str, NDArray[np.bool_]] = {}
@@ -80,7 +86,7 @@ def make_masks(run: Path, choice: MaskChoice, out: Path, device: str = "auto") -
     about = {
         **{"region": choice.region, "run": str(run.resolve()), "dataset": scene.name, "made": now()},
         **{"beta_min": choice.beta_min, "base_primitives": len(base)},
-        "foreground": {"center": ball.center.tolist(), "radius": ball.radius, "primitives": int(kept.sum())},
+        "foreground": {"center": center, "radius": radius, "primitives": int(kept.sum())},
         "mean_fraction": float(sum(mask.mean() for mask in masks.values()) / len(masks)),
     }
     write_atomically(origin, json.dumps(about, indent=1) + "\n")
@@ -114,5 +120,12 @@ class _Drawing:
         return reflects & near_field_mask(self.base, self.surroundings, camera, self.radius, self.near, self.bvh)
 
 
-def _point(values: Tensor) -> str:
-    return f"({', '.join(f'{value:.3g}' for value in values.tolist())})"
+def _ball(foreground: Sequence[float], placement: Placement) -> Ball:
+    """The ball (x, y, z, radius) of the data, in the scene's world."""
+    *center, radius = foreground
+    return Ball(torch.from_numpy(placement.points_from_data(center)).float(), radius / placement.scale)
+
+
+def _in_data(ball: Ball, placement: Placement) -> list[float]:
+    """x, y, z, radius in the data's coordinates."""
+    return [*placement.points_to_data(ball.center.numpy()).tolist(), ball.radius * placement.scale]

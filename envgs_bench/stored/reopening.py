@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from envgs_bench.core import Placement, Scene
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
-from envgs_bench.records import RENDERS
-from envgs_bench.run_folder import CHECKPOINT, CONFIG_NAME
+from envgs_bench.records import RENDERS, read_record
+from envgs_bench.run_folder import CHECKPOINT, CONFIG_NAME, RECORD_NAME
 from envgs_bench.runs.job import resolve_device
 from envgs_bench.settings import RunSettings, SettingsError, read_settings
-from envgs_bench.stages.perturbations import perturbed_settings
+from envgs_bench.stages.perturbations import load_run_scene, perturbed_settings
 
 
 def reopen(folder: Path, device: str = "auto") -> tuple[RunSettings, Method]:
@@ -30,3 +31,32 @@ def reopen(folder: Path, device: str = "auto") -> tuple[RunSettings, Method]:
     method = create_method(settings.method.kind, settings.method.settings, resolve_device(device), settings.seed)
     method.load(folder / CHECKPOINT)
     return settings, method
+
+
+def reopen_scene(folder: Path, settings: RunSettings) -> Scene:
+    """The scene of the run in `folder`, in whose world its model is.
+
+    Raises:
+        RecordError, DatasetError: as `read_record` and `load_run_scene`.
+        ValueError: the model was trained in another world of these data, as an older version placed it.
+    """
+    scene = load_run_scene(settings)
+    trained = placement_of(folder)
+    if trained is not None and trained != scene.placement:
+        raise ValueError(
+            f"{folder}: its model was trained where a place of the data is {trained}, and these data are now read "
+            f"where it is {scene.placement}; run it again"
+        )
+    return scene
+
+
+def placement_of(folder: Path) -> Placement | None:
+    """Where the world of the run's model lies in that of its data; None where the run left no record.
+
+    Raises:
+        RecordError: as `read_record`.
+    """
+    if not (folder / RECORD_NAME).is_file():
+        return None
+    stored = read_record(folder).placement
+    return Placement() if stored is None else Placement(stored.shift, stored.scale)

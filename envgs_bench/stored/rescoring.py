@@ -43,11 +43,10 @@ from envgs_bench.runs.draft import now
 from envgs_bench.runs.job import resolve_device
 from envgs_bench.settings import read_settings
 from envgs_bench.stages.evaluation import evaluate, scored_views
-from envgs_bench.stages.perturbations import load_run_scene
 from envgs_bench.stages.renders import score_renders
 from envgs_bench.stages.scoring import FULL, Pair, score_pairs
 
-from .reopening import reopen
+from .reopening import reopen, reopen_scene
 
 
 def rescore(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Record:
@@ -69,7 +68,7 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
     """As `rescore`, of the test views drawn again from the run's checkpoint, with the masks that the data have now.
 
     Raises:
-        RecordError, ValueError, FileNotFoundError: as `read_record`, `reopen` and `load_scene`.
+        RecordError, ValueError, FileNotFoundError: as `read_record`, `reopen` and `reopen_scene`.
     """
     record = read_record(run)
     scores = None
@@ -78,7 +77,7 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
             (out / name).unlink()
     if record.metrics is not None:
         settings = read_settings(run)
-        scene = load_run_scene(settings)
+        scene = reopen_scene(run, settings)
         views = scored_views(scene, settings.score_on)
         if record.kind == RENDERS:
             scores = score_renders(

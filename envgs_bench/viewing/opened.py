@@ -14,9 +14,8 @@ from torch import Tensor
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.methods.method import Method
 from envgs_bench.stages.evaluation import scored_views
-from envgs_bench.stages.perturbations import load_run_scene
 from envgs_bench.stages.pictures import as_bytes, depth_unit, layer_pictures
-from envgs_bench.stored.reopening import reopen
+from envgs_bench.stored.reopening import reopen, reopen_scene
 
 IMAGE = "image"  # the picture itself, among its layers
 DRAWN = ("normal", "depth")  # the layers that every method's pictures have, after its own
@@ -62,10 +61,10 @@ def open_run(folder: Path, device: str = "auto") -> OpenedRun:
     """The trained run in `folder`.
 
     Raises:
-        ValueError, FileNotFoundError: as `reopen` and `load_run_scene`.
+        ValueError, FileNotFoundError: as `reopen` and `reopen_scene`.
     """
     settings, method = reopen(folder, device)
-    scene = load_run_scene(settings)
+    scene = reopen_scene(folder, settings)
     method.prepare()
     views = scored_views(scene, settings.score_on)
     unit = depth_unit([view.camera for view in views])

@@ -38,7 +38,9 @@ CONTENT = {
     "error": None,
     "method": "2dgs",
     "kind": "2dgs",
+    "card": None,
     "dataset": "room",
+    "placement": {"shift": [500123.0, -7.0, 0.0], "scale": 0.5},
     "seed": 0,
     "steps": 10,
     "run_id": "seed0-00000000",
@@ -82,7 +84,8 @@ CONTENT = {
     },
     "provenance": PROVENANCE,
 }
-LATER = ("scored_on", "notes", "losses", "dropped_losses", "perturbation", "warnings")  # keys that older records lack
+LATER = ("card", "placement", "scored_on", "notes", "losses", "dropped_losses", "perturbation", "warnings")  # keys
+# that older records lack
 FAILURE = {"type": "RuntimeError", "message": "why", "log_tail": "…"}
 
 

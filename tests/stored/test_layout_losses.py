@@ -40,7 +40,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / kind).mkdir()
         content = SETTINGS | {"method": {"name": f"our_{kind}", "kind": kind, "settings": own}}
         (folder / kind / "config.yaml").write_text(yaml.safe_dump(content))
-        (folder / kind / "record.json").write_text("{}")  # is not looked into
+        (folder / kind / "log.txt").write_text("")  # of a run that left no record
         method, scene = create_method(kind, own), tiny_scene()
         method.initialize(scene, 12)
         for step in range(1, 13):

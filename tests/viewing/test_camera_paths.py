@@ -12,7 +12,7 @@ import pytest
 import torch
 from toy_scenes import camera_at
 
-from envgs_bench.core import Camera
+from envgs_bench.core import Camera, Placement
 from envgs_bench.datasets import DatasetError
 from envgs_bench.datasets.export.blender import write_blender
 from envgs_bench.testing import tiny_scene
@@ -95,7 +95,7 @@ def test_a_camera_of_another_size_sees_the_same_from_top_to_bottom() -> None:
 def test_the_frames_of_a_transforms_json_are_cameras(tmp_path: Path) -> None:
     scene = tiny_scene()
     write_blender(scene, tmp_path / "written")
-    read = read_path(tmp_path / "written" / "transforms_train.json", like=scene.test[0].camera)
+    read = read_path(tmp_path / "written" / "transforms_train.json", scene.test[0].camera, Placement())
     for ours, view in zip(read, scene.train, strict=True):
         assert_same(ours, view.camera)
 
@@ -109,7 +109,7 @@ def test_a_path_of_nerfstudios_is_read(tmp_path: Path) -> None:
         **{"render_width": 200, "render_height": 100, "fps": 24, "seconds": 1},
     }
     (tmp_path / "path.json").write_text(json.dumps(content))
-    (camera,) = read_path(tmp_path / "path.json", like=ring()[0])
+    (camera,) = read_path(tmp_path / "path.json", ring()[0], Placement())
     assert camera.intrinsics.tolist() == [[pytest.approx(50), 0, 100], [0, pytest.approx(50), 50], [0, 0, 1]]
     right_and_up = camera.project(torch.tensor([1.0, 1, 0]))
     assert right_and_up[0].tolist() == pytest.approx([110, 40], abs=1e-3)
@@ -135,5 +135,5 @@ def test_a_path_of_nerfstudios_is_read(tmp_path: Path) -> None:
 def test_files_that_hold_no_path_are_named(tmp_path: Path, content: str, message: str) -> None:
     (tmp_path / "path.json").write_text(content)
     with pytest.raises(DatasetError, match=r"path\.json: ") as caught:
-        read_path(tmp_path / "path.json", like=ring()[0])
+        read_path(tmp_path / "path.json", ring()[0], Placement())
     assert message in str(caught.value)
