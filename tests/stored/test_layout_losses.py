@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 
 import pytest
 import torch
 import yaml
 from fakes.runs import set_environment
+from reports_runs import record
 
 from envgs_bench.cli.main import main
 from envgs_bench.methods.registry import create_method
@@ -40,7 +42,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / kind).mkdir()
         content = SETTINGS | {"method": {"name": f"our_{kind}", "kind": kind, "settings": own}}
         (folder / kind / "config.yaml").write_text(yaml.safe_dump(content))
-        (folder / kind / "log.txt").write_text("")  # of a run that left no record
+        (folder / kind / "record.json").write_text(json.dumps(record("tiny", kind, 3)))
         method, scene = create_method(kind, own), tiny_scene()
         method.initialize(scene, 12)
         for step in range(1, 13):
