@@ -40,9 +40,16 @@ def fit_to_files(photographs: Sequence[Photograph]) -> list[Photograph]:
 
 
 def _refuse_equal_names(photographs: Iterable[Photograph]) -> None:
+    by_file: dict[Path, list[str]] = defaultdict(list)
     by_name: dict[str, list[str]] = defaultdict(list)
     for photograph in photographs:
+        by_file[photograph.path].append(photograph.name)
         by_name[photograph.view_name].append(photograph.name)
+    for path, names in by_file.items():
+        if len(names) > 1:
+            raise DatasetError(
+                f"{path}: is listed {len(names)} times, as {listed(names)}; one picture has one pose: remove the others"
+            )
     for view_name, names in by_name.items():
         if len(names) > 1:
             raise DatasetError(

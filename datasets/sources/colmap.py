@@ -8,6 +8,8 @@ from typing import Any, Literal
 
 from envgs_bench.core import Scene
 
+from ..consistency.tracks import check_tracks
+from ..consistency.twins import check_twins
 from ..errors import DatasetError, listed
 from ..formats.colmap_model import Model
 from ..formats.names import path_below
@@ -57,6 +59,8 @@ def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     def make() -> Scene:
         found, missing = model.photographs(images)
         refuse_missing(choice.missing, len(found) + len(missing), missing, model.folder)
+        check_twins(model.folder, model.content)
+        check_tracks(model.folder, model.content)
         _note_others(choice, model)
         _note_without_pose(images, found)
         if choice.equalize_exposure:

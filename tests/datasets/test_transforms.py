@@ -235,7 +235,7 @@ def test_point_clouds_that_cannot_be_used(root: Path, ply: str, message: str) ->
 
 def test_a_frame_without_name_and_one_named_twice(root: Path) -> None:
     change_frame(root, 5, file_path="images/004.png")
-    refused(root, r"several images are called 004: 004\.png, 004\.png")
+    refused(root, r"004\.png: is listed 2 times, as 004\.png, 004\.png")
     change_frame(root, 5, file_path=None)
     refused(root, "frame 5 has no file_path")
 

@@ -10,6 +10,8 @@ from PIL import Image
 WIDTH, HEIGHT = 64, 48
 PINHOLE = "PINHOLE 64 48 60.0 62.0 30.5 25.0"
 OPENCV = "OPENCV 64 48 60.0 62.0 30.5 25.0 0.06 -0.03 0.002 -0.001"
+UNTURNED = (1.0, 0.0, 0.0, 0.0)
+DISTANCE = 1000.0
 NAMES_OF_TEN = [f"{index:03d}.png" for index in range(10)]
 POINTS = np.random.default_rng(7).uniform([-1, -0.7, 3], [1, 0.7, 5], (30, 3))
 
@@ -45,15 +47,18 @@ def write_capture(
 ) -> Path:
     """A capture of the gradient picture under each name, with a text model below `root`; returns `root`.
 
-    Every image sees every point at the same place of the picture, `seen_at` [P, 2], or none of them.
+    Every image sees every point at the same place of the picture, `seen_at` [P, 2], or none of them. Points that are
+    seen lie so far away, before cameras without a roll, that PINHOLE sees them there from each of their places.
     """
+    if seen_at is not None:
+        points = DISTANCE * np.concatenate([(seen_at - [30.5, 25]) / [60, 62], np.ones((len(seen_at), 1))], axis=1)
     folder = root / model
     folder.mkdir(parents=True)
     (folder / "cameras.txt").write_text(f"# cameras\n1 {camera}\n")
     lines = ["# images"]
     for index, name in enumerate(names):
-        translation = -rotation_of(index) @ center_of(index)
-        pose = [*quaternion_of(index), *translation]
+        turn, rotation = (quaternion_of(index), rotation_of(index)) if seen_at is None else (UNTURNED, np.eye(3))
+        pose = [*turn, *(-rotation @ center_of(index))]
         places = [] if seen_at is None else [f"{x!r} {y!r} {i + 1}" for i, (x, y) in enumerate(seen_at.tolist())]
         lines += [f"{index + 1} {' '.join(map(repr, map(float, pose)))} 1 {name}", " ".join(places)]
     (folder / "images.txt").write_text("\n".join(lines) + "\n")
