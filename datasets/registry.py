@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -142,3 +144,12 @@ def _source(kind: str) -> Source:
         return load_import_path(path)
     except ImportError as error:
         raise DatasetError(f"dataset.kind={kind!r} cannot be imported from {path}: {error}") from error
+    finally:
+        _keep_sigterm()
+
+
+def _keep_sigterm() -> None:
+    """Have SIGTERM do again what it did before pycolmap was imported, which prints a stack trace and aborts instead."""
+    handler = signal.getsignal(signal.SIGTERM)
+    if handler is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, handler)

@@ -35,11 +35,11 @@ def require_regular(path: Path, most_bytes: int | None = None) -> int:
 
 
 def read_regular_text(path: Path, most_bytes: int) -> str:
-    """The UTF-8 text of the file.
+    """The UTF-8 text of the file, without the byte order mark that editors on Windows begin it with.
 
     Raises:
         OSError: as `require_regular`, or it cannot be read.
         UnicodeDecodeError: it is no such text.
     """
     require_regular(path, most_bytes)
-    return path.read_text(encoding="utf-8")
+    return path.read_text(encoding="utf-8-sig")

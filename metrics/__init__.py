@@ -2,10 +2,12 @@
 
 from .perceptual import PERCEPTUAL_LOSSES, make_perceptual_loss
 from .protocol import METRICS, PROTOCOLS, Protocol, get_protocol
+from .vgg16 import MINIMUM_SIZE
 from .weights import WeightsUnavailable, find_weights
 
 __all__ = [
     "METRICS",
+    "MINIMUM_SIZE",
     "PERCEPTUAL_LOSSES",
     "PROTOCOLS",
     "Protocol",

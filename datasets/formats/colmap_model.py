@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pycolmap
@@ -13,13 +16,15 @@ from numpy.typing import NDArray
 from envgs_bench.regular_file import require_regular
 
 from ..errors import DatasetError
-from .colmap_binary import check_sizes, image_names
+from . import colmap_text
+from .colmap_binary import COUNT, check_sizes, image_names
 from .names import path_below
 from .photograph import LONGEST_EDGE, Photograph
-from .point_clouds import PointCloud, point_cloud
+from .point_clouds import PointCloud, point_cloud, read_point_cloud
 from .siblings import Siblings
 
 PARTS = ("cameras", "images", "points3D")
+PLY = ".ply"  # as which some programs leave the points beside cameras and images
 
 
 @dataclass(frozen=True)
@@ -32,7 +37,7 @@ class Observations:
 
 @dataclass(frozen=True)
 class Model:
-    """Cameras, images and points3D, as .bin or .txt, in one folder."""
+    """Cameras, images and points3D, as .bin or .txt, in one folder; points3D may be a .ply instead."""
 
     folder: Path
 
@@ -47,13 +52,13 @@ class Model:
         Raises:
             DatasetError: it cannot be read.
         """
-        return _read(self.folder)
+        return _read(self.folder, self._suffix)
 
     @property
     def files(self) -> list[Path]:
-        """The files that pycolmap reads of it."""
-        parts = (*PARTS, "rigs", "frames")
-        return [path for part in parts if (path := self.folder / f"{part}{self._suffix}").is_file()]
+        """The files that it is read from."""
+        parts = _parts(self.folder, self._suffix)
+        return parts if self._has_points else [*parts, *filter(Path.is_file, [self.folder / f"points3D{PLY}"])]
 
     def listed_images(self) -> list[str]:
         """The names of all images, also of those without a pose; points and observations are not read.
@@ -63,14 +68,22 @@ class Model:
         """
         path = self.folder / f"images{self._suffix}"
         try:
-            return image_names(path) if path.suffix == ".bin" else _names_in_text(path)
+            return image_names(path) if path.suffix == ".bin" else list(colmap_text.image_names(path).values())
         except (OSError, ValueError, IndexError):
             return [image.name for image in self.content.images.values()]  # or pycolmap says what is wrong
 
     @property
     def _suffix(self) -> str:
-        """What pycolmap reads: text where a binary file is missing."""
-        return ".bin" if all((self.folder / f"{part}.bin").exists() for part in PARTS) else ".txt"
+        """Of the form that is complete, or else of that which lacks its points alone, or else of text; binary first."""
+        for parts in (PARTS, PARTS[:2]):
+            for suffix in (".bin", ".txt"):
+                if all((self.folder / f"{part}{suffix}").exists() for part in parts):
+                    return suffix
+        return ".bin" if (self.folder / "cameras.bin").exists() else ".txt"
+
+    @property
+    def _has_points(self) -> bool:
+        return (self.folder / f"points3D{self._suffix}").exists()
 
     @property
     def image_names(self) -> list[str]:
@@ -78,7 +91,9 @@ class Model:
         return sorted(image.name for image in self.content.images.values() if image.has_pose)
 
     def points(self) -> PointCloud:
-        """The triangulated points; raises as `point_cloud`."""
+        """The triangulated points, from points3D.ply where the model itself has none; raises as `point_cloud`."""
+        if not self._has_points:
+            return read_point_cloud(self.folder / f"points3D{PLY}")
         found = [self.content.points3D[key] for key in sorted(self.content.points3D)]
         points = np.array([point.xyz for point in found]).reshape(-1, 3)
         return point_cloud(points, np.array([point.color for point in found]).reshape(-1, 3) / 255, self.folder)
@@ -136,16 +151,28 @@ def _observations(image: pycolmap.Image) -> Observations:
     return Observations(positions, np.array([point.point3D_id for point in seen], dtype=np.int64))
 
 
-def _read(folder: Path) -> pycolmap.Reconstruction:
+def _read(folder: Path, suffix: str) -> pycolmap.Reconstruction:
+    missing = [part for part in PARTS[:2] if not (folder / f"{part}{suffix}").exists()]
+    if missing:
+        raise DatasetError(f"{folder}: has no {missing[0]}{suffix}; export the model as a whole, in one form")
+    if not any((folder / f"points3D{end}").exists() for end in (suffix, PLY)):
+        raise DatasetError(
+            f"{folder}: has cameras and images, and neither points3D{suffix} nor points3D{PLY}, which methods start "
+            "from; export the points too, or find some with colmap point_triangulator"
+        )
     try:
         for path in (*folder.glob("*.txt"), *folder.glob("*.bin")):
             require_regular(path)
-        if Model(folder)._suffix == ".bin":
+        if suffix == ".bin":
             check_sizes(folder)
     except (OSError, ValueError) as error:
         raise _unreadable(folder, error) from error
     try:
-        model = pycolmap.Reconstruction(str(folder))
+        with _readable(folder, suffix) as readable:
+            model = pycolmap.Reconstruction(str(readable))
+        if suffix == ".txt":
+            for number, name in colmap_text.image_names(folder / "images.txt").items():
+                model.images[number].name = name
         for image in model.images.values():
             image.name.encode()  # pycolmap decodes names when they are asked for
         return model
@@ -156,20 +183,33 @@ def _read(folder: Path) -> pycolmap.Reconstruction:
         raise _unreadable(folder, error) from error
 
 
+@contextmanager
+def _readable(folder: Path, suffix: str) -> Iterator[Path]:
+    """A folder from which pycolmap reads the model: its own, or a copy without byte order marks, and with no points
+    where these are elsewhere."""
+    files = _parts(folder, suffix)
+    marked = {path for path in files if suffix == ".txt" and colmap_text.begins_with_mark(path)}
+    if not marked and folder / f"points3D{suffix}" in files:
+        yield folder
+        return
+    with TemporaryDirectory() as name:
+        copy = Path(name)
+        (copy / f"points3D{suffix}").write_bytes(b"" if suffix == ".txt" else bytes(COUNT.size))
+        for path in files:
+            if path in marked:
+                (copy / path.name).write_text(colmap_text.without_mark(path), encoding="utf-8")
+            else:
+                (copy / path.name).unlink(missing_ok=True)
+                (copy / path.name).symlink_to(path.absolute())
+        yield copy
+
+
+def _parts(folder: Path, suffix: str) -> list[Path]:
+    return [path for part in (*PARTS, "rigs", "frames") if (path := folder / f"{part}{suffix}").is_file()]
+
+
 def _unreadable(folder: Path, error: Exception) -> DatasetError:
     return DatasetError(f"{folder}: cannot be read as a COLMAP model ({error}); export it again")
-
-
-def _names_in_text(path: Path) -> list[str]:
-    """The names in an images.txt: the tenth word of a line; the line after it, which may be empty, lists points."""
-    require_regular(path)
-    names = []
-    with path.open(encoding="utf-8") as lines:
-        for line in lines:
-            if line.strip() and not line.startswith("#"):
-                names.append(line.split()[9])
-                next(lines, None)
-    return names
 
 
 def _not_finite(folder: Path) -> str | None:

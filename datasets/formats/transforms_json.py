@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -13,10 +13,11 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from envgs_bench.regular_file import read_regular_text
+from envgs_bench.regular_file import require_regular
 
 from ..consistency.frames import check_frame, check_size_stated
 from ..errors import DatasetError, listed
+from ..notes import note
 from .names import clean_name, path_below
 from .photograph import LONGEST_EDGE, Photograph
 from .pictures import PICTURE_EXTENSIONS, read_header
@@ -25,6 +26,7 @@ FLAT_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV",
 FISHEYE_MODELS = ("OPENCV_FISHEYE", "FISHEYE")
 INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y")
 MOST_BYTES = 500_000_000  # of such a file; a frame takes a thousand
+ORTHONORMAL = 1e-3  # error of a rotation, of its length and of its right angles, as `Camera` allows it
 LARGEST = 1e15  # no number in such a file is meant to be larger
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -36,6 +38,7 @@ class FrameFile:
     path: Path
     shared: dict[str, Any]
     frames: list[dict[str, Any]]
+    scales: list[float] = field(default_factory=list)  # found in the matrices whose poses were asked for
 
     @property
     def root(self) -> Path:
@@ -63,6 +66,7 @@ class FrameFile:
             name = PurePosixPath(name).with_suffix("").as_posix() if _has_extension(name) else name
             camera, pose = self._camera(frame, path, images), self.pose(frame, name)
             found.append(Photograph(name + path.suffix, path, camera, camera_id, pose, self._masks(frame)))
+        self.note_scales()
         without = [photograph.name for photograph in found if not photograph.masks]
         if 0 < len(without) < len(found):
             raise DatasetError(f"{self.path}: gives a mask_path for some frames only; add one for {listed(without)}")
@@ -96,7 +100,43 @@ class FrameFile:
             raise DatasetError(
                 f"{self.path}: the transform_matrix of {name} is no camera-to-world matrix of 4×4 finite numbers"
             )
-        return np.asarray(np.linalg.inv(matrix @ OPENGL_TO_OPENCV), dtype=np.float64)
+        return np.asarray(np.linalg.inv(self._unscaled(matrix, name) @ OPENGL_TO_OPENCV), dtype=np.float64)
+
+    def note_scales(self) -> None:
+        """Note that matrices whose poses were asked for had a scale of the camera in them."""
+        if self.scales:
+            low, high = min(self.scales), max(self.scales)
+            scale = f"{low:.4g}" if math.isclose(low, high, rel_tol=ORTHONORMAL) else f"{low:.4g} to {high:.4g}"
+            note(
+                f"{self.path}: the transform_matrix of {len(self.scales)} frames scales its camera by {scale}; "
+                "the rotations are divided by it, as instant-ngp does, and the places stay"
+            )
+
+    def _unscaled(self, matrix: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+        """The matrix [4, 4] with a rotation, without the one scale that may multiply it.
+
+        Raises:
+            DatasetError: it mirrors, skews, stretches axes differently, or its last row is not (0, 0, 0, w).
+        """
+        axes, last = matrix[:3, :3], matrix[3]
+        scale = abs(float(np.linalg.det(axes))) ** (1 / 3)
+        whole = scale > 0 and np.allclose(axes.T @ axes / scale**2, np.eye(3), atol=ORTHONORMAL)
+        what = f"{self.path}: the transform_matrix of {name}"
+        if not whole or last[:3].any() or last[3] != 1:
+            lengths = ", ".join(f"{length:.4g}" for length in np.linalg.norm(axes, axis=0))
+            raise DatasetError(
+                f"{what} is no rotation with a place, perhaps scaled as a whole: its axes have the lengths {lengths}, "
+                f"its last row is {', '.join(f'{value:g}' for value in last)}; expected axes of one length at right "
+                "angles, and 0, 0, 0, 1; export it without skew and perspective"
+            )
+        if np.linalg.det(axes) < 0:
+            raise DatasetError(
+                f"{what} mirrors its camera (its determinant is below 0); export it with right-handed axes"
+            )
+        if abs(scale - 1) <= ORTHONORMAL:
+            return matrix
+        self.scales.append(scale)
+        return np.concatenate([np.concatenate([axes / scale, matrix[:3, 3:]], axis=1), matrix[3:]])
 
     def focal(self, axis: str, frame: dict[str, Any], length: float) -> float | None:
         """In pixels: fl_<axis>, or of the whole field of view camera_angle_<axis>; the frame's own first."""
@@ -150,12 +190,12 @@ class FrameFile:
         fy = self.focal("y", frame, height) or fx
         cx, cy = self.number("cx", frame), self.number("cy", frame)
         center = [width / 2 if cx is None else cx, height / 2 if cy is None else cy]
-        model, distortion = self._distortion(frame)
+        model, distortion = self.distortion(frame)
         return pycolmap.Camera(
             model=model, width=round(width), height=round(height), params=[fx, fy, *center, *distortion]
         )
 
-    def _distortion(self, frame: dict[str, Any]) -> tuple[str, list[float]]:
+    def distortion(self, frame: dict[str, Any]) -> tuple[str, list[float]]:
         """pycolmap's camera model and its parameters after focal lengths and principal point."""
         named = frame.get("camera_model", self.shared.get("camera_model", "OPENCV"))
         k1, k2, k3, k4, p1, p2 = (self.number(key, frame) or 0.0 for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
@@ -190,7 +230,8 @@ def read_frames(path: Path) -> FrameFile:
 def read_json(path: Path) -> Any:
     """What the JSON file holds. Raises DatasetError where there is no such file, or it is no JSON."""
     try:
-        return json.loads(read_regular_text(path, MOST_BYTES))
+        require_regular(path, MOST_BYTES)
+        return json.loads(path.read_bytes())  # in UTF-8, -16 or -32, with a byte order mark or without
     except FileNotFoundError as error:
         raise DatasetError(f"{path}: there is no such file") from error
     except (OSError, ValueError, RecursionError) as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import signal
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from .explained import explained
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Serve the page until Ctrl-C; the exit status."""
+    """Serve the page until Ctrl-C or SIGTERM; the exit status."""
     parser = argparse.ArgumentParser(
         prog="envgs-bench view",
         description="Trained runs in the browser: walk around, look at layers, compare two runs of one scene.",
@@ -30,11 +31,14 @@ def _view(options: argparse.Namespace) -> int:
     from envgs_bench.viewing.viewer import Viewer, require_viser
 
     require_viser()
-    runs = open_runs(options.runs, options.device)
-    server = Viewer(runs, options.rows).serve(options.host, options.port)
-    print(f"open http://{options.host}:{server.get_port()} in a browser; Ctrl-C ends this", flush=True)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # services are stopped so
+    server = None
     try:
+        runs = open_runs(options.runs, options.device)
+        server = Viewer(runs, options.rows).serve(options.host, options.port)
+        print(f"open http://{options.host}:{server.get_port()} in a browser; Ctrl-C ends this", flush=True)
         server.sleep_forever()
     except KeyboardInterrupt:
-        server.stop()
+        if server is not None:
+            server.stop()
     return 0

@@ -19,7 +19,7 @@ from envgs_bench.diagnosis.repair import repaired
 from envgs_bench.diagnosis.scene_warnings import scene_warnings
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.settings import quickness
-from envgs_bench.metrics import Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
+from envgs_bench.metrics import MINIMUM_SIZE, Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
 from envgs_bench.parts import PERCEPTUAL
 from envgs_bench.probe import write_probe
 from envgs_bench.records import RENDERS, WorldPlacement
@@ -122,6 +122,7 @@ def _score_renders(
     """The run of a method whose pictures come from elsewhere: nothing is trained, drawn or timed."""
     results.steps = 0
     scene = _load(settings, results, report)
+    check_scene(scene)
     views, background = scored_views(scene, settings.score_on), scene.background
     scored = score_renders(settings.method.settings, views, background, protocol, folder, report, settings.device)
     results.metrics, results.masked = scored
@@ -143,9 +144,18 @@ def _load(settings: RunSettings, results: Results, report: EventListener) -> Sce
 
 
 def check_scene(scene: Scene) -> None:
+    """Refuse, before anything is trained, what could not be trained on or not be scored at the end."""
     for name, views in (("training", scene.train), ("test", scene.test)):
         if not views:
             raise ValueError(f"data set {scene.name} has no {name} views: it needs at least two images")
+    for view in (*scene.test, *scene.val):
+        width, height = view.camera.width, view.camera.height
+        if min(width, height) < MINIMUM_SIZE:
+            raise ValueError(
+                f"data set {scene.name}: view {view.name} is {width}×{height} pixels, expected at least "
+                f"{MINIMUM_SIZE}×{MINIMUM_SIZE}, since metrics need them; take larger pictures, or a smaller "
+                "dataset.downsample"
+            )
 
 
 def offer_perceptual_loss(method: Method) -> None:

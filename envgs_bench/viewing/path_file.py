@@ -22,6 +22,7 @@ from envgs_bench.core import Camera, Placement
 from envgs_bench.datasets import DatasetError
 from envgs_bench.datasets.formats.transforms_json import FrameFile, read_json
 
+PERSPECTIVE = "perspective"  # nerfstudio's name of the one camera_type that is drawn
 LARGEST_EDGE = 16_384  # pixels
 EXPECTED = 'expected {"camera_path": [{"camera_to_world": […], "fov": …}, …]} or {"frames": [{"transform_matrix": …}]}'
 
@@ -41,10 +42,24 @@ def read_path(path: Path, like: Camera, placement: Placement) -> list[Camera]:
     if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
         raise DatasetError(f"{path}: holds no camera path; {EXPECTED}")
     if nerfstudio:
+        _require_perspective(content, frames, path)
         content = {"w": content.get("render_width"), "h": content.get("render_height")}
         frames = [_as_frame(frame, path, index) for index, frame in enumerate(frames)]
     file = FrameFile(path, content, frames)
-    return [_camera(file, frame, f"frame {index}", like, placement) for index, frame in enumerate(frames)]
+    cameras = [_camera(file, frame, f"frame {index}", like, placement) for index, frame in enumerate(frames)]
+    file.note_scales()
+    return cameras
+
+
+def _require_perspective(content: dict[str, Any], frames: list[dict[str, Any]], path: Path) -> None:
+    """Refuse a panorama's path, or a fisheye's: pictures are drawn in perspective alone."""
+    for owner in (content, *frames):
+        kind = owner.get("camera_type") or PERSPECTIVE
+        if str(kind).lower() != PERSPECTIVE:
+            raise DatasetError(
+                f"{path}: camera_type={repr(kind)[:60]}, of which no picture can be drawn; expected {PERSPECTIVE!r}: "
+                "export the path with perspective cameras"
+            )
 
 
 def _as_frame(entry: dict[str, Any], path: Path, index: int) -> dict[str, Any]:
@@ -58,6 +73,12 @@ def _as_frame(entry: dict[str, Any], path: Path, index: int) -> dict[str, Any]:
 
 
 def _camera(file: FrameFile, frame: dict[str, Any], name: str, like: Camera, placement: Placement) -> Camera:
+    model, _ = file.distortion(frame)
+    if model == "OPENCV_FISHEYE":
+        raise DatasetError(
+            f"{file.path}: {name} has a fisheye camera, of which no picture can be drawn; give it camera_model=PINHOLE "
+            "and the focal lengths of a perspective picture"
+        )
     width = round(file.within("w", frame, 1, LARGEST_EDGE) or like.width)
     height = round(file.within("h", frame, 1, LARGEST_EDGE) or like.height)
     fx, fy = file.focal("x", frame, width), file.focal("y", frame, height)

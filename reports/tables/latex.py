@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import re
+from collections import Counter
 from collections.abc import Sequence
 from itertools import groupby
 
 from envgs_bench.plain_text import plain_line
 
 from .entries import DAGGER, Entry, Heading, entries, headings
+from .latex_text import escaped
+from .latex_text import label as label_part
 from .notes import caption, dropped_losses
 from .sections import Section
 from .table import Table
@@ -19,53 +21,33 @@ PREAMBLE = r"""% Needs booktabs, and xcolor with its option table; define these 
 \providecommand{\third}[1]{\cellcolor[HTML]{FDF0D0}\textit{#1}}
 """
 MARKS = {1: r"\best", 2: r"\second", 3: r"\third"}
-SPECIAL = {
-    "\\": r"\textbackslash{}",
-    "±": r"$\pm$",
-    "≈": r"$\approx$",
-    "↑": r"$\uparrow$",
-    "↓": r"$\downarrow$",
-    "−": r"$-$",
-    "Δ": r"$\Delta$",
-    "°": r"$^\circ$",
-    "†": r"$^\dagger$",
-    "—": "---",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "|": r"\textbar{}",
-    **{character: f"\\{character}" for character in "&%$#_{}"},
-}
 
 
 def latex(sections: Sequence[Section]) -> str:
     """A float a table, with caption and label, after a comment that names its protocol and its device; below it what †
     means."""
-    parts = [PREAMBLE]
+    parts, labels = [PREAMBLE], Counter[str]()
     for section in sections:
         for table in section.tables:
             words = f"{table.title}: {told}" if (told := caption(section, table)) else table.title
-            label = f"tab:{section.slug}:{table.kind}:{_label(table.title)}"
+            label = f"tab:{section.slug}:{table.kind}:{label_part(table.title)}"
+            labels[label] += 1
+            label += f"-{labels[label]}" if labels[label] > 1 else ""
             parts += [f"% {plain_line(table.title)}. {plain_line(section.title)}", _float(table, words, label), ""]
     return "\n".join(parts)
 
 
 def _float(table: Table, words: str, label: str) -> str:
-    head = [r"\begin{table*}[t]", r"\centering", rf"\caption{{{_escaped(words)}.}}", rf"\label{{{label}}}"]
+    head = [r"\begin{table*}[t]", r"\centering", rf"\caption{{{escaped(words)}.}}", rf"\label{{{label}}}"]
     return "\n".join([*head, _tabular(table), r"\end{table*}"])
-
-
-def _label(title: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
 
 
 def _tabular(table: Table) -> str:
     titles = headings(table)
     lines = [" & ".join(_marked(entry) for entry in entries(table, row)) + r" \\" for row in table.rows]
-    head = " & ".join(_escaped(heading.text) for heading in titles) + r" \\"
+    head = " & ".join(escaped(heading.text) for heading in titles) + r" \\"
     body = [r"\toprule", *_groups(titles), head, r"\midrule", *lines, r"\bottomrule"]
-    below = [rf"\par\noindent{{\footnotesize {_escaped(note)}\par}}" for note in dropped_losses(table)]
+    below = [rf"\par\noindent{{\footnotesize {escaped(note)}\par}}" for note in dropped_losses(table)]
     return "\n".join([rf"\begin{{tabular}}{{ll{'r' * (len(titles) - 2)}}}", *body, r"\end{tabular}", *below])
 
 
@@ -76,7 +58,7 @@ def _groups(titles: Sequence[Heading]) -> list[str]:
     cells, rules, column = [], [], 1
     for name, members in groupby(titles, key=lambda heading: heading.group):
         count = len(list(members))
-        cells.append(rf"\multicolumn{{{count}}}{{c}}{{{_escaped(name)}}}")
+        cells.append(rf"\multicolumn{{{count}}}{{c}}{{{escaped(name)}}}")
         if name:
             rules.append(rf"\cmidrule(lr){{{column}-{column + count - 1}}}")
         column += count
@@ -84,11 +66,6 @@ def _groups(titles: Sequence[Heading]) -> list[str]:
 
 
 def _marked(entry: Entry) -> str:
-    text = _escaped(entry.text + DAGGER * entry.dropped) + (r" $\approx$" if entry.tied else "")
+    text = escaped(entry.text + DAGGER * entry.dropped) + (r" $\approx$" if entry.tied else "")
     rank = 1 if entry.taken else entry.rank
     return f"{MARKS[rank]}{{{text}}}" if rank else text
-
-
-def _escaped(text: str) -> str:
-    """Any text as LaTeX that pdflatex sets; what it has no glyph for becomes a question mark."""
-    return "".join(SPECIAL.get(c, c if c.isascii() and c.isprintable() else "?") for c in " ".join(text.split()))

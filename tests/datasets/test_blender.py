@@ -207,7 +207,9 @@ def test_an_invalid_pose_is_refused(root: Path) -> None:
         ([[1, 0], [0, 1]], "is no camera-to-world matrix"),
         (np.diag([1.0, 1.0, math.nan, 1.0]).tolist(), "is no camera-to-world matrix"),
         (np.diag([1.0, 1.0, 0.0, 1.0]).tolist(), "is no camera-to-world matrix"),
-        (np.diag([2.0, 2.0, 2.0, 1.0]).tolist(), "not a rotation"),
+        (np.diag([2.0, 1.0, 1.0, 1.0]).tolist(), "is no rotation"),
+        (np.diag([-1.0, 1.0, 1.0, 1.0]).tolist(), "mirrors"),
+        (np.diag([1.0, 1.0, 1.0, 2.0]).tolist(), "last row"),
     ):
         given["frames"][1]["transform_matrix"] = matrix
         write(root, "test", given)

@@ -39,6 +39,37 @@ def root(tmp_path: Path) -> Path:
     return write_capture(tmp_path / "bench", NAMES)
 
 
+def test_points_may_lie_in_a_ply_beside_cameras_and_images(root: Path) -> None:
+    rows = [" ".join(map(repr, point)) for point in POINTS.tolist()]
+    head = f"ply\nformat ascii 1.0\nelement vertex {len(rows)}\n" + "".join(f"property double {a}\n" for a in "xyz")
+    (root / "sparse/0/points3D.ply").write_text(head + "end_header\n" + "\n".join(rows) + "\n")
+    write_binary(root, "binary")
+    for model in ("sparse/0", "binary"):
+        (root / model / "points3D.ply").write_bytes((root / "sparse/0/points3D.ply").read_bytes())
+        next((root / model).glob("points3D.[bt]*")).unlink()
+        np.testing.assert_allclose(load(root, model=model).points, POINTS, atol=1e-6)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_text_model_with_byte_order_marks_is_read_as_without(root: Path, encoding: str) -> None:
+    plain = load(root)
+    for path in (root / "sparse/0").glob("*.txt"):
+        path.write_text(path.read_text(), encoding=encoding)
+    assert [view.name for view in load(root).train] == [view.name for view in plain.train]
+    assert torch.equal(load(root).points, plain.points)
+
+
+def test_names_in_a_text_model_may_have_spaces(tmp_path: Path) -> None:
+    """Each is its own picture, beside files that are called as a name is up to its first space."""
+    names = [f"shot  {i} (a).png" for i in range(9)]
+    root = write_capture(tmp_path / "bench", [*names, "shot.png"])
+    Image.fromarray(255 - gradient()).save(root / "images/shot.png")
+    found = views_of(load(root))
+    assert set(found) == {Path(name).stem for name in (*names, "shot.png")}
+    for name in names:
+        np.testing.assert_array_equal(found[Path(name).stem].image, gradient())
+
+
 def write_binary(root: Path, folder: str) -> None:
     (root / folder).mkdir(parents=True)
     pycolmap.Reconstruction(str(root / "sparse/0")).write_binary(str(root / folder))

@@ -50,7 +50,12 @@ def test_no_model(root: Path) -> None:
 
 def test_half_a_model(root: Path) -> None:
     (root / "sparse/0/images.txt").unlink()
-    refused(root, "sparse/0: cannot be read as a COLMAP model")
+    refused(root, "sparse/0: has no images.txt; export the model as a whole")
+
+
+def test_a_model_without_a_file_of_points(root: Path) -> None:
+    (root / "sparse/0/points3D.txt").unlink()
+    refused(root, r"sparse/0: has cameras and images, and neither points3D.txt nor points3D.ply.*point_triangulator")
 
 
 def test_a_truncated_binary_model(root: Path) -> None:

@@ -55,6 +55,28 @@ def write(root: Path, shared: dict[str, Any], file: str = "transforms.json") -> 
     return root
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-32"])
+def test_byte_order_marks_change_nothing(root: Path, encoding: str) -> None:
+    plain = load(write(root, FLAT))
+    (root / "transforms.json").write_text((root / "transforms.json").read_text(), encoding=encoding)
+    assert [view.name for view in load(root).train] == [view.name for view in plain.train]
+
+
+@pytest.mark.parametrize("scale", [0.1, 30.0])
+def test_a_scale_in_the_matrices_is_divided_out_and_noted(
+    root: Path, scale: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    plain = load(write(root, FLAT))
+    for index in range(len(NAMES)):
+        matrix = np.array(opengl_pose(index))
+        matrix[:3, :3] *= scale
+        change_frame(root, index, transform_matrix=matrix.tolist())
+    scaled = load(root)
+    assert f"of {len(NAMES)} frames scales its camera by {scale:g}" in caplog.text
+    for ours, theirs in zip(scaled.train, plain.train, strict=True):
+        torch.testing.assert_close(ours.camera.world_to_camera, theirs.camera.world_to_camera)
+
+
 def change_frame(root: Path, index: int, **changes: Any) -> None:
     content = json.loads((root / "transforms.json").read_text())
     content["frames"][index].update(changes)

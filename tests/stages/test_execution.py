@@ -191,6 +191,16 @@ def scene_without_normals(bare: int) -> Scene:
     return replace(scene, train=[replace(v, normal=None) for v in scene.train[:bare]] + scene.train[bare:])
 
 
+def test_views_too_small_for_the_metrics_are_refused_before_training() -> None:
+    scene = tiny_scene()
+    camera = scene.test[0].camera.resized(15, 16)
+    small = replace(
+        scene.test[0], camera=camera, image=torch.zeros(16, 15, 3, dtype=torch.uint8), masks={}, normal=None
+    )
+    with pytest.raises(ValueError, match=r"view .* is 15×16 pixels, expected at least 16×16.*dataset.downsample"):
+        execution.check_scene(replace(scene, test=[small]))
+
+
 @pytest.mark.parametrize("kind", ["train", "test"])
 def test_a_scene_without_views_is_refused(kind: str) -> None:
     scene = replace(tiny_scene(), **{kind: []})

@@ -127,8 +127,15 @@ def test_a_path_of_nerfstudios_is_read(tmp_path: Path) -> None:
         ('{"frames": [{"file_path": "a"}]}', "transform_matrix of frame 0 is no camera-to-world matrix"),
         (
             '{"frames": [{"transform_matrix": [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}',
-            "frame 0 is no camera: Camera.world_to_camera",
+            "transform_matrix of frame 0 is no rotation",
         ),
+        (
+            '{"camera_type": "equirectangular", "camera_path": [{"camera_to_world": [], "fov": 60}]}',
+            "camera_type='equirectangular', of which no picture can be drawn",
+        ),
+        ('{"camera_path": [{"camera_type": "fisheye"}]}', "camera_type='fisheye'"),
+        ('{"camera_model": "OPENCV_FISHEYE", "frames": [{}]}', "frame 0 has a fisheye camera"),
+        ('{"camera_model": "EQUIRECTANGULAR", "frames": [{}]}', "camera_model='EQUIRECTANGULAR' is not supported"),
         ('{"w": 99999, "frames": [{"transform_matrix": []}]}', "w=99999, expected a number from 1 to 16,384"),
     ],
 )
