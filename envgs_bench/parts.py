@@ -28,6 +28,11 @@ class MethodCard:
         order: its place in tables, ascending.
         color: the family's, "#RRGGBB".
         reflects: whether reflections are modeled, and are not mere color that depends on direction.
+        variant_of: the method of which it leaves out or replaces a part; "" where it is a whole one.
+        ladder: the ablation ladder that it is on: methods of which each has a part more than the one before.
+        step: its place there, from the baseline up.
+        adds: the part that it adds to the step before; "" of the baseline.
+        published: its name in the paper's tables; "" where those do not have it.
     """
 
     family: str
@@ -35,3 +40,8 @@ class MethodCard:
     order: int
     color: str
     reflects: bool = True
+    variant_of: str = ""
+    ladder: str = ""
+    step: int = 0
+    adds: str = ""
+    published: str = ""

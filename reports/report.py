@@ -6,31 +6,28 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from envgs_bench.plain_text import no_formula
 
-from .charts.budgets import draw_budgets
-from .charts.ladder import draw_ladders
+from .charts.drawn import Canvas
 from .charts.pareto_chart import draw_charts
-from .charts.stability import draw_stability
 from .numbers.runs import BrokenRecord, read_runs
 from .outputs import delete_last_report, files_below, list_new_files
-from .page.budgets import BudgetPart
-from .page.html import write_page
-from .page.stability import StabilityPart
+from .page.html import PageSection, write_page
 from .pictures.error_maps import draw_error_maps
 from .pictures.gallery import Gallery, copy_pictures, galleries, slug
 from .pictures.sheets import draw_sheets
-from .pictures.worst_views import draw_worst_views
-from .tables.budgets import budgets_of, budgets_table
-from .tables.ladder_csv import recommendations_table, rungs_table
+from .studies import STUDIES
+from .studies.study import Study, has_page, page_part, page_rules
+from .tables.chapter import Chapter, TableGroup, ordinary_groups
 from .tables.latex import latex
 from .tables.markdown import markdown
 from .tables.sections import Section, split_sections
-from .tables.stability_csv import cells_table, summary_table
 from .tables.structured import structured
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -47,27 +44,30 @@ class Report:
 
     def __str__(self) -> str:
         runs = [item.run for section in self.sections for item in section.runs]
-        runs += [run for section in self.sections for run in section.stability.perturbed]
+        runs += [item.run for section in self.sections for item in section.perturbed]
         failed = sum(not run.ok for run in runs)
         words = [f"{len(runs)} runs", *([f"{failed} of them failed"] if failed else [])]
         words += [f"{len(self.broken)} unreadable"] if self.broken else []
         return f"{', '.join(words)}: {self.page}"
 
 
-def build_report(runs: Path, out: Path, only: Sequence[str] = (), exclude: Sequence[str] = ()) -> Report:
-    """Write index.html, table.csv, .md, .tex and .json, pareto.png, charts/ and pictures/ of all runs under `runs`;
-    ladder.csv and ladder-summary.csv where a data set has two rungs of the ladder; budgets.csv where rows differ in
-    what their models may have; stability.csv and stability-summary.csv where runs are perturbed: those are in no other
-    table, chart or picture.
+def build_report(
+    runs: Path, out: Path, only: Sequence[str] = (), exclude: Sequence[str] = (), for_print: bool = False
+) -> Report:
+    """Write index.html, table.csv, .md and .json, pareto.png and pictures/ of all runs under `runs`, and the files of
+    each study that finds something. Perturbed runs are in their study alone.
 
     Runs that different protocols scored or different devices timed never share a table, nor do test and validation
-    views: each group has a section of its own, and a table-<section>.csv of its own beside the first one's table.csv.
+    views or repaired data and data as they were: each group has a section of its own, and a table-<section>.csv of its
+    own beside the first one's table.csv.
     Broken records are listed, not fatal.
 
     Args:
         runs: a folder with runs at any depth.
         out: created where missing. What an earlier report left there goes, nothing else does.
         only, exclude: patterns of runs, see `read_runs`.
+        for_print: also what a paper takes: table.tex, a PDF beside every chart, and charts/ of every accuracy against
+            every cost.
 
     Raises:
         RecordError: `runs` is no folder.
@@ -80,53 +80,65 @@ def build_report(runs: Path, out: Path, only: Sequence[str] = (), exclude: Seque
         unreadable = f"; {len(broken)} could not be read, the first: {broken[0].reason}" if broken else ""
         raise ValueError(f"{runs}: no readable record.json under it: run `envgs-bench run` first{unreadable}")
     sections = split_sections(found)
+    studies = [studies_of(section) for section in sections]
+    chapters = [chapter_of(*pair) for pair in zip(sections, studies, strict=True)]
     out.mkdir(parents=True, exist_ok=True)
     delete_last_report(out)
     before = files_below(out)
-    for index, section in enumerate(sections):
-        _write_csv(section.tidy, out / section.csv_name(index))
-        if section.ladders:
-            _write_csv(rungs_table(section.ladders), out / section.csv_name(index, "ladder"))
-            _write_csv(recommendations_table(section.ladders), out / section.csv_name(index, "ladder-summary"))
-        if section.stability.cases:
-            _write_csv(cells_table(section.stability), out / section.csv_name(index, "stability"))
-            _write_csv(summary_table(section.stability), out / section.csv_name(index, "stability-summary"))
-    (out / "table.md").write_text(markdown(sections, broken), encoding="utf-8")
-    (out / "table.tex").write_text(latex(sections), encoding="utf-8")
-    (out / "table.json").write_text(json.dumps(structured(sections, broken)), encoding="utf-8")
-    draw_charts(sections, out)
-    pictures = [_pictures(section, out, index if len(sections) > 1 else None) for index, section in enumerate(sections)]
-    parts = [_stability(section, out, index) for index, section in enumerate(sections)]
-    steps = [
-        draw_ladders(section.ladders, section.methods, out, f"charts/ladder-{index}")
-        for index, section in enumerate(sections)
+    canvas = Canvas(out, pdf=for_print)
+    (out / "table.md").write_text(markdown(chapters, broken), encoding="utf-8")
+    (out / "table.json").write_text(json.dumps(structured(chapters, broken)), encoding="utf-8")
+    if for_print:
+        (out / "table.tex").write_text(latex(chapters), encoding="utf-8")
+    draw_charts(sections, canvas, every_pair=for_print)
+    shown = [
+        _page_section(chapter, own, index, len(sections) > 1, canvas)
+        for index, (chapter, own) in enumerate(zip(chapters, studies, strict=True))
     ]
-    budgets = [_budgets(section, out, index) for index, section in enumerate(sections)]
-    write_page(out, sections, broken, pictures, parts, steps, budgets)
+    write_page(out, shown, broken, list(map(page_rules, STUDIES)), for_print)
     list_new_files(out, before)
     return Report(out, tuple(sections), tuple(broken))
+
+
+def studies_of(section: Section) -> list[Study]:
+    """The studies that find something in the section."""
+    return [found for study in STUDIES if (found := study.of(section)) is not None]
+
+
+def chapter_of(section: Section, studies: Sequence[Study]) -> Chapter:
+    """All tables of a section: those of studies that come first, the ordinary ones, those of the other studies."""
+    groups = {study.name: _tables(section, study) for study in studies}
+    groups = {name: group for name, group in groups.items() if group.tables}
+    leading = [groups[study.name] for study in studies if study.first and study.name in groups]
+    others = [groups[study.name] for study in studies if not study.first and study.name in groups]
+    return Chapter(section, (*leading, *ordinary_groups(section), *others))
+
+
+def _tables(section: Section, study: Study) -> TableGroup:
+    tables = tuple(section.with_dropped_losses(table) for table in study.tables())
+    return TableGroup(study.name, study.title, tables, unfolded=True, elsewhere=has_page(type(study)))
+
+
+def _page_section(chapter: Chapter, studies: Sequence[Study], index: int, several: bool, canvas: Canvas) -> PageSection:
+    """What the page shows of a section: its numbers are written, its charts and pictures drawn."""
+    section = chapter.section
+    _write_csv(section.tidy, canvas.out / section.csv_name(index))
+    pictures = _pictures(section, canvas.out, index if several else None)
+    parts = []
+    for study in studies:
+        files = {}
+        for name, table in study.csv().items():
+            files[name] = section.csv_name(index, name)
+            _write_csv(table, canvas.out / files[name])
+        drawn = study.draw(canvas, index)
+        if has_page(type(study)):
+            parts.append(page_part(study, drawn, files, canvas.out))
+    return PageSection(chapter, pictures, parts)
 
 
 def _write_csv(table: pd.DataFrame, path: Path) -> None:
     words = table.select_dtypes(exclude="number").map(lambda text: no_formula(str(text)), na_action="ignore")
     table.assign(**words).to_csv(path, index=False)
-
-
-def _stability(section: Section, out: Path, index: int) -> StabilityPart | None:
-    """The section's charts and worst views under perturbations, drawn; None where nothing was perturbed."""
-    if not section.stability.cases:
-        return None
-    charts = draw_stability(section, out, f"charts/stability-{index}")
-    return StabilityPart(tuple(charts), tuple(draw_worst_views(section.stability, out, f"pictures/stability-{index}")))
-
-
-def _budgets(section: Section, out: Path, index: int) -> BudgetPart | None:
-    """The section's curves and maps over budgets, drawn, and their CSV; None where there are none."""
-    found = budgets_of(section)
-    if not found:
-        return None
-    _write_csv(budgets_table(found), out / section.csv_name(index, "budgets"))
-    return BudgetPart(found, tuple(draw_budgets(section, found, out, f"charts/budgets-{index}")))
 
 
 def _pictures(section: Section, out: Path, index: int | None) -> list[Gallery]:

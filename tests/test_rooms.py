@@ -38,6 +38,7 @@ ROOMS_OF_REPORTS = {
     "pictures": {"numbers", "tables", "pictures"},
     "page": {"numbers", "tables", "charts", "pictures", "page"},
 }
+STUDIES = sorted(path.parent.name for path in Path(reports.__file__ or "").parent.glob("studies/*/study.py"))
 
 
 def folder_of(room: str) -> Path:
@@ -82,7 +83,14 @@ def test_the_rooms_of_reports_import_only_those_before_them(room: str) -> None:
     assert {module.partition(".")[0] for module in modules} <= ROOMS_OF_REPORTS[room]
 
 
+@pytest.mark.parametrize("study", STUDIES)
+def test_a_study_imports_no_other_and_no_room_before_the_studies_imports_one(study: str) -> None:
+    files = (folder_of("reports") / "studies" / study).glob("*.py")
+    above = {(n, module.partition(".")[0]) for path in files for n, module in imports(path) if n > 1}
+    assert above <= {(2, "study"), *((3, room) for room in ROOMS_OF_REPORTS)}
+
+
 def test_reports_never_see_a_model() -> None:
     files = list(folder_of("reports").rglob("*.py"))
-    assert {path.parent.name for path in files} == {"reports", *ROOMS_OF_REPORTS}
+    assert {path.parent.name for path in files} == {"reports", "studies", *ROOMS_OF_REPORTS, *STUDIES}
     assert "torch" not in {module.partition(".")[0] for path in files for _, module in imports(path)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
+from envgs_bench.parts import MethodCard
 from envgs_bench.reports.charts.chart_font import chart_fonts
 from envgs_bench.reports.charts.drawn import write_figure
 from envgs_bench.reports.charts.look import INK, RC, SOFT, open_axes, plain_numbers
@@ -22,12 +23,16 @@ Row = dict[str, Any]
 SIZE = (6.8, 4.2)  # inches
 
 
-def draw_training(rows: Sequence[Row], stem: Path) -> list[Path]:
-    """Write <stem>.png and .pdf: a line a training, ours whole and others' dashed; each has its method's color."""
+def draw_training(rows: Sequence[Row], stem: Path, cards: Mapping[str, MethodCard]) -> list[Path]:
+    """Write <stem>.png and .pdf: a line a training, ours whole and others' dashed; each has its method's color.
+
+    Args:
+        cards: what methods say of themselves, by name.
+    """
     lines: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         lines.setdefault((row["by"], row["method"]), []).append(row)
-    style = styles(list(dict.fromkeys(method.removesuffix("_mcmc") for _, method in lines)))
+    style = styles(list(dict.fromkeys(method.removesuffix("_mcmc") for _, method in lines)), cards)
     first = rows[0]
     with mpl.rc_context(RC | {"font.family": chart_fonts()}):
         figure = Figure(figsize=SIZE, layout="constrained")

@@ -13,6 +13,7 @@ from .explained import explained
 
 if TYPE_CHECKING:
     from envgs_bench.bench.train import Contest, Entry, Row
+    from envgs_bench.parts import MethodCard
     from envgs_bench.settings import RunSettings
 
 DESCRIPTION = """\
@@ -100,8 +101,17 @@ def _train(options: argparse.Namespace) -> int:
     if options.chart is not None:
         from envgs_bench.bench.train_chart import draw_training
 
-        print(f"chart: {draw_training(rows, options.chart.with_suffix(''))[0]}")
+        print(f"chart: {draw_training(rows, options.chart.with_suffix(''), _cards(options.overrides))[0]}")
     return 0
+
+
+def _cards(overrides: Sequence[str]) -> dict[str, MethodCard]:
+    """Those of the methods that are asked for, by name."""
+    from envgs_bench.runs.descriptions import card_of
+
+    methods = [settings.method for settings in _settings(overrides)]
+    found = {method.name: card_of(method.name, method.kind) for method in methods}
+    return {name: card for name, card in found.items() if card is not None}
 
 
 def _contest(options: argparse.Namespace) -> tuple[Contest, list[Entry]]:

@@ -23,6 +23,12 @@ def main(arguments: Sequence[str]) -> int:
             metavar="PATTERN",
             help=f"{help_text}: a method, a data set, a status or a path below RUNS, with * and ?; may be given again",
         )
+    parser.add_argument(
+        "--print",
+        action="store_true",
+        dest="for_print",
+        help="also what a paper takes: LaTeX tables, a PDF beside every chart, and charts of every pair of columns",
+    )
     options = parser.parse_args(arguments)
     return explained("report", lambda: _report(options))
 
@@ -30,7 +36,8 @@ def main(arguments: Sequence[str]) -> int:
 def _report(options: argparse.Namespace) -> int:
     from envgs_bench.reports import build_report
 
-    report = build_report(options.runs, options.out or options.runs / "report", options.only, options.exclude)
+    out = options.out or options.runs / "report"
+    report = build_report(options.runs, out, options.only, options.exclude, options.for_print)
     print(report)
     for record in report.broken:
         print(f"envgs-bench report: {record.path}: {record.reason}", file=sys.stderr)

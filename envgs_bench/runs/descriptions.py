@@ -6,6 +6,7 @@ import inspect
 from dataclasses import replace
 from pathlib import Path
 
+from envgs_bench.methods.configurations import configured
 from envgs_bench.methods.registry import method_class
 from envgs_bench.parts import MethodCard
 
@@ -18,15 +19,18 @@ def described(name: str, kind: str) -> str:
     return (_first_comment(file) if file.is_file() else "") or _first_words(kind)
 
 
-def card_of(kind: str) -> MethodCard | None:
-    """The card of the class that `kind` names; one that a class inherits has no label. None where there is none."""
+def card_of(name: str, kind: str) -> MethodCard | None:
+    """The card of method=<name>, which is of the class that `kind` names; None where that has none.
+
+    One that a class inherits has no label.
+    """
     try:
         found = method_class(kind)
     except ValueError:
         return None
-    if found.card is None or "card" in vars(found):
-        return found.card
-    return replace(found.card, label="")
+    if found.card is None:
+        return None
+    return configured(name, found.card if "card" in vars(found) else replace(found.card, label=""))
 
 
 def _first_comment(file: Path) -> str:

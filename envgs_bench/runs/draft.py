@@ -44,7 +44,7 @@ class Draft:
             error=failure,
             method=settings.method_name,
             kind=settings.method.kind,
-            card=card_of(settings.method.kind),
+            card=card_of(settings.method.name, settings.method.kind),
             dataset=results.dataset,
             placement=results.placement,
             seed=settings.seed,

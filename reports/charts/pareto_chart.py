@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -11,7 +10,7 @@ from matplotlib.figure import Figure
 from ..tables.columns import ACCURACIES, COSTS, FRAME_MS, PSNR, Column
 from ..tables.sections import Section
 from .chart_font import chart_fonts
-from .drawn import write_figure
+from .drawn import Canvas, DrawnChart
 from .look import GRAY, RC
 from .pareto_panel import Panel, draw_panel, name_marks
 
@@ -21,23 +20,20 @@ LEFT, RIGHT, BOTTOM, TOP = 0.85, 0.2, 0.62, 0.72  # around it, for what stands b
 REGIONS = ("near_field", "reflective", "foreground")  # the first that the data set has is drawn beside the full image
 
 
-def draw_charts(sections: Sequence[Section], out: Path) -> list[Path]:
-    """Write pareto.png and .pdf, and charts/<accuracy>-<cost>.png and .pdf for every pair of columns that has a point.
+def draw_charts(sections: Sequence[Section], canvas: Canvas, every_pair: bool = False) -> list[DrawnChart]:
+    """Write `pareto`: PSNR against frame time, of the full image and beside it of the most telling region.
 
-    `pareto` is PSNR against frame time, of the full image and beside it of the most telling region.
+    Args:
+        every_pair: write charts/<accuracy>-<cost> too, for every pair of columns that has a point.
 
     Returns:
-        The files, none where no run finished.
+        What was drawn, nothing where no run finished.
     """
     jobs = {"pareto": _pareto_rows(sections)}
-    for accuracy in ACCURACIES:
+    for accuracy in ACCURACIES if every_pair else ():
         for cost in COSTS:
             jobs[f"charts/{accuracy.key}-{cost.key}"] = panel_rows(sections, cost, [accuracy])
-    written = []
-    for name, rows in jobs.items():
-        if rows:
-            written += _write(rows, out / name)
-    return written
+    return [_write(rows, canvas, name) for name, rows in jobs.items() if rows]
 
 
 def panel_rows(sections: Sequence[Section], cost: Column, accuracies: Sequence[Column]) -> list[list[Panel]]:
@@ -57,9 +53,9 @@ def _pareto_rows(sections: Sequence[Section]) -> list[list[Panel]]:
     return [row[:2] for row in panel_rows(sections, FRAME_MS, [PSNR, *telling])]
 
 
-def _write(rows: list[list[Panel]], stem: Path) -> list[Path]:
+def _write(rows: list[list[Panel]], canvas: Canvas, stem: str) -> DrawnChart:
     with mpl.rc_context(RC | {"font.family": chart_fonts()}):
-        return write_figure(_figure(rows), stem)
+        return canvas.write(_figure(rows), stem)
 
 
 def _figure(rows: list[list[Panel]]) -> Figure:

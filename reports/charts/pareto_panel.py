@@ -37,9 +37,9 @@ def draw_panel(axis: Axes, panel: Panel, first: bool) -> None:
     """The panel without its names; the first one of a row is titled."""
     places = panel.places
     best = front(places, panel.cost, panel.accuracy)
-    style = styles(panel.section.methods)
+    style = styles(panel.section.methods, panel.section.cards)
     _staircase(axis, panel, best, places)
-    _knob_lines(axis, panel, places)
+    _swept_lines(axis, panel, places)
     for point in places:
         _mark(axis, point, style[point.label], dominated=point.complete and point not in best)
     axis.set_xscale("log")
@@ -92,9 +92,9 @@ def _staircase(axis: Axes, panel: Panel, best: list[Point], places: list[Point])
     axis.fill_between(xs, ys, worst, step="post", color="#f3f5f9", zorder=0, linewidth=0)
 
 
-def _knob_lines(axis: Axes, panel: Panel, places: list[Point]) -> None:
+def _swept_lines(axis: Axes, panel: Panel, places: list[Point]) -> None:
     at = {point.label: point for point in places}
-    for family in panel.section.knobs:
+    for family in panel.section.sweeps:
         line = [at[label] for label in family if label in at]
         axis.plot([p.x for p in line], [p.y for p in line], color=SOFT, linewidth=1, linestyle=(0, (1, 1.5)), zorder=3)
 

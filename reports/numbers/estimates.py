@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from .decimals import mean
-from .statistics import Interval, bootstrap_interval
+from .intervals import Interval, mean_interval
 
 Key = tuple[str, str, str, str]  # dataset, method, region, metric
 
@@ -41,7 +41,7 @@ class Estimate:
 
     @cached_property
     def interval(self) -> Interval | None:
-        return bootstrap_interval(self.strata)
+        return mean_interval(self.strata)
 
     @property
     def complete(self) -> bool:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from envgs_bench.parts import REFLECTIVE
 
+from .comparison import compare
 from .estimates import Estimate, Numbers
 
-WITHOUT_REFLECTIONS = ("2dgs", "3dgs")  # kinds of methods whose reflections are color that depends on direction
 COSTS = ("frame_ms", "train_seconds", "primitives")
 
 
@@ -25,20 +25,20 @@ class Headline:
     costs: dict[str, tuple[float, float]]  # of COSTS those that both have: the method's, the baseline's
 
 
-def headline(numbers: Numbers, dataset: str, kinds: Mapping[str, str]) -> Headline | None:
+def headline(numbers: Numbers, dataset: str, reflects: Mapping[str, bool]) -> Headline | None:
     """The data set's headline; None where not both a method and a baseline finished.
 
     Args:
-        kinds: method -> what its code is called in records.
+        reflects: row -> whether it models reflections; without those of which nobody says.
     """
     region = REFLECTIVE if REFLECTIVE in numbers.regions((dataset,)) else "full"
-    means = {method: _mean(numbers, dataset, method, "psnr", region) for method in kinds}
-    plain = {m: mean for m, mean in means.items() if mean is not None and kinds[m] in WITHOUT_REFLECTIONS}
-    others = {m: mean for m, mean in means.items() if mean is not None and m not in plain}
+    means = {m: mean for m in reflects if (mean := _mean(numbers, dataset, m, "psnr", region)) is not None}
+    plain = {m: mean for m, mean in means.items() if not reflects[m]}
+    others = {m: mean for m, mean in means.items() if reflects[m]}
     if not plain or not others:
         return None
     method, baseline = max(others, key=lambda m: others[m]), max(plain, key=lambda m: plain[m])
-    gain = numbers.estimate((dataset,), method, region, "psnr", baseline)
+    gain = compare(numbers, (dataset,), method, baseline, "psnr", region).difference
     if gain.mean is None:
         return None
     costs = {}

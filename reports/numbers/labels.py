@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from envgs_bench.records import Record
 
+from .cards import newest_cards
 from .runs import Run
 from .settings import as_number, flat_settings, method_settings
 
-ORDER = (  # by what they model of reflections, then what is left out, as in the paper's Table 4
-    *("3dgs", "3dgs_tuned", "3dgs_lean", "2dgs", "2dgs_tuned", "2dgs_lean"),
-    *("envmap_paper", "envmap", "envmap128", "envmap256", "envmap_4spp"),
-    *("envgs_released", "envgs_paper", "envgs_lean", "envgs", "envgs_4spp"),
-    *("envgs_no_joint", "envgs_paper_no_joint", "envgs_paper_no_mono_normal", "envgs_paper_no_color_sabotage"),
-    *("envgs_paper_no_normal_propagation", "envgs_paper_no_perceptual"),
-    *("envgs_paper_single_set", "envgs_single_set"),
-)
 SET_UP = ("method.", "budget.")  # how overrides begin that make a run another than one of the method as it is
 
 
@@ -29,11 +22,13 @@ class Label:
     Attributes:
         settings: all that vary among these.
         usual: those of them that the method as it is has, which need no words.
+        order: a method's place among others, by its card.
     """
 
     name: str
     settings: tuple[tuple[str, str], ...] = ()
     usual: frozenset[tuple[str, str]] = frozenset()
+    order: int = field(default=0, compare=False)
 
     def __str__(self) -> str:
         told = [setting for setting in self.settings if setting not in self.usual]
@@ -66,6 +61,8 @@ def label_runs(runs: list[Run]) -> dict[int, tuple[Label, Label]]:
         [str(dataset) for dataset in datasets],
         [not is_set_up(run) for run in runs],
     )
+    cards = newest_cards(records)
+    methods = [replace(label, order=cards[label.name].order) for label in methods]
     return dict(enumerate(zip(datasets, methods, strict=True)))
 
 
@@ -75,9 +72,8 @@ def _steps(record: Record) -> Any:
 
 
 def method_order(label: Label) -> tuple[int, str, tuple[tuple[str, float, str], ...]]:
-    """Sort key: the ladder's methods first, then the others by name; a knob's rows by its value."""
-    position = ORDER.index(label.name) if label.name in ORDER else len(ORDER)
-    return position, label.name, tuple((key, _position(value), value) for key, value in label.settings)
+    """Sort key: by the methods' cards, then by name; rows of a swept setting by its value."""
+    return label.order, label.name, tuple((key, _position(value), value) for key, value in label.settings)
 
 
 def _labels(named: list[tuple[str, dict[str, str]]], groups: list[str], plain: list[bool]) -> list[Label]:

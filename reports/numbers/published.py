@@ -10,6 +10,9 @@ from typing import Literal
 
 import pandas as pd
 
+from envgs_bench.parts import MethodCard
+from envgs_bench.records import RENDERS
+
 from .decimals import mean
 from .settings import as_number
 
@@ -23,22 +26,11 @@ FAMILY_NAMES = {
     "envgs": "self-captured",
 }
 SCENE_NAMES = {"gardenspheres": "spheres"}
-METHOD_NAMES = {
-    "3dgs": "3DGS",
-    "2dgs": "2DGS",
-    "envgs_paper": "EnvGS",
-    "envmap_paper": "w/ environment map",
-    "envgs_paper_no_joint": "w/o joint optimization",
-    "envgs_paper_no_mono_normal": "w/o mono normal loss",
-    "envgs_paper_no_color_sabotage": "w/o color sabotage",
-    "envgs_paper_no_normal_propagation": "w/o normal propagation",
-    "envgs_paper_no_perceptual": "w/o lpips loss",
-    "envgs": "envgs",  # configured by this project: not the paper's, however alike the names
-}
 REGION_NAMES = {"reflective": "foreground"}  # the paper's foreground is what of it reflects (App. A.1)
 
 Scene = tuple[str, str]  # the paper's data set and scene
 Source = Literal["realtime", "non_realtime", "ablation"]  # the group of rows in which the paper prints a method
+SOURCES: tuple[Source, ...] = ("realtime", "non_realtime", "ablation")
 
 
 @cache
@@ -70,11 +62,11 @@ def _scenes() -> dict[str, frozenset[str]]:
 
 
 @cache
-def published_source(method: str) -> Source:
-    """Where the paper prints the method."""
+def published_source(method: str) -> Source | None:
+    """Where the paper prints the method; None where it does not."""
     rows = paper_tables()
     groups = rows.loc[rows["method"] == method, "group"].unique()
-    return next(group for group in ("realtime", "non_realtime", "ablation") if group in groups)
+    return next((group for group in SOURCES if group in groups), None)
 
 
 def paper_scene(dataset: str) -> Scene | None:
@@ -89,20 +81,24 @@ def paper_scene(dataset: str) -> Scene | None:
     return None
 
 
-def paper_method(method: str) -> str:
-    """The paper's name of one of our rows, or the row's own: its Table 6 is the turn of one knob of its EnvGS."""
-    name, turned, text = method.partition(" [beta_filter=")
-    share = as_number(text.removesuffix("]")) if turned else 0.0
-    if share is None or (turned and METHOD_NAMES.get(name) != "EnvGS"):
-        return method
-    if share > 0:
-        return f"w/ {100 * share:.0f}% weight filtering"
-    return METHOD_NAMES.get(name, _spellings().get(_plain(name), name))
+def paper_method(row: str, card: MethodCard, kind: str) -> str:
+    """The paper's name of one of our rows, or the row's own.
+
+    That is what the method's card says. A sweep of `beta_filter` is the paper's Table 6. Pictures from elsewhere need
+    no card: their method's name, however written, is the paper's ("zip-nerf" is its ZipNeRF).
+    """
+    _, swept, text = row.partition(" [beta_filter=")
+    if kind == RENDERS:
+        return _spellings().get(_plain(row), row)
+    share = as_number(text.removesuffix("]")) if swept else 0.0
+    if not card.published or share is None or (swept and published_source(card.published) == "ablation"):
+        return row
+    return f"w/ {100 * share:.0f}% weight filtering" if share > 0 else card.published
 
 
 @cache
 def _spellings() -> dict[str, str]:
-    """The paper's methods by their names' letters and digits alone: "zip-nerf" is its ZipNeRF."""
+    """The paper's methods by their names' letters and digits alone."""
     return {_plain(name): name for name in paper_tables()["method"].unique() if not name.endswith("*")}
 
 

@@ -1,4 +1,4 @@
-"""A run's settings as text, which is how runs are told apart and how a turned knob is found."""
+"""A run's settings as text, which is how runs are told apart and how a swept setting is found."""
 
 from __future__ import annotations
 

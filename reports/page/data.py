@@ -54,8 +54,11 @@ def _section(section: Section, galleries: Sequence[Gallery]) -> dict[str, Any]:
         },
         "subjects": subjects,
         "first": alone[0] if alone else 0,
-        "styles": {m: {"color": style.color, "symbol": style.symbol} for m, style in styles(section.methods).items()},
-        "knobs": section.knobs,
+        "styles": {
+            m: {"color": style.color, "symbol": style.symbol}
+            for m, style in styles(section.methods, section.cards).items()
+        },
+        "sweeps": section.sweeps,
         "galleries": [_gallery(gallery) for gallery in galleries],
         "curves": [],
     }

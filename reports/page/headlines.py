@@ -22,8 +22,8 @@ UNITS: dict[str, tuple[Column, str, str]] = {  # cost -> column, what it is call
 
 def headlines(section: Section, galleries: Sequence[Gallery], out: Path) -> dict[str, Any] | None:
     """What the template shows of the section's data sets; None where nothing reflecting stands beside a baseline."""
-    kinds = {item.method: item.run.record.kind for item in section.runs if item.run.ok}
-    found = [one for name in section.datasets if (one := headline(section.numbers, name, kinds)) is not None]
+    reflects = {item.method: card.reflects for item in section.runs if item.run.ok and (card := item.run.record.card)}
+    found = [one for name in section.datasets if (one := headline(section.numbers, name, reflects)) is not None]
     if not found:
         return None
     dates = [item.run.record.provenance.finished[:10] for item in section.runs]

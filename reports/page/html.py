@@ -6,103 +6,98 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
-from plotly.offline import get_plotlyjs
 
 from envgs_bench.run_folder import LOG_NAME, RECORD_NAME
 
-from ..charts.ladder import LadderChart
 from ..numbers.runs import BrokenRecord
 from ..pictures.gallery import Gallery
-from ..tables.entries import DAGGER, LEGEND
-from ..tables.layouts import KINDS
+from ..tables.chapter import Chapter
+from ..tables.entries import LEGEND
 from ..tables.sections import Section
-from .budgets import BudgetPart, budget_data
 from .data import write_data
 from .headlines import headlines
-from .ladder import ladder_data
 from .methods import method_parts
 from .origin import commands, dropped_losses, failures, origins
-from .sizes import png_size
-from .stability import StabilityPart, stability_data
+from .plotly_script import copy_plotly
 from .tables import page_table
+from .templates import ASSETS, rendered
 
 SCRIPTS = ("marks.js", "tables.js", "axes.js", "chart.js", "curves.js", "viewer.js", "datasets.js", "address.js")
 GLYPHS = {"ok": "✓", "failed": "✕", "diverged": "∿", "out_of_memory": "▣", "timeout": "◷", "interrupted": "‖"}
-ORDINALS = {1: "best", 2: "second", 3: "third"}
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a section's page that was made elsewhere: its place's name, its heading and what stands there."""
+
+    name: str
+    title: str
+    html: Markup
+
+
+@dataclass(frozen=True)
+class PageSection:
+    """What the page shows of a section: its tables, its pictures, already drawn, and the parts made elsewhere."""
+
+    chapter: Chapter
+    galleries: Sequence[Gallery]
+    parts: Sequence[Part]
 
 
 def write_page(
-    out: Path,
-    sections: Sequence[Section],
-    broken: Sequence[BrokenRecord],
-    galleries: Sequence[Sequence[Gallery]],
-    stability: Sequence[StabilityPart | None],
-    ladders: Sequence[Sequence[LadderChart]],
-    budgets: Sequence[BudgetPart | None],
+    out: Path, shown: Sequence[PageSection], broken: Sequence[BrokenRecord], rules: Sequence[str], for_print: bool
 ) -> Path:
-    """Write index.html and assets/ into `out`; pictures and charts are those of each section, already drawn."""
+    """Write index.html and assets/ into `out`.
+
+    Args:
+        rules: of style, of the parts.
+        for_print: whether there are LaTeX tables, and a chart with a PDF for every pair of columns.
+    """
     assets = out / "assets"
     assets.mkdir(parents=True, exist_ok=True)
+    sections = [item.chapter.section for item in shown]
+    galleries = [item.galleries for item in shown]
     data = write_data(assets, sections, galleries)
-    (assets / "plotly.min.js").write_text(get_plotlyjs(), encoding="utf-8")
-    with as_file(files(__package__) / "assets") as source:
-        for name in ("report.css", *SCRIPTS):
-            shutil.copyfile(source / name, assets / name)
-        environment = Environment(
-            loader=FileSystemLoader(source), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-        )
-        html = environment.get_template("index.html.j2").render(
-            sections=[
-                _section(section, index, data["sections"][index], galleries[index], budgets[index], out)
-                | {"stability": stability_data(section, index, stability[index])}
-                | {"ladder": ladder_data(section, index, ladders[index])}
-                | {"budgets": budget_data(section, index, budgets[index])}
-                for index, section in enumerate(sections)
-            ],
-            broken=broken,
-            tiles=_tiles(sections, broken),
-            sized=lambda path, shown=None: _sized(out / path, shown),
-            headlines=[found for s, g in zip(sections, galleries, strict=True) if (found := headlines(s, g, out))],
-            legend=LEGEND,
-            dagger=DAGGER,
-            glyphs=GLYPHS,
-            names={status: status.replace("_", " ") for status in GLYPHS},
-            ordinals=ORDINALS,
-            scripts=["plotly.min.js", "data.js", *SCRIPTS],
-            version=_version(),
-        )
+    copy_plotly(assets / "plotly.min.js")
+    for name in SCRIPTS:
+        shutil.copyfile(ASSETS / name, assets / name)
+    style = (ASSETS / "report.css").read_text(encoding="utf-8")
+    (assets / "report.css").write_text("\n".join([style, *rules]), encoding="utf-8")
+    content = {
+        "sections": [_section(item, index, data["sections"][index], out) for index, item in enumerate(shown)],
+        "broken": broken,
+        "tiles": _tiles(sections, broken),
+        "headlines": [found for s, g in zip(sections, galleries, strict=True) if (found := headlines(s, g, out))],
+        "legend": LEGEND,
+        "glyphs": GLYPHS,
+        "names": {status: status.replace("_", " ") for status in GLYPHS},
+        "for_print": for_print,
+        "scripts": ["plotly.min.js", "data.js", *SCRIPTS],
+        "version": _version(),
+    }
     page = out / "index.html"
-    page.write_text(html, encoding="utf-8")
+    page.write_text(rendered(ASSETS / "index.html.j2", content, out), encoding="utf-8")
     return page
 
 
-def _section(
-    section: Section,
-    index: int,
-    data: dict[str, Any],
-    galleries: Sequence[Gallery],
-    budgets: BudgetPart | None,
-    out: Path,
-) -> dict[str, Any]:
+def _section(item: PageSection, index: int, data: dict[str, Any], out: Path) -> dict[str, Any]:
+    section, galleries = item.chapter.section, item.galleries
     parts = {
-        "Chart": bool(data["subjects"]),
-        "Ladder": bool(section.ladders),
-        "Tables": bool(section.runs),
-        "Budgets": budgets is not None,
-        "Stability": bool(section.stability.cases),
-        "Pictures": bool(galleries),
-        "Training": bool(data["curves"]),
-        "Runs": bool(section.runs),
-        "Methods": bool(section.runs),
-        "Provenance": True,
+        ("chart", "Chart"): bool(data["subjects"]),
+        ("tables", "Tables"): bool(section.runs),
+        **{(part.name, part.title): True for part in item.parts},
+        ("pictures", "Pictures"): bool(galleries),
+        ("training", "Training"): bool(data["curves"]),
+        ("runs", "Runs"): bool(section.runs),
+        ("methods", "Methods"): bool(section.runs),
+        ("provenance", "Provenance"): True,
     }
     return {
         "id": f"section-{index}",
@@ -111,8 +106,9 @@ def _section(
         "protocol": section.protocol,
         "device": section.device,
         "csv": section.csv_name(index),
-        "parts": [name for name, there in parts.items() if there],
-        "tables": _parts(section),
+        "parts": {name: title for (name, title), there in parts.items() if there},
+        "tables": _table_groups(item.chapter),
+        "studies": item.parts,
         "galleries": galleries,
         "statuses": Counter(item.run.record.status for item in section.runs).most_common(),
         "datasets": section.datasets,
@@ -128,16 +124,16 @@ def _section(
     }
 
 
-def _parts(section: Section) -> list[dict[str, Any]]:
+def _table_groups(chapter: Chapter) -> list[dict[str, Any]]:
     """The tables by kind; a note that all tables of a kind share is told once, after them."""
     parts = []
-    for kind, title in KINDS.items():
-        tables = [page_table(section, table) for table in section.tables if table.kind == kind]
-        if tables:
+    for group in chapter.groups:
+        if not group.elsewhere:
+            tables = [page_table(chapter.section, table) for table in group.tables]
             shared = [note for note in tables[0]["notes"] if all(note in table["notes"] for table in tables)]
             for table in tables:
                 table["notes"] = [note for note in table["notes"] if note not in shared]
-            parts.append({"kind": kind, "title": title, "tables": tables, "notes": shared})
+            parts.append({"title": group.title, "unfolded": group.unfolded, "tables": tables, "notes": shared})
     return parts
 
 
@@ -170,7 +166,7 @@ def _tiles(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> list[
         {"name": "data sets", "value": str(len(datasets)), "note": next(iter(datasets)) if len(datasets) == 1 else ""},
         {"name": "runs", "value": str(len(runs)), "note": f"{failed} failed" if failed else "all finished"},
     ]
-    perturbed = sum(len(section.stability.perturbed) for section in sections)
+    perturbed = sum(len(section.perturbed) for section in sections)
     if perturbed:
         tiles.append({"name": "perturbed runs", "value": str(perturbed), "note": ""})
     table = next(iter(sections[0].subjects), None)
@@ -185,14 +181,6 @@ def _tiles(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> list[
             note = f"{column.text(mean)} {unit}" if mean is not None else ""
             tiles.append({"name": f"{name}, {table.title}", "value": best[0].method, "note": note})
     return tiles
-
-
-def _sized(picture: Path, shown: int | None) -> Markup:
-    """The picture's attributes of size, px; those of `shown` px in width where that is given."""
-    width, height = png_size(picture)
-    if shown is not None and width:
-        width, height = shown, round(height * shown / width)
-    return Markup(f'width="{width}" height="{height}"')
 
 
 def _version() -> str:

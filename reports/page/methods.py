@@ -20,6 +20,7 @@ def method_parts(section: Section, prefix: str) -> list[dict[str, Any]]:
             {
                 "id": f"{prefix}-{number}",
                 "name": name,
+                "label": section.card(name).label,
                 "kind": newest.kind,
                 "sentence": (newest.provenance.model_extra or {}).get("method", ""),
                 "commits": ", ".join(
@@ -31,7 +32,3 @@ def method_parts(section: Section, prefix: str) -> list[dict[str, Any]]:
             }
         )
     return parts
-
-
-def _code(version: str, commit: str | None) -> str:
-    return f"envgs-bench {version}" + (f", commit {commit[:12]}" if commit else "")

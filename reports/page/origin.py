@@ -15,7 +15,7 @@ from ..tables.sections import LabeledRun, Section
 def origins(section: Section) -> list[dict[str, Any]]:
     """Each combination of code, versions and machine among all of the section's runs, the most frequent first."""
     groups: dict[tuple[tuple[str, str], ...], int] = {}
-    for run in (*(item.run for item in section.runs), *section.stability.perturbed):
+    for run in (*(item.run for item in section.runs), *(item.run for item in section.perturbed)):
         facts = tuple(_facts(run.record))
         groups[facts] = groups.get(facts, 0) + 1
     ordered = sorted(groups.items(), key=lambda group: -group[1])

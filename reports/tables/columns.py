@@ -10,7 +10,7 @@ from typing import Literal
 from envgs_bench.parts import ENV
 
 from ..numbers.decimals import decimal, rounded
-from ..numbers.statistics import Interval
+from ..numbers.intervals import Interval
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ PUBLISHED_PLACES = 3  # the paper's
 DAGGER = "†"  # on a method that trained without one of its losses
 SUPERSCRIPTS = {1: "¹", 2: "²", 3: "³"}
 LEGEND = (
-    "¹ ² ³ best to third after rounding, ties shared; ≈ its interval overlaps the best one's; "
+    "¹ ² ³ best to third after rounding, ties shared; ≈ the same seeds do not show it to be worse than the best; "
     "± over seeds, unless it rounds to 0"
 )
 
@@ -25,7 +25,7 @@ class Entry:
     tied: bool = False
     number: bool = True
     dropped: bool = False  # a method that trained without one of its losses
-    taken: bool = False  # the rung that a ladder recommends
+    taken: bool = False  # what a study recommends
 
     @property
     def marked(self) -> str:

@@ -8,11 +8,11 @@ from itertools import groupby
 
 from envgs_bench.plain_text import plain_line
 
+from .chapter import Chapter
 from .entries import DAGGER, Entry, Heading, entries, headings
 from .latex_text import escaped
 from .latex_text import label as label_part
 from .notes import caption, dropped_losses
-from .sections import Section
 from .table import Table
 
 PREAMBLE = r"""% Needs booktabs, and xcolor with its option table; define these three first to mark otherwise.
@@ -23,12 +23,13 @@ PREAMBLE = r"""% Needs booktabs, and xcolor with its option table; define these 
 MARKS = {1: r"\best", 2: r"\second", 3: r"\third"}
 
 
-def latex(sections: Sequence[Section]) -> str:
+def latex(chapters: Sequence[Chapter]) -> str:
     """A float a table, with caption and label, after a comment that names its protocol and its device; below it what †
     means."""
     parts, labels = [PREAMBLE], Counter[str]()
-    for section in sections:
-        for table in section.tables:
+    for chapter in chapters:
+        section = chapter.section
+        for table in chapter.tables:
             words = f"{table.title}: {told}" if (told := caption(section, table)) else table.title
             label = f"tab:{section.slug}:{table.kind}:{label_part(table.title)}"
             labels[label] += 1

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from envgs_bench.parts import MethodCard
+
 from ..numbers.estimates import Numbers
 from ..numbers.labels import Label
-from ..numbers.published import paper_method, paper_scene, published_source, published_values
+from ..numbers.published import paper_scene, published_source, published_values
 from .columns import (
     FILE_MEGABYTES,
     FLIP,
@@ -28,21 +30,7 @@ from .columns import (
 )
 from .table import Table, build_table
 
-KINDS = {
-    "choice": "Choices",
-    "lead": "Leads",
-    "overview": "Overview",
-    "subject": "Data set by data set",
-    "scenes": "Scene by scene",
-    "regions": "Inside the regions",
-    "ablation": "What each part is worth",
-    "speed": "Speed and memory",
-}
-WITHOUT = "_no_"  # <method>_no_<part>: the method without a part
-REPLACED = {  # what else is a method with a part of it replaced
-    "envgs_paper": ("envmap_paper", "envgs_paper_single_set"),
-    "envgs": ("envmap", "envmap128", "envmap256", "envgs_single_set"),
-}
+WITHOUT = "_no_"  # <method>_no_<part>: the method without a part, where no card says so
 REGIONS_OF_ABLATION = ("near_field", "reflective")
 
 
@@ -52,16 +40,21 @@ class Contents:
 
     Attributes:
         subjects: name -> data sets: each data set alone, families of several, and all together.
-        methods: in the tables' order.
-        labels: method -> its name, with the settings that set it apart from others of that name.
-        beside_paper: whether the protocol is the paper's.
+        labels: row -> its method's name, with the settings that set it apart from others of that name; in the tables'
+            order.
+        cards: row -> its method's card.
+        published: row -> the paper's name of it; None where the protocol is not the paper's.
     """
 
     numbers: Numbers
     subjects: Mapping[str, tuple[str, ...]]
-    methods: Sequence[str]
     labels: Mapping[str, Label]
-    beside_paper: bool
+    cards: Mapping[str, MethodCard]
+    published: Mapping[str, str] | None
+
+    @property
+    def methods(self) -> list[str]:
+        return list(self.labels)
 
     @property
     def families(self) -> dict[str, tuple[str, ...]]:
@@ -76,18 +69,7 @@ class Contents:
         paper: Callable[[str], bool] = lambda method: published_source(method) != "ablation",
     ) -> Table:
         chosen = self.methods if methods is None else methods
-        return build_table(self.numbers, title, kind, columns, chosen, paper if self.beside_paper else None)
-
-
-def layouts(contents: Contents, everything: str) -> list[Table]:
-    """Every table that has a number, in the order in which the report shows them.
-
-    Args:
-        everything: the name of the subject that holds all families, where there are several.
-    """
-    tables = [*overview(contents, everything), *subjects(contents), *scenes(contents, everything)]
-    tables += [*regions(contents), *ablations(contents), *speeds(contents)]
-    return [table for table in tables if table.columns or (table.kind == "subject" and table.rows)]
+        return build_table(self.numbers, title, kind, columns, chosen, self.published, paper)
 
 
 def overview(contents: Contents, everything: str) -> list[Table]:
@@ -103,7 +85,7 @@ def overview(contents: Contents, everything: str) -> list[Table]:
     return [contents.table("Overview", "overview", columns)]
 
 
-def subjects(contents: Contents) -> list[Table]:
+def subjects(contents: Contents, _: str) -> list[Table]:
     """Everything that is known of a data set, or of the mean over a family; of a region, over those that have it."""
     tables = []
     for name, members in contents.subjects.items():
@@ -133,7 +115,7 @@ def _scene(dataset: str, family: str) -> str:
     return known[1] if known else dataset.removeprefix(f"{family}/")
 
 
-def regions(contents: Contents) -> list[Table]:
+def regions(contents: Contents, _: str) -> list[Table]:
     """Table 2: every score inside every region."""
     tables = []
     for name, members in contents.subjects.items():
@@ -145,19 +127,20 @@ def regions(contents: Contents) -> list[Table]:
     return tables
 
 
-def ablations(contents: Contents) -> list[Table]:
+def ablations(contents: Contents, _: str) -> list[Table]:
     """Table 4: the variants of a method, then the method itself, and by how much they differ over the same seeds."""
     tables = [table for full in _full_methods(contents) for table in _ablation(contents, full)]
     return [table for table in tables if len(table.rows) > 1]
 
 
 def _ablation(contents: Contents, full: str) -> list[Table]:
-    """The variants of one method; the paper's stand below those of its own recipe only."""
+    """The variants of one method, those without a part first; the paper's stand below those of its own recipe only."""
     name = contents.labels[full].name
-    parts = [m for m in contents.methods if contents.labels[m].name.startswith(name + WITHOUT)]
-    parts += [m for m in contents.methods if contents.labels[m].name in REPLACED.get(name, ())]
-    printed = paper_method(name) == "EnvGS"
+    variants = [m for m in contents.methods if _full_of(contents, m) == name]
+    parts = sorted(variants, key=lambda m: WITHOUT not in contents.labels[m].name)
     difference = replace(PSNR, title="Δ PSNR", against=full, explanation=f"minus {full}, seed by seed", ranked=False)
+    names = contents.published or {}
+    printed = published_source(names.get(full, "")) is not None and published_source(names[full]) != "ablation"
     tables = []
     for subject, members in contents.subjects.items():
         columns = list(over(members, (PSNR, difference, SSIM, LPIPS, FLIP)))
@@ -174,10 +157,16 @@ def _ablation(contents: Contents, full: str) -> list[Table]:
     return tables
 
 
+def _full_of(contents: Contents, row: str) -> str:
+    """The name of the method of which the row leaves out or replaces a part; "" where it is a whole one itself."""
+    name = contents.labels[row].name
+    return contents.cards[row].variant_of or (name.partition(WITHOUT)[0] if WITHOUT in name else "")
+
+
 def _full_methods(contents: Contents) -> list[str]:
-    """The methods that some other is without a part; of several rows of one, as a knob's, that with the most runs."""
+    """The methods that some other is without a part; of several rows of one, as of a sweep, that with the most runs."""
     whole = tuple(dict.fromkeys(name for members in contents.subjects.values() for name in members))
-    ablated = {label.name.partition(WITHOUT)[0] for label in contents.labels.values() if WITHOUT in label.name}
+    ablated = {_full_of(contents, row) for row in contents.methods if WITHOUT in contents.labels[row].name}
     found: dict[str, str] = {}
     for method in contents.methods:
         name = contents.labels[method].name
@@ -188,7 +177,7 @@ def _full_methods(contents: Contents) -> list[str]:
     return list(found.values())
 
 
-def speeds(contents: Contents) -> list[Table]:
+def speeds(contents: Contents, _: str) -> list[Table]:
     """Table 6: frames a second, what else they cost, and what the picture pays for it."""
     tables = []
     for name, members in contents.subjects.items():
@@ -196,3 +185,32 @@ def speeds(contents: Contents) -> list[Table]:
         columns = over(members, (*SPEED_COLUMNS, *PAPER_SPEED))
         tables.append(contents.table(f"{name}: speed and memory", "speed", columns, paper=timed.__contains__))
     return [table for table in tables if any(column.key == "frame_ms" for column in table.columns)]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A kind of table: its heading on a page, whether it is unfolded there, and what makes its tables."""
+
+    title: str
+    tables: Callable[[Contents, str], list[Table]]
+    unfolded: bool = False
+
+
+LAYOUTS: Mapping[str, Layout] = {  # in the order in which a report shows them
+    "overview": Layout("Overview", overview, unfolded=True),
+    "subject": Layout("Data set by data set", subjects, unfolded=True),
+    "scenes": Layout("Scene by scene", scenes),
+    "regions": Layout("Inside the regions", regions),
+    "ablation": Layout("What each part is worth", ablations, unfolded=True),
+    "speed": Layout("Speed and memory", speeds),
+}
+
+
+def layouts(contents: Contents, everything: str) -> list[Table]:
+    """Every table that has a number, in the order in which the report shows them.
+
+    Args:
+        everything: the name of the subject that holds all families, where there are several.
+    """
+    tables = [table for layout in LAYOUTS.values() for table in layout.tables(contents, everything)]
+    return [table for table in tables if table.columns or (table.kind == "subject" and table.rows)]

@@ -7,25 +7,26 @@ from collections.abc import Sequence
 from envgs_bench.plain_text import plain_line
 
 from ..numbers.runs import BrokenRecord
+from .chapter import Chapter
 from .entries import LEGEND, Entry, entries, headings
 from .notes import caption, notes
-from .sections import Section
 from .table import Table
 
 
-def markdown(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> str:
+def markdown(chapters: Sequence[Chapter], broken: Sequence[BrokenRecord]) -> str:
     """One part a section (protocol and device), averages first, then a table a data set; then what failed."""
     parts = ["# Results", ""]
-    for section in sections:
-        parts += _section(section)
+    for chapter in chapters:
+        parts += _chapter(chapter)
     if broken:
         parts += ["## Unreadable records", "", *(f"* {_escaped(item.reason)}" for item in broken), ""]
     return "\n".join(parts).rstrip() + "\n"
 
 
-def _section(section: Section) -> list[str]:
+def _chapter(chapter: Chapter) -> list[str]:
+    section = chapter.section
     lines = [f"## {_escaped(section.title)}", "", _escaped(section.protocol.description), ""]
-    for table in section.tables:
+    for table in chapter.tables:
         lines += [f"### {_escaped(table.title)}", "", _escaped(caption(section, table)), "", *_table(table), ""]
         for note in notes(section, table):
             lines += [_escaped(note), ""]

@@ -35,7 +35,7 @@ def caption(section: Section, table: Table) -> str:
 
 
 def notes(section: Section, table: Table) -> list[str]:
-    """What was dropped, noticed or spoiled, why cells are empty, how large regions are, what is published."""
+    """What was dropped, repaired, warned of, spoiled or published, why cells are empty, and how large regions are."""
     if table.told:
         return list(table.remarks)
     found = dropped_losses(table)
@@ -52,7 +52,7 @@ def notes(section: Section, table: Table) -> list[str]:
         found.append("Δ: the mean over seeds of the difference on the same seed, with the spread of that difference.")
     if table.published:
         found.append("Paper: printed in the EnvGS paper, and ours minus it. Rows marked published: by the paper only.")
-        found.append("The paper's EnvGS stands beside envgs_paper, its recipe; envgs is this project's configuration.")
+        found.append("The paper's values stand beside its own recipe, not beside what this project has configured.")
     if any(column.elsewhere for column in table.columns):
         found.append("The paper's frame rates and training times are of its machine, an RTX 4090, not of this one.")
     return [*dict.fromkeys(found), *table.remarks]
@@ -102,7 +102,7 @@ def _parts(table: Table) -> list[str]:
 
 
 def _noticed(section: Section, table: Table) -> list[str]:
-    """What runs on a data set of their own table repaired of it, found by pilot runs or warned of, naming the methods.
+    """What runs on a data set of their own table repaired of it, found by a pilot run or warned of, naming the methods.
 
     Of warnings that differ in their numbers alone the first is told.
     """

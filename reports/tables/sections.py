@@ -10,25 +10,19 @@ from functools import cached_property
 
 import pandas as pd
 
+from envgs_bench.parts import MethodCard
 from envgs_bench.records import ProtocolName, Record, RepairKind, ScoredOn
 
-from ..numbers.choices import Choice, choices
+from ..numbers.cards import newest_cards
 from ..numbers.estimates import Numbers
-from ..numbers.knobs import knobs
 from ..numbers.labels import Label, label_runs, method_order
-from ..numbers.ladder import Ladder, ladders
-from ..numbers.leads import Lead, lead
-from ..numbers.published import PROTOCOL, paper_scene
+from ..numbers.published import PROTOCOL, paper_method, paper_scene
 from ..numbers.runs import UNTIMED, Run
 from ..numbers.settings import method_settings
-from ..numbers.stability import LabeledTrialRun, Stability
+from ..numbers.swept_settings import sweeps
 from ..numbers.tidy import attempts_table, tidy_table
-from .choices import choice_table
-from .ladder import ladder_table
 from .layouts import Contents, layouts
-from .leads import lead_tables
-from .stability import stability_tables
-from .table import DroppedLoss, Row, Table
+from .table import DroppedLoss, Table
 
 ALL = "all data sets"
 LONGEST_SLUG = 120  # characters
@@ -50,24 +44,24 @@ class Section:
     device: str
     runs: tuple[LabeledRun, ...]  # the unperturbed ones
     superseded: tuple[LabeledRun, ...]  # older runs of the same data set, method and seed
-    stability: Stability  # of the perturbed runs, which are in nothing else, and their partners
+    with_perturbed: tuple[LabeledRun, ...]  # perturbed runs and those above, told apart; () where nothing is perturbed
 
     @property
     def title(self) -> str:
-        return f"Protocol {self.protocol.name} ({self.protocol.hash}){self._views} on {self.device}"
+        return f"Protocol {self.protocol.name} ({self.protocol.hash}){self._apart} on {self.device}"
 
     @property
     def slug(self) -> str:
         """A short name for files, of letters, digits and dashes."""
-        words = f"{self.protocol.name} {self.protocol.hash[:8]}{self._views} {self.device}"
+        words = f"{self.protocol.name} {self.protocol.hash[:8]}{self._apart} {self.device}"
         return re.sub(r"[^a-z0-9]+", "-", words.lower())[:LONGEST_SLUG].strip("-")
 
     @property
     def short(self) -> str:
-        return f"{self.protocol.name}{self._views}, {self.device}"
+        return f"{self.protocol.name}{self._apart}, {self.device}"
 
     @property
-    def _views(self) -> str:
+    def _apart(self) -> str:
         """What names say of the views: test views of a scene as given go without saying."""
         views = "" if self.scored_on == "test" else f", {self.scored_on} views"
         return views + (f", repair of {' and '.join(self.repair)}" if self.repair else "")
@@ -82,8 +76,7 @@ class Section:
 
     @cached_property
     def methods(self) -> list[str]:
-        labels = {item.method: item.label for item in self.runs}
-        return sorted(labels, key=lambda method: method_order(labels[method]))
+        return sorted(self.labels, key=lambda row: method_order(self.labels[row]))
 
     @cached_property
     def tidy(self) -> pd.DataFrame:
@@ -93,42 +86,51 @@ class Section:
     def numbers(self) -> Numbers:
         return Numbers(self.tidy, attempts_table([(item.dataset, item.method, item.run) for item in self.runs]))
 
-    @cached_property
-    def ladders(self) -> list[Ladder]:
-        return ladders(self.numbers, [(item.dataset, item.label, item.run) for item in self.runs])
+    @property
+    def perturbed(self) -> list[LabeledRun]:
+        return [item for item in self.with_perturbed if item.run.record.perturbation is not None]
 
     @cached_property
-    def choices(self) -> list[Choice]:
-        """Of validation views alone: settings are not chosen on test views."""
-        if self.scored_on == "test":
-            return []
-        return choices(self.numbers, [(item.dataset, item.label, item.run) for item in self.runs])
+    def labels(self) -> dict[str, Label]:
+        """Row -> its method's label."""
+        return {item.method: item.label for item in self.runs}
 
     @cached_property
-    def lead(self) -> Lead | None:
-        """Of test views alone: of validation views `choices` says what is ahead."""
-        return lead(self.numbers, self.datasets, self.methods) if self.scored_on == "test" else None
+    def cards(self) -> dict[str, MethodCard]:
+        """Method's name -> its card, of all methods of the section, in the tables' order."""
+        found = newest_cards(item.run.record for item in (*self.runs, *self.with_perturbed))
+        return dict(sorted(found.items(), key=lambda item: (item[1].order, item[0])))
+
+    def card(self, row: str) -> MethodCard:
+        """The card of a row's method."""
+        return self.cards[self.labels[row].name]
+
+    @cached_property
+    def published(self) -> dict[str, str]:
+        """Row -> the paper's name of it, its own where the paper has none."""
+        kinds = {item.method: item.run.record.kind for item in self.runs}
+        return {row: paper_method(row, self.card(row), kinds[row]) for row in self.labels}
 
     @cached_property
     def tables(self) -> list[Table]:
-        """In the order of every format."""
+        """The ordinary ones, in the order of every format: studies have tables of their own."""
         alone = {name: (name,) for name in self.datasets}
         contents = Contents(
             self.numbers,
             self.families | alone,
-            self.methods,
-            {item.method: item.label for item in self.runs},
-            self.protocol.name == PROTOCOL,
+            {row: self.labels[row] for row in self.methods},
+            {row: self.card(row) for row in self.methods},
+            self.published if self.protocol.name == PROTOCOL else None,
         )
-        compared = [*map(choice_table, self.choices), *lead_tables(self.lead)]
-        ordinary = [
-            replace(table, rows=tuple(self._with_dropped_losses(row, table.datasets) for row in table.rows))
-            for table in (*compared, *layouts(contents, ALL), *map(ladder_table, self.ladders))
-        ]
-        return [*ordinary, *stability_tables(self.stability)]
+        return [self.with_dropped_losses(table) for table in layouts(contents, ALL)]
 
-    def _with_dropped_losses(self, row: Row, datasets: Sequence[str]) -> Row:
-        return replace(row, dropped=tuple(d for name in datasets for d in self._dropped.get((name, row.method), ())))
+    def with_dropped_losses(self, table: Table) -> Table:
+        """The table with what its rows' runs trained without."""
+        rows = (
+            replace(row, dropped=tuple(d for name in table.datasets for d in self._dropped.get((name, row.method), ())))
+            for row in table.rows
+        )
+        return replace(table, rows=tuple(rows))
 
     @cached_property
     def _dropped(self) -> dict[tuple[str, str], list[DroppedLoss]]:
@@ -158,9 +160,9 @@ class Section:
         }
 
     @cached_property
-    def knobs(self) -> list[list[str]]:
-        """The methods that one turned knob joins, by its value."""
-        return knobs(self.settings)
+    def sweeps(self) -> list[list[str]]:
+        """The methods that one swept setting joins, by its value."""
+        return sweeps(self.settings)
 
     @cached_property
     def families(self) -> dict[str, tuple[str, ...]]:
@@ -212,9 +214,8 @@ def split_sections(runs: Sequence[Run]) -> list[Section]:
     groups: dict[tuple[str, str, ScoredOn, tuple[RepairKind, ...]], dict[str, list[Run]]] = {}
     for run in runs:
         record = run.record
-        key = (record.protocol.name, record.protocol.hash, record.scored_on, record.repair)
-        devices = groups.setdefault(key, {})
-        devices.setdefault(run.device, []).append(run)
+        alike = (record.protocol.name, record.protocol.hash, record.scored_on, record.repair)
+        groups.setdefault(alike, {}).setdefault(run.device, []).append(run)
     sections = []
     for devices in groups.values():
         untimed = devices.pop(UNTIMED, [])
@@ -225,34 +226,25 @@ def split_sections(runs: Sequence[Run]) -> list[Section]:
 
 
 def _section(runs: list[Run], device: str) -> Section:
-    unperturbed = [run for run in runs if run.record.perturbation is None]
-    labels = label_runs(unperturbed)
-    newest: dict[tuple[str, str, int], LabeledRun] = {}
+    current, superseded = _newest([run for run in runs if run.record.perturbation is None])
+    perturbed = any(run.record.perturbation is not None for run in runs)
+    everything = _newest(runs)[0] if perturbed else ()
+    record = runs[0].record
+    return Section(record.protocol, record.scored_on, record.repair, device, current, superseded, everything)
+
+
+def _newest(runs: list[Run]) -> tuple[tuple[LabeledRun, ...], tuple[LabeledRun, ...]]:
+    """The newest run of each data set, method, seed and perturbation, labeled; and those that are older."""
+    labels = label_runs(runs)
+    newest: dict[tuple[object, ...], LabeledRun] = {}
     superseded = []
-    for index in sorted(range(len(unperturbed)), key=lambda i: unperturbed[i].record.provenance.finished):
+    for index in sorted(range(len(runs)), key=lambda i: runs[i].record.provenance.finished):
         dataset, method = labels[index]
-        item = LabeledRun(str(dataset), str(method), method, unperturbed[index])
-        key = (item.dataset, item.method, item.run.record.seed)
+        item = LabeledRun(str(dataset), str(method), method, runs[index])
+        perturbed = item.run.record.perturbation
+        apart = (perturbed.kind, perturbed.severity) if perturbed is not None else ()
+        key = (item.dataset, item.method, item.run.record.seed, apart)
         if key in newest:
             superseded.append(newest[key])
         newest[key] = item
-    record = runs[0].record
-    return Section(
-        record.protocol,
-        record.scored_on,
-        record.repair,
-        device,
-        tuple(newest.values()),
-        tuple(superseded),
-        _stability(runs),
-    )
-
-
-def _stability(runs: list[Run]) -> Stability:
-    """Of all runs of a section: without perturbed ones there is nothing in it."""
-    if all(run.record.perturbation is None for run in runs):
-        return Stability([])
-    labels = label_runs(runs)
-    return Stability(
-        LabeledTrialRun(str(dataset), str(method), method, runs[index]) for index, (dataset, method) in labels.items()
-    )
+    return tuple(newest.values()), tuple(superseded)

@@ -7,24 +7,24 @@ from dataclasses import asdict
 from typing import Any
 
 from ..numbers.runs import BrokenRecord
+from .chapter import Chapter
 from .columns import Column
-from .sections import Section
 from .table import Cell, Row, Table
 
 
-def structured(sections: Sequence[Section], broken: Sequence[BrokenRecord]) -> dict[str, Any]:
+def structured(chapters: Sequence[Chapter], broken: Sequence[BrokenRecord]) -> dict[str, Any]:
     """Plain JSON values. Numbers are in their column's printed unit and unrounded; `text` is what the tables print."""
     return {
         "sections": [
             {
-                "title": section.title,
-                "protocol": section.protocol.model_dump(),
-                "scored_on": section.scored_on,
-                "repair": list(section.repair),
-                "device": section.device,
-                "tables": [_table(table) for table in section.tables],
+                "title": chapter.section.title,
+                "protocol": chapter.section.protocol.model_dump(),
+                "scored_on": chapter.section.scored_on,
+                "repair": list(chapter.section.repair),
+                "device": chapter.section.device,
+                "tables": [_table(table) for table in chapter.tables],
             }
-            for section in sections
+            for chapter in chapters
         ],
         "unreadable": [{"path": str(item.path), "reason": item.reason} for item in broken],
     }

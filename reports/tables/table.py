@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from functools import cached_property
 
+from ..numbers.comparison import compare
 from ..numbers.estimates import Estimate, Numbers
-from ..numbers.published import Source, paper_method, published_source, published_values
-from ..numbers.statistics import Interval
+from ..numbers.intervals import Interval
+from ..numbers.published import Source, published_source, published_values
 from .columns import Column
 
-Kind = str  # what a table is for: see layouts.KINDS
+Kind = str  # what a table is for: a key of layouts.LAYOUTS, or a study's name
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Cell:
     column: Column
     estimate: Estimate
     rank: int | None = None  # 1 to 3
-    tied: bool = False  # its interval overlaps the best one's
+    tied: bool = False  # pairs of seeds do not show it to be worse than the best
 
     @property
     def mean(self) -> Decimal | None:
@@ -79,8 +80,8 @@ class Row:
     published: dict[str, Decimal] = field(default_factory=dict)  # by the column's key: what the paper printed
     source: Source | None = None  # where the paper prints a row that is its alone
     dropped: tuple[DroppedLoss, ...] = ()
-    verdict: str = ""  # what a ladder says of it, in words
-    taken: bool = False  # the ladder's recommendation
+    verdict: str = ""  # what a study says of it, in words
+    taken: bool = False  # a study's recommendation
 
     @property
     def done(self) -> int:
@@ -123,12 +124,14 @@ def build_table(
     kind: Kind,
     columns: Sequence[Column],
     methods: Iterable[str],
-    paper: Callable[[str], bool] | None = None,
+    names: Mapping[str, str] | None = None,
+    paper: Callable[[str], bool] = lambda method: True,
 ) -> Table:
     """The methods that were tried on the columns' data sets, in the given order, without columns that have no number.
 
     Args:
-        paper: which of the paper's methods may have a row of their own; None leaves the paper out altogether.
+        names: row -> the paper's name of it; None leaves the paper out altogether.
+        paper: which of the paper's methods may have a row of their own.
     """
     datasets = tuple(dict.fromkeys(name for column in columns for name in column.datasets))
     rows = []
@@ -137,15 +140,16 @@ def build_table(
         if statuses:
             cells = {c.key: _cell(numbers, c, method) for c in columns if not c.elsewhere}
             rows.append(Row(method, cells, statuses))
-    if paper is not None:
-        rows = _beside_paper(rows, columns, paper)
+    if names is not None:
+        rows = _beside_paper(rows, columns, names, paper)
     kept = with_numbers(columns, rows)
     marked: list[dict[str, Cell]] = [{} for _ in rows]
     for column in kept:
-        ranked = _ranked(column, [row.cells.get(column.key) for row in rows])
-        for cells, cell in zip(marked, ranked, strict=True):
-            if cell is not None:
-                cells[column.key] = cell
+        own = {row.method: cell for row in rows if (cell := row.cells.get(column.key)) is not None}
+        ranked = _ranked(numbers, column, own)
+        for cells, row in zip(marked, rows, strict=True):
+            if row.method in ranked:
+                cells[column.key] = ranked[row.method]
     return Table(title, kind, kept, tuple(replace(r, cells=c) for r, c in zip(rows, marked, strict=True)), datasets)
 
 
@@ -162,15 +166,17 @@ def _has(row: Row, key: str) -> bool:
     return key in row.published or (key in row.cells and row.cells[key].text != "—")
 
 
-def _beside_paper(rows: list[Row], columns: Sequence[Column], wanted: Callable[[str], bool]) -> list[Row]:
+def _beside_paper(
+    rows: list[Row], columns: Sequence[Column], names: Mapping[str, str], wanted: Callable[[str], bool]
+) -> list[Row]:
     """The rows with the paper's values beside them, and below them the methods that only the paper ran."""
     published: dict[str, dict[str, Decimal]] = {}
     for column in columns:
         for method, value in published_values(column.datasets, column.region, column.metric).items():
             if not column.against:
                 published.setdefault(method, {})[column.key] = value
-    rows = [replace(row, published=published.get(paper_method(row.method), {})) for row in rows]
-    ours = {paper_method(row.method) for row in rows}
+    rows = [replace(row, published=published.get(names[row.method], {})) for row in rows]
+    ours = {names[row.method] for row in rows}
     others = [(method, values) for method, values in published.items() if method not in ours]
     return rows + [
         Row(method, {}, published=values, source=published_source(method))
@@ -179,26 +185,21 @@ def _beside_paper(rows: list[Row], columns: Sequence[Column], wanted: Callable[[
     ]
 
 
-def _ranked(column: Column, cells: list[Cell | None]) -> list[Cell | None]:
+def _ranked(numbers: Numbers, column: Column, cells: Mapping[str, Cell]) -> dict[str, Cell]:
     """Ranks by the printed number, ties shared (two firsts leave no second); incomplete cells compete for nothing."""
-    competing = [cell for cell in cells if cell is not None and cell.complete]
+    competing = {method: cell for method, cell in cells.items() if cell.complete}
     if not column.ranked or len(competing) < 2:
-        return cells
-    sign = -1 if column.better == "higher" else 1
-    printed = sorted(sign * _printed(cell) for cell in competing)
-    best = [cell for cell in competing if sign * _printed(cell) == printed[0]]
-    result: list[Cell | None] = []
-    for cell in cells:
-        if cell is not None and cell.complete:
-            place = printed.index(sign * _printed(cell)) + 1
-            tied = place > 1 and any(_overlap(cell, other) for other in best)
-            cell = replace(cell, rank=place if place <= 3 else None, tied=tied)
-        result.append(cell)
+        return dict(cells)
+    sign = 1 if column.better == "higher" else -1
+    printed = sorted((sign * _printed(cell) for cell in competing.values()), reverse=True)
+    best = [method for method, cell in competing.items() if sign * _printed(cell) == printed[0]]
+    result = dict(cells)
+    for method, cell in competing.items():
+        place = printed.index(sign * _printed(cell)) + 1
+        where = (column.datasets, method)
+        tied = place > 1 and any(compare(numbers, *where, o, column.metric, column.region, sign).tied for o in best)
+        result[method] = replace(cell, rank=place if place <= 3 else None, tied=tied)
     return result
-
-
-def _overlap(a: Cell, b: Cell) -> bool:
-    return a.interval is not None and b.interval is not None and a.interval.overlaps(b.interval)
 
 
 def _printed(cell: Cell) -> Decimal:

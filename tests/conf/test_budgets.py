@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 from sweeps import one_run, swept
 
-from envgs_bench.reports.numbers.statistics import FEWEST_SEEDS
+from envgs_bench.reports.numbers.comparison import FEWEST_SEEDS
 from envgs_bench.stages.budget import check_budget
 
 

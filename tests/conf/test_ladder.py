@@ -1,4 +1,4 @@
-"""The ladder's sweeps: every rung, on the same seeds, at one size."""
+"""The ablation ladder's sweep: every variant, on the same seeds, at one size."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import re
 from sweeps import one_run, swept
 
 from envgs_bench.cli.composition import CONF
-from envgs_bench.reports.numbers.ladder import RUNGS
-from envgs_bench.reports.numbers.statistics import FEWEST_SEEDS
+from envgs_bench.methods.configurations import CONFIGURED
+from envgs_bench.reports.numbers.comparison import FEWEST_SEEDS
+
+STEPS = {own["step"]: name for name, own in CONFIGURED.items() if own.get("ladder") == "envgs"}
 
 
-def test_the_sweep_has_every_rung_on_enough_seeds() -> None:
+def test_the_sweep_has_every_variant_on_enough_seeds() -> None:
     choices = swept("ladder")
-    assert choices["method"] == list(RUNGS)
+    assert choices["method"] == [STEPS[step] for step in sorted(STEPS)]
     assert len(choices["seed"]) >= FEWEST_SEEDS
     assert next(iter(choices)) == "seed"  # a sweep that was cut short has whole ladders
 

@@ -11,9 +11,10 @@ import pytest
 from reports_runs import record, sections_of, write_record, write_runs
 
 from envgs_bench.reports import build_report
-from envgs_bench.reports.numbers.budgets import BudgetCurve
-from envgs_bench.reports.numbers.statistics import bootstrap_interval
-from envgs_bench.reports.tables.budgets import Budgets, budgets_of, curve_sentence, map_sentence
+from envgs_bench.reports.numbers.intervals import mean_interval
+from envgs_bench.reports.studies.budgets.budgets import BudgetCurve
+from envgs_bench.reports.studies.budgets.sentences import curve_sentence, map_sentence
+from envgs_bench.reports.studies.budgets.study import BudgetStudy
 
 ROOM = "toy/chrome_room"
 
@@ -42,9 +43,11 @@ def write_curve(folder: Path, values: dict[int, list[float | None]], method: str
             write(folder, method, psnr, seed, {"primitives": primitives, "mb": None})
 
 
-def found(folder: Path) -> Budgets:
+def found(folder: Path) -> BudgetStudy:
     (section,) = sections_of(folder)
-    return budgets_of(section)
+    study = BudgetStudy.of(section)
+    assert study is not None
+    return study
 
 
 def the_curve(folder: Path) -> BudgetCurve:
@@ -55,17 +58,17 @@ def the_curve(folder: Path) -> BudgetCurve:
 def test_the_knee_is_the_smallest_budget_that_surely_loses_no_more(tmp_path: Path) -> None:
     """Seeds differ by decibels, the losses paired by seed do not; 1,000 primitives lose 0.05, 500 perhaps 0.12."""
     best = [30.0, 27.0, 25.0]
-    loses = {250: [1.0, 1.1, 1.2], 500: [0.06, 0.12, 0.12], 1000: [0.04, 0.05, 0.06], 2000: [0.0, 0.0, 0.0]}
+    loses = {250: [1.0, 1.1, 1.2], 500: [0.06, 0.10, 0.12], 1000: [0.04, 0.05, 0.06], 2000: [0.0, 0.0, 0.0]}
     write_curve(tmp_path, {at: [b - x for b, x in zip(best, lost, strict=True)] for at, lost in loses.items()})
     curve = the_curve(tmp_path)
     assert [row.limit for row in curve.rows] == [250, 500, 1000, 2000]
     knee = curve.knee
     assert (knee.row, knee.best) == (curve.rows[2], curve.rows[3])
-    interval = bootstrap_interval([[-0.04, -0.05, -0.06]])
+    interval = mean_interval([[-0.04, -0.05, -0.06]])
     assert interval is not None
     assert knee.loss.interval == pytest.approx(interval)
     assert curve_sentence(curve) == (
-        "envgs: 1,000 primitives, 0.05 dB below the best (2,000 primitives), by the interval at most 0.06."
+        "envgs: 1,000 primitives, 0.05 dB below the best (2,000 primitives), by the interval at most 0.07."
     )
 
 
@@ -141,12 +144,12 @@ def test_a_maps_knee_is_the_smallest_sum_that_surely_loses_no_more(tmp_path: Pat
 
 
 def test_the_report_has_all_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("envgs_bench.reports.report.draw_charts", lambda *_: [])  # those of other parts
+    monkeypatch.setattr("envgs_bench.reports.report.draw_charts", lambda *_, **__: [])  # those of other parts
     write_curve(tmp_path / "runs", {at: [20 - 400 / at, 21 - 400 / at, 22 - 400 / at] for at in (250, 500, 1000)})
     write_curve(tmp_path / "runs", {at: [19.0, 20.0, 21.0] for at in (250, 500, 1000)}, "2dgs")
     write_map(tmp_path / "map")
     out = tmp_path / "out"
-    html = build_report(tmp_path, out).page.read_text()
+    html = build_report(tmp_path, out, for_print=True).page.read_text()
     assert 'id="section-0-budgets"' in html
     assert "<li>2dgs: 250 primitives, " in html
     assert "<li>envgs: no knee, still better at the largest budget; best: 1,000 primitives.</li>" in html
@@ -166,4 +169,5 @@ def test_the_report_has_all_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_without_budgets_there_is_no_such_part(tmp_path: Path) -> None:
     write_runs(tmp_path, methods=("2dgs",), seeds=(0,), pictures=False)
-    assert not found(tmp_path)
+    (section,) = sections_of(tmp_path)
+    assert BudgetStudy.of(section) is None

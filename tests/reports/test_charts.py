@@ -11,14 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 from reports_runs import METHODS, record, run_folder, write_failure, write_record, write_runs
+from scipy import stats
 
+from envgs_bench.parts import MethodCard
 from envgs_bench.reports.charts.curves import merged_curves, read_curve, training_curves
+from envgs_bench.reports.charts.drawn import Canvas
 from envgs_bench.reports.charts.label_placement import Box, place_labels
 from envgs_bench.reports.charts.palette import styles
 from envgs_bench.reports.charts.pareto import Point, front, points
 from envgs_bench.reports.charts.pareto_chart import draw_charts, panel_rows
-from envgs_bench.reports.numbers.knobs import knobs
 from envgs_bench.reports.numbers.runs import read_run, read_runs
+from envgs_bench.reports.numbers.swept_settings import sweeps
 from envgs_bench.reports.tables.columns import FLIP, FRAME_MS, MEGABYTES, PRIMITIVES, PSNR, in_region
 from envgs_bench.reports.tables.sections import split_sections
 
@@ -52,34 +55,36 @@ def test_a_method_that_failed_somewhere_dominates_no_other() -> None:
     assert front([lucky, solid], FRAME_MS, PSNR) == [solid]
 
 
-def test_one_turned_knob_is_a_line() -> None:
-    """Rows of one code that differ in one number; a grid of two knobs has a line for each turn of either."""
+def test_one_swept_setting_is_a_line() -> None:
+    """Rows of one code that differ in one number; a grid of two settings has a line for each sweep of either."""
     filtered = {
         f"envgs [beta_filter={share}]": {"kind": "envgs", "beta_filter": share} for share in ("0.9", "0", "0.5")
     }
     others = {"3dgs": {"kind": "3dgs"}, "2dgs": {"kind": "2dgs", "steps": "9"}}
     line = [f"envgs [beta_filter={share}]" for share in ("0", "0.5", "0.9")]
-    assert knobs(filtered | others) == [line]
+    assert sweeps(filtered | others) == [line]
     grid = {f"m [{a} {b}]": {"kind": "m", "a": a, "b": b} for a in "12" for b in "12"}
-    assert {tuple(line) for line in knobs(grid)} == {
+    assert {tuple(line) for line in sweeps(grid)} == {
         *(("m [1 1]", "m [2 1]"), ("m [1 2]", "m [2 2]")),
         *(("m [1 1]", "m [1 2]"), ("m [2 1]", "m [2 2]")),
     }
 
 
-def test_other_differences_are_no_knob() -> None:
+def test_other_differences_are_no_sweep() -> None:
     ablated = {"envgs": {"kind": "envgs", "joint": "True", "mono": "0.01"}}
     ablated |= {"envgs_no_joint": ablated["envgs"] | {"joint": "False"}}  # no number
     ablated |= {"envgs_no_mono": ablated["envgs"] | {"mono": "0"}}  # a configuration of its own
-    assert knobs(ablated) == []
+    assert sweeps(ablated) == []
 
 
 def test_colors_and_marks_tell_methods_apart() -> None:
-    chosen = styles([*METHODS, "envgs_paper", "envmap_paper", "a", "b", "c", "d"])
-    assert len({style.color for style in chosen.values()}) == 10
-    assert len({style.marker for style in chosen.values()}) == 10
-    assert chosen["envgs"] == styles(["envgs"])["envgs"]
-    variants = styles(["envgs [steps=1]", "envgs [steps=2]"])
+    cards = {name: MethodCard(name, name, order, "#CC0000") for order, name in enumerate(METHODS)}
+    chosen = styles([*METHODS, "a", "b", "c", "d"], cards)
+    assert len({style.color for style in chosen.values()}) == 8
+    assert len({style.marker for style in chosen.values()}) == 8
+    assert chosen["3dgs"].color == "#CC0000"  # the first of its family has its color, the others are lighter
+    assert chosen["envgs"] == styles(["envgs"], cards)["envgs"]
+    variants = styles(["envgs [steps=1]", "envgs [steps=2]"], cards)
     assert variants["envgs [steps=1]"] == chosen["envgs"]
     assert variants["envgs [steps=2]"].marker == chosen["envgs"].marker
     assert variants["envgs [steps=2]"].color != chosen["envgs"].color
@@ -114,19 +119,23 @@ def test_the_chart_has_a_row_a_data_set_and_a_panel_a_region(tmp_path: Path) -> 
 
 def test_every_accuracy_is_drawn_against_every_cost(tmp_path: Path) -> None:
     write_runs(tmp_path / "runs", seeds=(0,), pictures=False)
-    files = draw_charts(split_sections(read_runs(tmp_path / "runs")[0]), tmp_path)
+    canvas = Canvas(tmp_path, pdf=True)
+    files = draw_charts(split_sections(read_runs(tmp_path / "runs")[0]), canvas, every_pair=True)
     accuracies = ("psnr", "ssim", "flip", "psnr_reflective", "psnr_near_field")  # LPIPS was not computed
     costs = ("frame_ms", "train_seconds", "model_bytes", "primitives")
     stems = {"pareto", *(f"charts/{accuracy}-{cost}" for accuracy in accuracies for cost in costs)}
-    assert {str(path.relative_to(tmp_path)) for path in files} == {
-        f"{s}.{kind}" for s in stems for kind in ("png", "pdf")
-    }
-    for path in files:
-        if path.suffix == ".pdf":
-            assert path.read_bytes().startswith(b"%PDF")
-        else:
-            with Image.open(path) as image:
-                assert np.asarray(image.convert("L")).std() > 8
+    assert {(chart.png, chart.pdf) for chart in files} == {(f"{stem}.png", f"{stem}.pdf") for stem in stems}
+    for chart in files:
+        assert (tmp_path / (chart.pdf or "")).read_bytes().startswith(b"%PDF")
+        with Image.open(tmp_path / chart.png) as image:
+            assert np.asarray(image.convert("L")).std() > 8
+
+
+def test_unless_it_is_for_print_one_chart_is_drawn_as_a_picture(tmp_path: Path) -> None:
+    write_runs(tmp_path / "runs", seeds=(0,), pictures=False)
+    (chart,) = draw_charts(split_sections(read_runs(tmp_path / "runs")[0]), Canvas(tmp_path))
+    assert (chart.png, chart.pdf) == ("pareto.png", None)
+    assert not list(tmp_path.glob("*.pdf"))
 
 
 def test_a_method_without_primitives_is_on_no_logarithmic_axis(tmp_path: Path) -> None:
@@ -152,7 +161,8 @@ def test_points_carry_intervals_in_printed_units(tmp_path: Path) -> None:
     values = section.tidy.query("metric == 'model_bytes'")["value"] / 1e6
     assert found.x == pytest.approx(values.mean())
     assert found.x_interval is not None
-    assert values.min() <= found.x_interval[0] <= found.x <= found.x_interval[1] <= values.max()
+    ends = stats.ttest_1samp(values, 0).confidence_interval(0.95)
+    assert found.x_interval == pytest.approx((ends.low, ends.high))
 
 
 def test_curves_are_the_mean_and_the_extremes_over_seeds(tmp_path: Path) -> None:

@@ -16,13 +16,13 @@ from envgs_bench.reports.numbers.runs import read_runs
 from envgs_bench.reports.page.sizes import png_size
 from envgs_bench.reports.tables.sections import split_sections
 
-KINDS = {"3dgs": "3dgs", "2dgs": "2dgs", "envmap": "envmap", "envgs": "envgs"}
+REFLECTS = {"3dgs": False, "2dgs": False, "envmap": True, "envgs": True}
 
 
 def test_the_best_reflecting_method_stands_against_the_best_that_draws_no_reflections(tmp_path: Path) -> None:
     write_runs(tmp_path, ("toy/chrome_room", "toy/diffuse_room"), pictures=False)
     (section,) = split_sections(read_runs(tmp_path)[0])
-    found = headline(section.numbers, "toy/chrome_room", KINDS)
+    found = headline(section.numbers, "toy/chrome_room", REFLECTS)
     assert found is not None
     assert (found.method, found.baseline, found.region) == ("envgs", "3dgs", "reflective")
     of = {
@@ -33,10 +33,10 @@ def test_the_best_reflecting_method_stands_against_the_best_that_draws_no_reflec
     assert float(found.gain.mean or 0) == pytest.approx(np.mean(np.subtract(of["envgs"], of["3dgs"])))
     assert found.gain.done == 3
     assert found.costs["frame_ms"][0] > found.costs["frame_ms"][1]
-    elsewhere = headline(section.numbers, "toy/diffuse_room", KINDS)
+    elsewhere = headline(section.numbers, "toy/diffuse_room", REFLECTS)
     assert elsewhere is not None
     assert elsewhere.region == "full"  # nothing reflects there
-    assert headline(section.numbers, "toy/chrome_room", {"envgs": "envgs"}) is None
+    assert headline(section.numbers, "toy/chrome_room", {"envgs": True}) is None
 
 
 def test_the_first_screen_says_it_in_words_and_shows_a_picture(tmp_path: Path) -> None:

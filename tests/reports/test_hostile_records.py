@@ -16,17 +16,17 @@ import pytest
 from damaged_files import write_promising_png
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reports_runs import record, run_folder, write_record, write_runs
+from reports_runs import chapter, record, run_folder, write_record, write_runs
 
 from envgs_bench.cli.main import main
 from envgs_bench.reports import build_report
-from envgs_bench.reports.charts.ladder import steps
 from envgs_bench.reports.numbers.runs import read_runs
-from envgs_bench.reports.page.budgets import BudgetPart
-from envgs_bench.reports.page.html import write_page
+from envgs_bench.reports.page.html import PageSection, write_page
 from envgs_bench.reports.pictures.gallery import galleries
-from envgs_bench.reports.tables.budgets import budgets_of, budgets_table
-from envgs_bench.reports.tables.ladder_csv import recommendations_table, rungs_table
+from envgs_bench.reports.report import studies_of
+from envgs_bench.reports.studies.ablation_ladder.chart import steps
+from envgs_bench.reports.studies.ablation_ladder.study import AblationLadders
+from envgs_bench.reports.studies.study import Drawn, has_page, page_part
 from envgs_bench.reports.tables.latex import latex
 from envgs_bench.reports.tables.markdown import markdown
 from envgs_bench.reports.tables.sections import split_sections
@@ -163,7 +163,7 @@ def test_what_a_record_says_is_no_formula_and_no_escape_sequence(tmp_path: Path,
     negative = record("toy/chrome_room", "envgs", 0)
     negative["metrics"]["mean"]["psnr"] = -3.5
     write_record(tmp_path / "runs/b", negative)
-    build_report(tmp_path / "runs", tmp_path / "out")
+    build_report(tmp_path / "runs", tmp_path / "out", for_print=True)
     with (tmp_path / "out/table.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     words = {row[column] for row in rows for column in ("dataset", "method", "region", "metric")}
@@ -224,23 +224,21 @@ def test_a_record_with_anything_in_it_is_refused_or_reported(content: dict[str, 
         assert len(found) + len(broken) == 3
         sections = split_sections(found)
         (folder / "out").mkdir()
-        json.dumps(structured(sections, broken), allow_nan=False)
-        assert all(line.isprintable() for line in markdown(sections, broken).split("\n"))
-        assert latex(sections).isascii()
-        for section in sections:
-            rungs_table(section.ladders)
-            recommendations_table(section.ladders)
-            budgets_table(budgets_of(section))
-            assert all(math.isfinite(step.level) for ladder in section.ladders for step in steps(ladder))
-        write_page(
-            folder / "out",
-            sections,
-            broken,
-            [galleries(section) for section in sections],
-            [None] * len(sections),
-            [()] * len(sections),
-            [BudgetPart(budgets_of(section), ()) for section in sections],
-        )
+        chapters = list(map(chapter, sections))
+        json.dumps(structured(chapters, broken), allow_nan=False)
+        assert all(line.isprintable() for line in markdown(chapters, broken).split("\n"))
+        assert latex(chapters).isascii()
+        shown = []
+        for own in chapters:
+            parts = []
+            for study in studies_of(own.section):
+                files = {name: f"{name}.csv" for name in study.csv()}
+                if isinstance(study, AblationLadders):
+                    assert all(math.isfinite(step.level) for ladder in study.ladders for step in steps(ladder))
+                if has_page(type(study)):
+                    parts.append(page_part(study, Drawn(), files, folder / "out"))
+            shown.append(PageSection(own, galleries(own.section), parts))
+        write_page(folder / "out", shown, broken, [], for_print=False)
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)

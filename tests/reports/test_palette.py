@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from skimage.color import deltaE_ciede2000, rgb2lab
 
-from envgs_bench.reports.charts.palette import FAMILIES, METHOD_STYLES, styles
+from envgs_bench.methods.registry import BUILT_IN, method_class
+from envgs_bench.parts import MethodCard
+from envgs_bench.reports.charts.palette import COLORS, styles
 
 # Machado, Oliveira, Fernandes 2009, "A physiologically-based model for simulation of color vision deficiency", severity
 # 1.0, on linear RGB.
@@ -40,20 +42,29 @@ def seen(color: str, vision: str) -> np.ndarray:
     return rgb2lab(np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055))
 
 
+def cards() -> dict[str, MethodCard]:
+    found = {kind: method_class(kind).card for kind in BUILT_IN}
+    return {kind: card for kind, card in found.items() if card is not None}
+
+
 @pytest.mark.parametrize("vision", VISIONS)
-def test_every_two_families_are_told_apart(vision: str) -> None:
+@pytest.mark.parametrize("own", [True, False], ids=["of cards", "without cards"])
+def test_every_two_families_are_told_apart(vision: str, own: bool) -> None:
     assert np.allclose(np.sum(VISIONS[vision], axis=1), 1, atol=2e-6)  # white stays white
+    colors = {card.family: card.color for card in cards().values()} if own else {color: color for color in COLORS}
     distances = {
-        pair: float(deltaE_ciede2000(*(seen(FAMILIES[family], vision) for family in pair)))
-        for pair in itertools.combinations(FAMILIES, 2)
+        pair: float(deltaE_ciede2000(*(seen(colors[family], vision) for family in pair)))
+        for pair in itertools.combinations(colors, 2)
     }
-    assert len(FAMILIES) >= 10
+    assert len(colors) >= 9
     assert min(distances.values()) >= 20, min(distances, key=lambda pair: distances[pair])
 
 
-def test_the_methods_of_a_usual_page_have_their_families_colors() -> None:
-    usual = ("3dgs_tuned", "2dgs_tuned", "envmap", "envgs", "3dgs_dr", "gaussian_shader", "3igs", "ref_gaussian")
-    chosen = styles([*usual, "somebody", "another"])
-    assert len({style.color for style in chosen.values()}) == len(chosen)
-    assert {style.color for style in chosen.values()} == set(FAMILIES.values())
-    assert len({(style.color, style.marker) for style in METHOD_STYLES.values()}) == len(METHOD_STYLES) - 1  # envmap128
+def test_methods_have_their_cards_colors_and_others_none_of_these() -> None:
+    chosen = styles([*cards(), "somebody"], cards())
+    assert {method: style.color for method, style in chosen.items() if method in cards()} == {
+        method: card.color for method, card in cards().items()
+    }
+    assert chosen["somebody"].color not in {card.color for card in cards().values()}
+    assert len({style.marker for style in chosen.values()}) == len(chosen)
+    assert styles(["somebody"], {}) == styles(["somebody"], {})

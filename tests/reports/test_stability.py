@@ -12,20 +12,21 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from reports_runs import record, sections_of, write_record, write_runs
+from reports_runs import record, sections_of, tables_of, write_record, write_runs
 from scipy.stats import mannwhitneyu
 
 from envgs_bench.probe import Probe, write_probe
 from envgs_bench.reports import build_report
-from envgs_bench.reports.charts import stability as charts
-from envgs_bench.reports.numbers.breaking_points import breaking_point, breaking_points
-from envgs_bench.reports.numbers.profiles import drops, probability_of_improvement, profile
-from envgs_bench.reports.numbers.stability import Stability
-from envgs_bench.reports.numbers.statistics import bootstrap_interval
-from envgs_bench.reports.numbers.trials import Trial
-from envgs_bench.reports.tables.expectations import expectations
-from envgs_bench.reports.tables.stability import stability_tables
-from envgs_bench.reports.tables.stability_csv import cells_table
+from envgs_bench.reports.charts.drawn import Canvas
+from envgs_bench.reports.numbers.intervals import mean_interval
+from envgs_bench.reports.studies.stability.breaking_points import breaking_point, breaking_points
+from envgs_bench.reports.studies.stability.csv_tables import cells_table
+from envgs_bench.reports.studies.stability.expectations import expectations
+from envgs_bench.reports.studies.stability.perturbed_runs import PerturbedRun
+from envgs_bench.reports.studies.stability.profiles import drops, probability_of_improvement, profile
+from envgs_bench.reports.studies.stability.stability import Stability
+from envgs_bench.reports.studies.stability.study import StabilityStudy
+from envgs_bench.reports.studies.stability.table import stability_tables
 
 ROOM = "toy/chrome_room"
 BLUR = (ROOM, "blur")
@@ -75,7 +76,7 @@ def write(
 
 def stability_of(folder: Path) -> Stability:
     (section,) = sections_of(folder)
-    return section.stability
+    return Stability(section.with_perturbed)
 
 
 def write_study(folder: Path, seeds: int = 5) -> None:
@@ -93,7 +94,7 @@ def test_a_perturbed_run_is_compared_with_the_run_of_its_own_seed(tmp_path: Path
         write(tmp_path, "envgs", seed, 1, after)
     change = stability_of(tmp_path).cell(BLUR, 1, "envgs").change("psnr")
     assert change.strata == ((-1.0, -2.5, -0.5),)
-    assert change.interval == bootstrap_interval([[-1.0, -2.5, -0.5]])
+    assert change.interval == mean_interval([[-1.0, -2.5, -0.5]])
     values = stability_of(tmp_path).cell(BLUR, 1, "envgs")
     assert values.values("psnr_median_view").strata == ((29.0, 17.5, 24.5),)
     assert values.values("psnr_worst_view").strata == ((27.0, 15.5, 22.5),)
@@ -146,23 +147,23 @@ def test_a_run_is_judged_by_its_status_and_by_the_gates_against_its_partner(
 ) -> None:
     write(tmp_path, "envgs", 0, 0, 30.0)
     write(tmp_path, "envgs", 0, 1, **changes)
-    assert the_trial(tmp_path).outcome == outcome
+    assert the_run(tmp_path).outcome == outcome
 
 
-def the_trial(folder: Path) -> Trial:
-    (trial,) = stability_of(folder).cell(BLUR, 1, "envgs").trials
-    return trial
+def the_run(folder: Path) -> PerturbedRun:
+    (run,) = stability_of(folder).cell(BLUR, 1, "envgs").runs
+    return run
 
 
 def test_gates_are_those_that_the_run_carries(tmp_path: Path) -> None:
     write(tmp_path, "envgs", 0, 0, 30.0)
     config = record(ROOM, "envgs", 0)["config"] | {"steps": 100}
     write(tmp_path, "envgs", 0, 1, 20.0, config=config | {"gates": GATES | {"psnr_drop_db": 11, "region_drop_db": 11}})
-    assert the_trial(tmp_path).outcome == "survived"
+    assert the_run(tmp_path).outcome == "survived"
     write(tmp_path, "envgs", 0, 1, 20.0, config=config | {"gates": {"psnr_drop_db": "much"}})
-    assert the_trial(tmp_path).gates is None
-    assert the_trial(tmp_path).outcome == "survived"
-    (table,) = (table for table in sections_of(tmp_path)[0].tables if table.kind == "stability")
+    assert the_run(tmp_path).gates is None
+    assert the_run(tmp_path).outcome == "survived"
+    (table,) = (table for table in tables_of(sections_of(tmp_path)[0]) if table.kind == "stability")
     assert any("no gates that can be read" in remark for remark in table.remarks)
 
 
@@ -327,8 +328,10 @@ def test_a_chart_has_as_many_panels_as_kinds(tmp_path: Path, monkeypatch: pytest
         for severity in (0, 1):
             write(tmp_path, "envgs", 0, severity, 25.0 - severity, kind=kind)
     drawn: dict[str, Figure] = {}
-    monkeypatch.setattr(charts, "write_figure", lambda figure, path: drawn.update({path.name: figure}))
-    charts.draw_stability(*sections_of(tmp_path), tmp_path / "out", "charts")
+    monkeypatch.setattr(Canvas, "write", lambda _, figure, stem, *__: drawn.update({Path(stem).name: figure}))
+    study = StabilityStudy.of(*sections_of(tmp_path))
+    assert study is not None
+    study.draw(Canvas(tmp_path / "out"), 0)
     shown = [axis.get_title("left") for axis in drawn["responses-0-psnr"].axes if axis.axison]
     assert shown == ["blur", "exposure", "jpeg", "noise", "views"]
 
@@ -348,7 +351,7 @@ def test_perturbed_runs_change_nothing_else_in_a_report(tmp_path: Path) -> None:
     assert [table for table in tables[1] if table["kind"] != "stability"] == tables[0]
     assert "6 runs" in str(plain)
     assert "12 runs" in str(both)
-    assert both.sections[0].stability.cell(BLUR, 1, "envgs").unpaired == 0
+    assert Stability(both.sections[0].with_perturbed).cell(BLUR, 1, "envgs").unpaired == 0
     assert "-stability" not in plain.page.read_text()
     assert not list(plain.out.rglob("*stability*"))
 
@@ -438,7 +441,7 @@ def test_the_page_shows_curves_and_the_worst_views(tmp_path: Path) -> None:
             write_record(folder, content)
             for name in ("renders", "targets"):
                 (folder / name).symlink_to(source / name)
-    report = build_report(runs, tmp_path / "out")
+    report = build_report(runs, tmp_path / "out", for_print=True)
     html = report.page.read_text()
     for name in ("charts/stability-0/responses-0-psnr.png", "charts/stability-0/profiles.pdf"):
         assert (report.out / name).stat().st_size > 1000
@@ -460,7 +463,7 @@ def test_what_perturbed_records_say_stays_text(tmp_path: Path) -> None:
         changes = {"perturbation": perturbation, "warnings": [warning], "config": config, "dataset": HOSTILE}
         error = {} if psnr else {"error": {"type": HOSTILE, "message": HOSTILE, "log_tail": HOSTILE}}
         write(tmp_path, method, 0, 1, psnr, **changes, **error)
-    report = build_report(tmp_path, tmp_path / "out")
+    report = build_report(tmp_path, tmp_path / "out", for_print=True)
     html = report.page.read_text()
     assert "<script>" not in html
     assert "=1+1&lt;/script&gt;" in html

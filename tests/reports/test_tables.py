@@ -15,10 +15,12 @@ import pytest
 from reports_runs import (
     METHODS,
     VIEWS,
+    chapter,
     record,
     row_of,
     run_folder,
     sections_of,
+    tables_of,
     titled,
     titles,
     write_failure,
@@ -45,7 +47,7 @@ ROOM = "toy/chrome_room"
 @pytest.fixture(autouse=True)
 def no_charts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Charts have tests of their own, and take their time."""
-    monkeypatch.setattr("envgs_bench.reports.report.draw_charts", lambda sections, out: [])
+    monkeypatch.setattr("envgs_bench.reports.report.draw_charts", lambda *_, **__: [])
 
 
 def table_of(scores: dict[str, list[float | None]], metric: str = "psnr", attempts: int | None = None) -> Table:
@@ -92,9 +94,9 @@ def test_a_lone_method_has_no_rank() -> None:
     assert table_of({"a": [27.0]}).rows[0].cells["psnr"].rank is None
 
 
-def test_overlapping_intervals_are_marked() -> None:
-    table = table_of({"a": [27.0, 27.2, 27.4], "b": [26.9, 27.1, 27.3], "c": [20.0, 20.1, 20.2]})
-    assert [row.cells["psnr"].tied for row in table.rows] == [False, True, False]
+def test_what_the_same_seeds_do_not_show_to_be_worse_than_the_best_is_marked() -> None:
+    table = table_of({"a": [27.0, 27.2, 27.4], "b": [26.9, 27.3, 27.1], "c": [26.9, 27.1, 27.29]})
+    assert [row.cells["psnr"].tied for row in table.rows] == [False, True, False]  # c: 0.10 below in each
     assert table.rows[0].cells["psnr"].text == "27.20 ± 0.20"
     assert entries(table, table.rows[1])[2].marked == "27.10 ± 0.20² ≈"
 
@@ -183,7 +185,7 @@ def test_repaired_and_unrepaired_runs_never_share_a_table(tmp_path: Path) -> Non
     sections = sections_of(tmp_path / "runs")
     assert [(s.repair, len(s.runs)) for s in sections] == [((), 12), (("poses", "normals"), 8)]
     assert len({section.slug for section in sections}) == 2
-    for text in (sections[1].title, sections[1].short, markdown(sections, [])):
+    for text in (sections[1].title, sections[1].short, markdown(list(map(chapter, sections)), [])):
         assert "repair of poses and normals" in text
     assert "repair" not in sections[0].title
 
@@ -197,7 +199,7 @@ def test_test_and_validation_views_never_share_a_table(tmp_path: Path) -> None:
     test, validation = (caption(section, titled(section, ROOM)) for section in sections)
     assert f"{VIEWS} test views" in test
     assert f"{VIEWS} validation views" in validation
-    for text in (sections[1].title, sections[1].short, markdown(sections, [])):
+    for text in (sections[1].title, sections[1].short, markdown(list(map(chapter, sections)), [])):
         assert "validation views" in text
     assert sections[0].csv_name(1) != sections[1].csv_name(1)
 
@@ -239,7 +241,7 @@ def test_runs_with_different_budgets_never_share_a_row(tmp_path: Path) -> None:
         write_record(tmp_path / str(primitives), content)
     (section,) = sections_of(tmp_path)
     assert section.methods == ["envgs [primitives=500]", "envgs [primitives=2000]", "envgs [primitives=any]"]
-    assert section.knobs == [section.methods[:2]]
+    assert section.sweeps == [section.methods[:2]]
 
 
 def test_data_of_another_size_is_another_data_set(tmp_path: Path) -> None:
@@ -346,13 +348,15 @@ def plain(text: str) -> str:
 
 
 def test_every_format_prints_the_same_numbers(mixed: Section) -> None:
-    expected = [[plain(entry.text) for entry in entries(table, row)] for table in mixed.tables for row in table.rows]
-    pipes = [line for line in markdown([mixed], []).splitlines() if line.startswith("| ")]
+    expected = [
+        [plain(entry.text) for entry in entries(table, row)] for table in tables_of(mixed) for row in table.rows
+    ]
+    pipes = [line for line in markdown([chapter(mixed)], []).splitlines() if line.startswith("| ")]
     cells = [[plain(cell) for cell in line.strip("| ").split(" | ")] for line in pipes]
     assert [line for line in cells if line[0] in METHODS] == expected
-    lines = [line.split(" & ") for line in latex([mixed]).splitlines() if line.endswith(r"\\")]
+    lines = [line.split(" & ") for line in latex([chapter(mixed)]).splitlines() if line.endswith(r"\\")]
     assert [[plain(cell) for cell in line] for line in lines if plain(line[0]) in METHODS] == expected
-    content = json.loads(json.dumps(structured([mixed], [])))
+    content = json.loads(json.dumps(structured([chapter(mixed)], [])))
     texts = [
         [row["method"], row["runs"], *(row["cells"][column["key"]]["text"] for column in table["columns"])]
         for table in content["sections"][0]["tables"]
@@ -362,7 +366,7 @@ def test_every_format_prints_the_same_numbers(mixed: Section) -> None:
 
 
 def test_the_json_holds_what_stands_behind_a_number(mixed: Section) -> None:
-    table = next(t for t in structured([mixed], [])["sections"][0]["tables"] if t["title"] == ROOM)
+    table = next(t for t in structured([chapter(mixed)], [])["sections"][0]["tables"] if t["title"] == ROOM)
     row = next(row for row in table["rows"] if row["method"] == "envgs")
     values = mixed.tidy.query(f"dataset == '{ROOM}' and method == 'envgs' and region == 'full'")
     megabytes = values.query("metric == 'model_bytes'")["value"] / 1e6
@@ -461,7 +465,7 @@ def test_of_many_spoiled_views_the_worst_are_told(tmp_path: Path) -> None:
 
 
 def test_markdown_marks_failures_and_reasons(mixed: Section) -> None:
-    text = markdown([mixed], [])
+    text = markdown([chapter(mixed)], [])
     assert "2/3: 1 diverged" in text
     assert "n/c: LPIPS was not computed: no VGG-16 weights on this machine" in text
     assert r"loss is nan \| &lt;b&gt;_x_&lt;/b&gt;" in text
@@ -515,22 +519,22 @@ def test_a_dropped_loss_marks_its_rows_alike_in_every_format(
     assert [note for note in notes(dropped, table) if "†" in note] == sentences
     marked = {"envmap", "envgs"} if sentences else set()
     expected = [name + "†" * (name in marked) for name in METHODS]
-    text = markdown([dropped], []).split(f"### {title}\n")[1].split("\n#")[0]
+    text = markdown([chapter(dropped)], []).split(f"### {title}\n")[1].split("\n#")[0]
     assert [line.split(" | ")[0].removeprefix("| ") for line in text.splitlines()[5 : 5 + len(METHODS)]] == expected
     assert [line for line in text.splitlines() if line.startswith("†")] == sentences
-    tex = latex([dropped]).split(f"% {title}. ")[1].split("\n%")[0]
+    tex = latex([chapter(dropped)]).split(f"% {title}. ")[1].split("\n%")[0]
     names = [line.split(" & ")[0] for line in tex.split("midrule\n")[1].split("\n\\bottomrule")[0].splitlines()]
     assert names == [name.replace("†", r"$^\dagger$") for name in expected]
     below = [line for line in tex.splitlines() if line.startswith(r"\par\noindent{\footnotesize $^\dagger$")]
     assert len(below) == len(sentences)
-    content = structured([dropped], [])["sections"][0]["tables"]
+    content = structured([chapter(dropped)], [])["sections"][0]["tables"]
     rows = next(item for item in content if item["title"] == title)["rows"]
     assert [row["method"] for row in rows] == list(METHODS)
     assert {row["method"] for row in rows if row["dropped_losses"]} == marked
 
 
 def test_the_json_says_which_runs_dropped_which_loss(dropped: Section) -> None:
-    table = next(t for t in structured([dropped], [])["sections"][0]["tables"] if t["title"] == "toy")
+    table = next(t for t in structured([chapter(dropped)], [])["sections"][0]["tables"] if t["title"] == "toy")
     row = next(row for row in table["rows"] if row["method"] == "envgs")
     assert row["dropped_losses"] == [
         {"loss": "mono", "why": NO_NORMALS, "dataset": ROOM, "runs": 3, "done": 3},
@@ -546,7 +550,7 @@ def test_every_column_says_what_it_is() -> None:
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex")
 def test_the_latex_compiles(mixed: Section, dropped: Section, tmp_path: Path) -> None:
     document = r"\documentclass{article}\usepackage{booktabs}\usepackage[table]{xcolor}\begin{document}\tiny" "\n"
-    (tmp_path / "paper.tex").write_text(document + latex([mixed, dropped]) + "\n" + r"\end{document}")
+    (tmp_path / "paper.tex").write_text(document + latex([chapter(mixed), chapter(dropped)]) + "\n" + r"\end{document}")
     run = subprocess.run(
         ["pdflatex", "-halt-on-error", "-interaction=nonstopmode", "paper.tex"],
         cwd=tmp_path, capture_output=True, text=True, check=False,

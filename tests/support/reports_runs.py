@@ -14,6 +14,8 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from envgs_bench.reports.numbers.runs import read_runs
+from envgs_bench.reports.report import chapter_of, studies_of
+from envgs_bench.reports.tables.chapter import Chapter
 from envgs_bench.reports.tables.entries import headings
 from envgs_bench.reports.tables.sections import Section, split_sections
 from envgs_bench.reports.tables.table import Row, Table
@@ -35,6 +37,22 @@ KINDS = {
     **dict.fromkeys(("envgs_paper", "envgs_paper_no_joint", "envgs_paper_no_mono_normal", "envgs_no_joint"), "envgs"),
     "envmap_paper": "envmap",
 }
+ORDER = ("3dgs", "2dgs", "2dgs_tuned", "envmap_paper", "envmap", "envgs_paper", "envgs", "envgs_no_joint")
+CARDS: dict[str, dict[str, Any]] = {
+    name: {"family": name.partition("_")[0], "order": order, "label": name, "color": "", "reflects": order > 2}
+    for order, name in enumerate((*ORDER, "envgs_paper_no_joint"))
+}
+PARTS = {"2dgs_tuned": "", "envmap": "environment map", "envgs_no_joint": "environment Gaussians", "envgs": "joint"}
+PUBLISHED = {
+    **{"3dgs": "3DGS", "2dgs": "2DGS", "envgs_paper": "EnvGS", "envmap_paper": "w/ environment map"},
+    "envgs_paper_no_joint": "w/o joint optimization",
+}
+for step, (name, adds) in enumerate(PARTS.items()):
+    CARDS[name] |= {"ladder": "envgs", "step": step, "adds": adds}
+for name, published in PUBLISHED.items():
+    CARDS[name]["published"] = published
+for name, whole in {"envmap": "envgs", "envmap_paper": "envgs_paper", "envgs_paper_no_joint": "envgs_paper"}.items():
+    CARDS[name]["variant_of"] = whole
 DATASETS = {"toy/chrome_room": 0.0, "toy/sky_ball": 3.1, "toy/diffuse_room": 5.4}
 VIEWS = 5
 
@@ -102,6 +120,7 @@ def record(dataset: str, method: str, seed: int, size: tuple[int, int] = (60, 80
         "error": None,
         "method": method,
         "kind": KINDS.get(method, method),
+        "card": CARDS.get(method),
         "dataset": dataset,
         "seed": seed,
         "steps": 1500,
@@ -232,12 +251,21 @@ def sections_of(folder: Path) -> list[Section]:
     return split_sections(read_runs(folder)[0])
 
 
+def chapter(section: Section) -> Chapter:
+    return chapter_of(section, studies_of(section))
+
+
 def row_of(table: Table, method: str) -> Row:
     return next(row for row in table.rows if row.method == method)
 
 
+def tables_of(section: Section) -> list[Table]:
+    """The section's tables and those of its studies."""
+    return chapter(section).tables
+
+
 def titled(section: Section, title: str) -> Table:
-    return next(table for table in section.tables if table.title == title)
+    return next(table for table in tables_of(section) if table.title == title)
 
 
 def titles(table: Table) -> list[str]:

@@ -53,8 +53,8 @@
     };
   }
 
-  function knobLines(knobs, points) {
-    return knobs.map((knob) => knob.map((method) => points.find((p) => p.method === method)).filter(Boolean))
+  function sweptLines(sweeps, points) {
+    return sweeps.map((sweep) => sweep.map((method) => points.find((p) => p.method === method)).filter(Boolean))
       .filter((line) => line.length > 1)
       .map((line) => ({ x: line.map((p) => p.x), y: line.map((p) => p.y), mode: "lines", hoverinfo: "skip", line: { color: css("--soft"), dash: "dot", width: 1.5 } }));
   }
@@ -117,13 +117,13 @@
       frame(shape.yaxis, ends("vy"), log[1]);
       const places = pick("names").checked ? namePlaces(points, best, shape, plot) : [];
       const traces = best.length ? [staircase(best, points, x, y, log[1])] : [];
-      traces.push(...knobLines(section.knobs, points));
+      traces.push(...sweptLines(section.sweeps, points));
       drawn = points.map((point, i) => ({ point, trace: traces.length + i }));
       traces.push(...points.map((p, i) => markTrace(section, p, p.complete && !best.includes(p), best.includes(p), places[i], pick("whiskers").checked, [x, y])));
       window.Plotly.react(plot, traces, shape, CONFIG);
       plot.dataset.front = best.map((point) => point.method).join("|");
       plot.setAttribute("aria-label", `${y.axis} against ${x.axis} on ${subject().name}: ${points.length} methods; on the front: ${best.map((p) => p.method).join(", ")}`);
-      ["png", "pdf"].forEach((kind) => { group.querySelector(".static-" + kind).href = `charts/${pick("y").value}-${pick("x").value}.${kind}`; });
+      if (group.querySelector(".static-pdf")) ["png", "pdf"].forEach((kind) => { group.querySelector(".static-" + kind).href = `charts/${pick("y").value}-${pick("x").value}.${kind}`; });
       fillList(all, best);
     }
 

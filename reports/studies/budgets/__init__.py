@@ -1,0 +1,1 @@
+"""Budgets: what a model is worth at each size."""

@@ -1,0 +1,47 @@
+"""Budgets in sentences: where a curve's knee is, and which cell of a map is best."""
+
+from __future__ import annotations
+
+import math
+
+from .budgets import PSNR, TIED_DB, BudgetCurve, BudgetMap, BudgetRow
+
+
+def limit_text(curve: BudgetCurve, row: BudgetRow) -> str:
+    """The budget with its unit, as `4,000 primitives` or `0.5 MB`."""
+    if not math.isfinite(row.limit):
+        return "no budget"
+    return f"{row.limit:,.0f} primitives" if curve.key.endswith("primitives") else f"{row.limit:g} MB"
+
+
+def curve_sentence(curve: BudgetCurve) -> str:
+    """Where the method's knee is, or why it has none."""
+    knee = curve.knee
+    if knee.row is None:
+        best = f"; best: {limit_text(curve, knee.best)}" if knee.best else ""
+        return f"{curve.method}: no knee, {knee.why}{best}."
+    if knee.row == knee.best:
+        return f"{curve.method}: {limit_text(curve, knee.row)}, the best; any less may lose more than {TIED_DB:g} dB."
+    interval, mean = knee.loss.interval, knee.loss.mean
+    assert interval is not None
+    assert mean is not None
+    assert knee.best is not None
+    return (
+        f"{curve.method}: {limit_text(curve, knee.row)}, {-mean:.2f} dB below the best "
+        f"({limit_text(curve, knee.best)}), by the interval at most {max(0.0, -interval.low):.2f}."
+    )
+
+
+def map_sentence(found: BudgetMap) -> str:
+    """Which size limits were best, and which smaller ones are as good."""
+    if found.best is None:
+        return f"{found.method}: no run finished."
+    base, env = found.best
+    mean = found.estimate(base, env).mean
+    words = f"{found.method}: best with at most {base:,} in the base and {env:,} in the environment, {mean:.2f} dB"
+    if found.knee is None:
+        return f"{words}."
+    lost = found.estimate(*found.knee, PSNR, found.best)
+    assert lost.mean is not None
+    base, env = found.knee
+    return f"{words}; {base:,} and {env:,} are {-lost.mean:.2f} below."

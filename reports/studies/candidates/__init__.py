@@ -1,0 +1,1 @@
+"""Candidates for settings, judged by the tuning protocol."""

@@ -1,0 +1,1 @@
+"""Differences of the best method to every other."""

@@ -1,0 +1,1 @@
+"""Stability: what perturbations did to methods."""
