@@ -9,7 +9,6 @@ from functools import cache
 from pathlib import Path
 
 import matplotlib as mpl
-from fontTools import subset
 from matplotlib import font_manager
 
 FAMILY = "DejaVu Sans"
@@ -22,6 +21,8 @@ def chart_fonts() -> list[str]:
 
     A PDF brings the glyphs that it uses. To pick them out of the whole font takes longer than to draw a chart.
     """
+    from fontTools import subset
+
     source = Path(mpl.get_data_path()) / "fonts/ttf/DejaVuSans.ttf"
     options = subset.Options(
         layout_features=[],

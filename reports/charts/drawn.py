@@ -35,6 +35,13 @@ class Canvas:
     out: Path
     pdf: bool = False
 
+    @property
+    def fonts(self) -> list[str]:
+        """The families that charts ask for: for a PDF a small font, whose glyphs are faster to embed."""
+        from .chart_font import FAMILY, chart_fonts  # which is slow to make
+
+        return chart_fonts() if self.pdf else [FAMILY]
+
     def write(self, figure: Figure, stem: str, title: str = "", width: int | None = None) -> DrawnChart:
         """Write the figure as `<stem>.png` below the report's folder."""
         write_figure(figure, self.out / stem, (PNG, PDF) if self.pdf else (PNG,))

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from ..tables.columns import ACCURACIES, COSTS, FRAME_MS, PSNR, Column
 from ..tables.sections import Section
-from .chart_font import chart_fonts
 from .drawn import Canvas, DrawnChart
 from .look import GRAY, RC
 from .pareto_panel import Panel, draw_panel, name_marks
@@ -54,7 +53,7 @@ def _pareto_rows(sections: Sequence[Section]) -> list[list[Panel]]:
 
 
 def _write(rows: list[list[Panel]], canvas: Canvas, stem: str) -> DrawnChart:
-    with mpl.rc_context(RC | {"font.family": chart_fonts()}):
+    with mpl.rc_context(RC | {"font.family": canvas.fonts}):
         return canvas.write(_figure(rows), stem)
 
 

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator
 
-from ...charts.chart_font import chart_fonts
 from ...charts.drawn import Canvas, DrawnChart
 from ...charts.label_placement import Box, along, place_labels
 from ...charts.look import GRAY, INK, RC, SOFT, open_axes, panel_axes, plain_numbers
@@ -85,7 +84,7 @@ def _write(panels: list[tuple[Ladder, list[Step]]], style: dict[str, Style], can
     wide = WIDTHS.get(columns, WIDTH)
     legend = LEGEND_LINES[columns * wide > ONE_LINE]
     size = (columns * wide, rows * HEIGHT + legend)
-    with mpl.rc_context(RC | {"font.family": chart_fonts(), "font.size": 8}):
+    with mpl.rc_context(RC | {"font.family": canvas.fonts, "font.size": 8}):
         figure = Figure(figsize=size)
         axes = panel_axes(figure, rows, columns, len(panels))
         figure.subplots_adjust(

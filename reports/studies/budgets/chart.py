@@ -14,7 +14,6 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 
 from envgs_bench.parts import BASE, ENV
 
-from ...charts.chart_font import chart_fonts
 from ...charts.drawn import Canvas, DrawnChart
 from ...charts.look import INK, RC, SOFT, open_axes, panel_axes
 from ...charts.palette import Style, styles
@@ -49,7 +48,7 @@ def draw_budgets(
 
 def _draw_curves(curves: Sequence[BudgetCurve], style: dict[str, Style], canvas: Canvas, stem: str) -> DrawnChart:
     known = [q for q in QUANTITIES if any(c.estimate(row, q).mean is not None for c in curves for row in c.rows)]
-    with mpl.rc_context(RC | {"font.family": chart_fonts(), "font.size": 8.5}):
+    with mpl.rc_context(RC | {"font.family": canvas.fonts, "font.size": 8.5}):
         rows = max(1, -(-len(known) // COLUMNS))
         figure = Figure(figsize=(COLUMNS * WIDTH, rows * HEIGHT + LEGEND), layout="constrained")
         title = f"{curves[0].dataset}: quality against primitives"
@@ -121,7 +120,7 @@ def _draw_map(found: BudgetMap, curves: Sequence[BudgetCurve], canvas: Canvas, s
     )
     size = (max(NARROWEST, CELL * len(found.base) * 1.25 + MARGIN + 1), CELL * len(found.env) + MARGIN)
     title = f"{found.dataset}, {found.method}: base × environment"
-    with mpl.rc_context(RC | {"font.family": chart_fonts(), "font.size": 8.5}):
+    with mpl.rc_context(RC | {"font.family": canvas.fonts, "font.size": 8.5}):
         figure = Figure(figsize=size, layout="constrained")
         figure.suptitle(title, x=0.01, ha="left", fontsize=9, color=INK)
         axis = figure.subplots()

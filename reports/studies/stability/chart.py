@@ -9,7 +9,6 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ...charts.chart_font import chart_fonts
 from ...charts.drawn import Canvas, DrawnChart
 from ...charts.look import INK, RC, SOFT, open_axes, panel_axes
 from ...charts.palette import Style
@@ -126,7 +125,7 @@ def _write(
     columns = min(COLUMNS, len(draws))
     wide = WIDTH if len(draws) > 2 else 1.6 * WIDTH
     size = (max(columns * wide, 2 * WIDTH), rows * HEIGHT + LEGEND)
-    with mpl.rc_context(RC | {"font.family": chart_fonts(), "font.size": 8}):
+    with mpl.rc_context(RC | {"font.family": canvas.fonts, "font.size": 8}):
         figure = Figure(figsize=size, layout="constrained")
         figure.suptitle(_short(title, 80), x=0.01, ha="left", fontsize=11, color=INK)
         axes = panel_axes(figure, rows, columns, len(draws))

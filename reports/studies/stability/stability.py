@@ -7,8 +7,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from scipy.stats import binomtest
-
 from envgs_bench.settings import Gates
 
 from ...numbers.comparison import Comparison
@@ -57,6 +55,8 @@ class Cell:
         """Of the share of failures (Wilson 1927): a bootstrap of equal outcomes would claim to be certain."""
         if not self.tried:
             return None
+        from scipy.stats import binomtest  # takes a second to import
+
         found = binomtest(self.failures, len(self.tried)).proportion_ci(COVERAGE, method="wilson")
         return Interval(float(found.low), float(found.high))
 
