@@ -73,7 +73,12 @@ def test_a_preset_lies_below_data_root_and_is_refused_only_because_nothing_is_th
 @pytest.mark.skipif("ENVGS_BENCH_DATA" not in os.environ, reason="ENVGS_BENCH_DATA names no folder of real captures")
 @pytest.mark.parametrize(
     ("name", "views", "size", "points"),
-    [("fox", (43, 7), (135, 240), 14_464), ("gold_cape", (104, 15), (227, 227), 42_798)],
+    [
+        ("fox", (43, 7), (540, 960), 14_464),
+        ("gold_cape", (104, 15), (909, 909), 42_798),
+        ("lund_door", (10, 2), (646, 968), 13_630),
+        ("marble_head", (42, 6), (1007, 992), 12_604),
+    ],
 )
 def test_a_known_capture_is_read_as_its_results_say(
     name: str, views: tuple[int, int], size: tuple[int, int], points: int, tmp_path: Path
@@ -84,7 +89,7 @@ def test_a_known_capture_is_read_as_its_results_say(
     scene = load_scene(composed(f"dataset=captures/{name}", f"data_root={tmp_path}")["dataset"], tmp_path)
     assert (len(scene.train), len(scene.test)) == views
     assert {(view.camera.width, view.camera.height) for view in [*scene.train, *scene.test]} == {size}
-    assert len(scene.points) == points + 10_000
+    assert len(scene.points) == points
     assert all(("foreground" in view.masks) == (name == "gold_cape") for view in scene.test)
 
 
@@ -130,8 +135,10 @@ def test_the_papers_settings_reach_the_run() -> None:
     assert composed("dataset=toy/chrome_room")["steps"] == 3_000
     assert composed("dataset=colmap", "dataset.root=capture")["steps"] == 7_000
     assert {name: composed(f"dataset={name}")["steps"] for name in CAPTURES} == {
-        "captures/fox": 3_000,
+        "captures/fox": 7_000,
         "captures/gold_cape": 7_000,
+        "captures/lund_door": 7_000,
+        "captures/marble_head": 7_000,
     }
     assert [composed(f"dataset={name}")["steps"] for name in RENDERED] == [3_000, 3_000]
 

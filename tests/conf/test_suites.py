@@ -25,8 +25,19 @@ def test_settings_are_chosen_on_validation_views_and_judged_on_test_views() -> N
 
 
 def test_a_run_of_the_suite_is_as_long_as_its_data_set_says() -> None:
-    assert {one_run("tuning", dataset=name).steps for name in swept("tuning")["dataset"]} == {3_000}
+    steps = {name: one_run("tuning", dataset=name).steps for name in swept("tuning")["dataset"]}
+    assert steps == {name: 7_000 if name.startswith("captures/") else 3_000 for name in steps}
     assert one_run("scores", dataset="captures/gold_cape").steps == 7_000
+
+
+def test_the_suites_at_real_size_are_photographs_as_they_are_and_rendered_scenes_of_their_size() -> None:
+    photographs = [one_run("photographs", dataset=name) for name in swept("photographs")["dataset"]]
+    assert {run.steps for run in photographs} == {7_000}
+    assert {run.dataset.get("downsample", 1) for run in photographs if run.dataset["kind"] == "colmap"} == {1}
+    large = swept("photographs", "suite=large", "size=large")["dataset"]
+    rendered = [one_run("photographs", suite="large", size="large", dataset=name) for name in large]
+    assert {(run.dataset["width"], run.dataset["height"], run.steps) for run in rendered} == {(800, 600, 7_000)}
+    assert len({run.dataset["name"] for run in rendered}) == len(large)
 
 
 def test_a_room_of_other_textures_is_a_data_set_of_its_own_name() -> None:
