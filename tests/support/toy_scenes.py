@@ -20,12 +20,13 @@ GRAY = np.full((2, 2, 3), 0.5)  # an albedo
 
 @contextmanager
 def coarse_toys() -> Iterator[None]:
-    """Within it toy scenes have grainier light and coarser textures and sky: they are made sooner."""
+    """Within it toy scenes have grainier light and coarser textures and sky: they are made ten times sooner."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lighting, "GATHERED_RAYS", 16)
-        patch.setattr(textures, "TEXELS_PER_METER", 64)
-        patch.setattr(sky, "ROWS", 256)
-        patch.setattr(sky, "COLUMNS", 512)
+        patch.setattr(lighting, "GATHERED_RAYS", 9)
+        patch.setattr(lighting, "TEXEL", 0.25)
+        patch.setattr(textures, "TEXELS_PER_METER", 20)
+        patch.setattr(sky, "ROWS", 64)
+        patch.setattr(sky, "COLUMNS", 128)
         yield
 
 
