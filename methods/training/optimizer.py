@@ -17,10 +17,24 @@ def adam(groups: Sequence[dict[str, Any]]) -> torch.optim.Adam:
     """Adam of parameters on one device, a group {"params", "lr", "name"} each; `set_rate` changes a rate."""
     device = groups[0]["params"][0].device
     if device.type != "cuda":
-        return torch.optim.Adam(groups, eps=EPSILON, fused=True)
+        return HostAdam(groups, eps=EPSILON, fused=True)
     groups = [{**group, "lr": torch.full((), group["lr"], device=device)} for group in groups]
     kind = torch.optim.Adam if cuda.why_unavailable() else KernelAdam
     return kind(groups, eps=EPSILON, fused=True, capturable=True)
+
+
+# PyTorch keeps its compiler away from these four; to do so it imports it, which takes longer than a short training.
+# Nothing here is compiled by it: as they are marked, they are called as they stand.
+for _method in ("add_param_group", "load_state_dict", "state_dict", "zero_grad"):
+    _function = getattr(getattr(torch.optim.Optimizer, _method), "__wrapped__", None)
+    if _function is not None:
+        _function.__dynamo_disable = _function
+
+
+class HostAdam(torch.optim.Adam):
+    """PyTorch's Adam on a CPU, its step without what lets the compiler break a graph there."""
+
+    step = torch.no_grad()(getattr(torch.optim.Adam.step, "__wrapped__", torch.optim.Adam.step))
 
 
 class KernelAdam(torch.optim.Adam):
