@@ -1,4 +1,4 @@
-# make install | weights | demo | test | test-slow | lint | api | bench | clean. Needs Python 3.11+, a C++ compiler and make.
+# make install | tools | weights | demo | test | test-slow | lint | api | bench | clean. Needs Python 3.11+, a C++ compiler and make.
 PYTHON ?= python3
 VENV ?= .venv
 # Waiting threads sleep: two programs that spin on one machine slow each other tenfold.
@@ -12,7 +12,7 @@ WEIGHTS := $(VENV)/.weights
 SOURCES := pyproject.toml constraints.txt CMakeLists.txt \
 	$(wildcard envgs_bench/core/cpu/*.cpp envgs_bench/core/cpu/*.h envgs_bench/core/kernels/*.h)
 
-.PHONY: install weights demo test test-slow lint api bench clean
+.PHONY: install tools weights demo test test-slow lint api bench clean
 .NOTPARALLEL: # one installation at a time
 
 install: $(RUNTIME)
@@ -27,6 +27,8 @@ $(BIN)/python:
 $(RUNTIME): $(BIN)/python $(SOURCES)
 	$(PIP) --no-compile $(PIP_FLAGS) -e .
 	@touch $@
+
+tools: $(TOOLS)
 
 # What tests, checks and pages of the code need besides, and the native core for every kind of CPU.
 $(TOOLS): $(BIN)/python $(SOURCES)
