@@ -28,9 +28,11 @@ SEEN = 0.1  # pixels: one that shows
 FAR_OUT = 4  # times their spread that the cameras' middle must be from the origin: nearer, moving them gains no digits
 FARTHEST = 1e15  # units from the origin
 NEAR_PLANE = 0.2  # methods' own: what is nearer is not drawn
+LEAST = 1.5 * NEAR_PLANE  # distance of the nearest things that cameras see
 LARGEST = 2000.0  # usual distance of what cameras see: ten thousand near planes
 USUAL = 4.0  # that distance, or up to twice as much, once a world has been given a usual size
-DIGITS = 1e-3  # of float32's spacing: numbers this close to float32's are float32's
+DIGITS = (6, 7)  # that programs print of float32 numbers
+LEAST_ROUNDED, ROUNDING = 8, 1e-3  # so many numbers all this close to multiples of a step were rounded to it
 
 
 def placement_of(sights: Sights, source: object) -> Placement:
@@ -48,9 +50,10 @@ def _placement(sights: Sights, source: object) -> Placement:
     scale = 1.0 if depths is None else _scale(*depths)
     _note_lost_digits(sights, depths, shift, source)
     if any(shift):
+        out = float(np.abs(sights.middle).max())
         note(
-            f"{source}: the cameras are {float(np.abs(sights.middle).max()):,.6g} units from the origin, where float32 "
-            f"costs digits: the world is moved, its origin is at ({', '.join(f'{x:.15g}' for x in shift)}) of the "
+            f"{source}: the cameras are {_count(out)} units from the origin, where float32 costs digits: the world is "
+            f"moved, its origin is at ({', '.join(f'{x:.15g}' for x in shift)}) of the "
             "data; exports give the data's own coordinates"
         )
     if scale != 1 and depths is not None:
@@ -91,6 +94,10 @@ def _placed_view(view: View, placement: Placement) -> View:
     return replace(view, camera=Camera(pose, camera.intrinsics.float(), camera.width, camera.height), depth=depth)
 
 
+def _count(length: float) -> str:
+    return f"{length:,.0f}" if length >= 1000 else f"{length:.3g}"
+
+
 def _shift(sights: Sights, depths: tuple[float, float] | None) -> tuple[float, float, float]:
     """What is to be the origin: (0, 0, 0) unless cameras are far from it and float32's spacing there may show."""
     middle, spread = sights.middle, sights.spread
@@ -105,10 +112,10 @@ def _shift(sights: Sights, depths: tuple[float, float] | None) -> tuple[float, f
 
 def _scale(nearest: float, usual: float) -> float:
     """The power of two that is to be the world's unit: 1 unless near planes hide what is seen, or all is far off."""
-    if nearest >= NEAR_PLANE and usual <= LARGEST:
+    if nearest >= LEAST and usual <= LARGEST:
         return 1.0
-    unit = 2.0 ** math.floor(math.log2(min(usual / USUAL, nearest / (2 * NEAR_PLANE))))
-    return unit if nearest < NEAR_PLANE else max(unit, 1.0)
+    unit = 2.0 ** math.floor(math.log2(min(usual / USUAL, nearest / LEAST)))
+    return unit if nearest < LEAST else max(unit, 1.0)
 
 
 def _pixels(distance: float, sights: Sights, depth: float) -> float:
@@ -121,27 +128,33 @@ def _note_lost_digits(
 ) -> None:
     """Note digits that were lost before, or that no place of the world can keep."""
     nearest = depths[0] if depths else sights.spread or 1.0
-    out = float(np.abs(sights.middle).max())
-    if any(shift) and _pixels(out, sights, nearest) > SEEN:
-        rounded = [
-            name for name, at in (("cameras", sights.centers), ("points", sights.points)) if len(at) and _is_float32(at)
-        ]
-        if rounded:
+    for name, places in (("cameras", sights.centers), ("points", sights.points)):
+        step = max((_rounded_to(axis) for axis in places.T), default=0.0) if any(shift) else 0.0
+        if step * sights.focal / nearest > SEEN:
             note(
-                f"{source}: the {' and '.join(rounded)} have the digits of float32 only, off by up to "
-                f"{_pixels(out, sights, nearest) / 2:.2g} pixels so far from the origin; export them in double "
-                "precision, or nearer to their origin"
+                f"{source}: the {name} are rounded to {step:.3g} units, {step * sights.focal / nearest:.2g} pixels: so "
+                "far from the origin float32, or few digits, hold no more; export them in double precision with all "
+                "digits, or nearer to their origin"
             )
     reach = float(np.quantile(np.abs(sights.centers - shift).max(axis=1), 0.9))
-    double = float(np.spacing(out)) * sights.focal / nearest
-    if max(_pixels(reach, sights, nearest), double) > SEEN:
+    held = max(float(np.spacing(np.float32(reach))), float(np.spacing(np.abs(sights.middle).max())))
+    if held * sights.focal / nearest > SEEN:
         note(
             f"{source}: the cameras are too far apart, or too far out, for what they see at {nearest:.3g} units: "
-            f"positions are off by up to {max(_pixels(reach, sights, nearest), double):.2g} pixels; take a part of the "
-            "data, or give them an origin nearby"
+            f"positions are rounded to {held * sights.focal / nearest:.2g} pixels; take a part of the data, or give "
+            "them an origin nearby"
         )
 
 
-def _is_float32(values: Array) -> bool:
-    single = values.astype(np.float32)
-    return bool((np.abs(values - single) <= DIGITS * np.spacing(np.abs(single))).all())
+def _rounded_to(values: Array) -> float:
+    """What the coordinates [N] were rounded to: float32's spacing there, or so many decimal digits; 0: to neither."""
+    least, most = np.abs(values).min(initial=np.inf), np.abs(values).max(initial=0)
+    if len(values) < LEAST_ROUNDED or not 0 < least < np.inf:
+        return 0.0
+    place = math.floor(math.log10(most)) + 1
+    for step in (*(10.0 ** (place - digits) for digits in DIGITS), float(np.spacing(np.float32(least)))):
+        multiples = values / step
+        exact = bool((np.abs(multiples - np.round(multiples)) < ROUNDING).all())
+        if exact and np.ptp(values) > step / 2:
+            return step
+    return 0.0
