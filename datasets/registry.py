@@ -16,6 +16,7 @@ from .consistency.scenes import check_scene
 from .errors import DatasetError
 from .formats.pictures import PICTURE_EXTENSIONS
 from .placing import placed_scene
+from .regions import check_regions
 from .settings import SceneSettings, SourceSettings, parse_dataset_settings, require_folder
 from .split import with_validation
 
@@ -57,6 +58,8 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     """
     source, stated = _accepted(settings)
     scene = source(own_settings(settings), Path(cache_dir))
+    if settings["kind"] != "toy":  # of whose regions some are known to be empty
+        check_regions(scene)
     if settings["kind"] not in BUILT_IN:
         scene = placed_scene(scene)  # sources of ours have done so, before anything was float32
     check_scene(scene)

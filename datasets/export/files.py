@@ -30,10 +30,10 @@ def write_views(root: Path, views: Sequence[ViewFiles]) -> None:
     """RGB PNGs with the pictures' bytes as they are, masks and normals, in parallel.
 
     Masks lie in masks/ for the region `foreground` and in masks_<region>/ for others, white inside. A folder is
-    complete: where a view lacks a region, its mask is black, which scores nothing, as before. Normals are float32
-    [H, W, 3] `.npy`, world frame: eight bits would cost a fifth of a degree.
+    complete: where a view lacks a region, its mask is black, which scores nothing, as before; a region that is empty
+    in all has none. Normals are float32 [H, W, 3] `.npy`, world frame: eight bits would cost a fifth of a degree.
     """
-    regions = sorted({region for files in views for region in files.view.masks})
+    regions = sorted({region for files in views for region, mask in files.view.masks.items() if mask.any()})
 
     def write(files: ViewFiles) -> None:
         view = files.view

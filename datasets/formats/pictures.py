@@ -1,4 +1,4 @@
-"""Pictures as files of anybody's, read as photographs, masks and normal maps need them: every mode that has a place in
+"""Pictures as files of anybody's, read as photographs and normal maps need them: every mode that has a place in
 sRGB, turned where asked for, on a background where transparent. What is wrong with a file is said, nothing is guessed.
 """
 
@@ -21,6 +21,7 @@ Bytes = NDArray[np.uint8]
 Color = tuple[float, float, float]
 
 PICTURE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".bmp", ".tif", ".tiff")
+LOSSY = ("JPEG", "WEBP")  # formats whose pixels may be others than those that were saved
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "PPM", "GIF")  # by content; Pillow knows some that start programs
 EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "YCbCr")  # modes of 8 bits a channel or fewer
 SIXTEEN_BITS = ("I;16", "I;16L", "I;16B", "I;16N", "I")
@@ -43,7 +44,7 @@ def read_header(path: Path) -> Header:
     Raises:
         DatasetError: the file is no picture.
     """
-    with _opened(path) as image:
+    with opened_picture(path) as image:
         return Header(*image.size, image.getexif().get(ExifTags.Base.Orientation) in TURNED, image.mode)
 
 
@@ -69,18 +70,8 @@ def read_picture(path: Path, background: Color, turn: bool = False) -> tuple[Byt
     return laid.astype(np.uint8), pixels[..., 3] == 255
 
 
-def read_mask(path: Path) -> NDArray[np.bool_]:
-    """The mask [H, W]. Inside is the brighter half of the gray scale, or 1 among 0 and 1; transparent is outside.
-
-    Raises:
-        DatasetError: as `read_picture`.
-    """
-    values = np.asarray(Image.fromarray(read_picture(path, (0.0, 0.0, 0.0))[0]).convert("L"))
-    return values >= (128 if values.max() > 1 else 1)
-
-
 def _decoded(path: Path, turn: bool) -> Image.Image:
-    with _opened(path) as image:
+    with opened_picture(path) as image:
         image.load()
         picture = ImageOps.exif_transpose(image) if turn else image
     if picture.mode in SIXTEEN_BITS:
@@ -102,12 +93,13 @@ def _eight_bits(image: Image.Image, path: Path) -> Image.Image:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Image.Image]:
+def opened_picture(path: Path) -> Iterator[Image.Image]:
+    """The file as Pillow opens it, not decoded yet; raises DatasetError for what is none, within the block too."""
     try:
         require_regular(path)
         with Image.open(path, formats=FORMATS) as image:
             yield image
-    except MemoryError:
+    except (MemoryError, DatasetError):
         raise
     except Exception as error:  # Pillow raises whatever foreign bytes lead it to
         raise DatasetError(f"{path}: cannot be decoded ({error}); replace it by an intact image") from error

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
 from ..errors import DatasetError, listed
+from .mask_file import mask_size
 
 
 class Siblings:
@@ -46,7 +47,36 @@ class Siblings:
 
 
 def region_folders(root: Path) -> dict[str, Path]:
-    """Regions by name, each a folder of masks: `masks/` is `foreground`, `masks_<region>/` is <region>."""
-    folders = {"foreground": root / "masks"}
-    folders |= {path.name.removeprefix("masks_"): path for path in sorted(root.glob("masks_?*"))}
-    return {region: path for region, path in folders.items() if path.is_dir()}
+    """Regions by name, each a folder of masks: `masks/` is `foreground`, `masks_<region>/` is <region>.
+
+    `masks_2/` beside `masks/`, and `masks_<region>_2/` beside `masks_<region>/`, are no regions but reduced copies.
+
+    Raises:
+        DatasetError: a folder is called as a reduced copy of masks, and is none.
+    """
+    found = [path for path in [root / "masks", *sorted(root.glob("masks_?*"))] if path.is_dir()]
+    regions = [path for path in found if not _is_reduced_copy(path)]
+    return {"foreground" if path.name == "masks" else path.name.removeprefix("masks_"): path for path in regions}
+
+
+def _is_reduced_copy(folder: Path) -> bool:
+    base, _, factor = folder.name.rpartition("_")
+    if not factor.isdecimal():
+        return False
+    whole = folder.with_name(base)
+    if not whole.is_dir():
+        if base != "masks":
+            return False
+        raise DatasetError(
+            f"{folder}: is called as a reduced copy of {whole.name}/, which is not there; rename it to masks/, or to "
+            "masks_<region>/"
+        )
+    copies = Siblings(folder)
+    pairs = [(path, copy) for path in Siblings(whole).files if (copy := copies.find(path.name)) is not None]
+    reduced = not pairs or mask_size(pairs[0][1]) < mask_size(pairs[0][0])
+    if base == "masks" and not reduced:
+        raise DatasetError(
+            f"{folder}: is called as a copy of {whole.name}/ reduced {factor} times, and is of its size; rename "
+            "it to masks_<region>/, or move it away"
+        )
+    return reduced

@@ -158,9 +158,10 @@ class FrameFile:
         return clean_name(frame["file_path"], self.path)
 
     def _masks(self, frame: dict[str, Any]) -> dict[str, Path]:
-        if not frame.get("mask_path"):
+        named = frame.get("mask_path") or self.shared.get("mask_path")
+        if not named:
             return {}
-        path = path_below(self.root, str(frame["mask_path"]), self.path)
+        path = path_below(self.root, str(named), self.path)
         if not path.is_file():
             raise DatasetError(f"{self.path}: names the mask {path}, which is not there; add it, or drop mask_path")
         return {"foreground": path}

@@ -14,6 +14,7 @@ import pycolmap
 from ..consistency.intrinsics import check_intrinsics
 from ..consistency.lenses import check_lenses
 from ..errors import DatasetError, listed
+from ..formats.mask_file import mask_size
 from ..formats.photograph import Photograph
 from ..formats.pictures import read_header
 from ..notes import note
@@ -96,7 +97,7 @@ def _check_siblings(photographs: Sequence[Photograph]) -> None:
     """Masks and normals have their picture's shape; where they have another size, that is noted."""
     others: dict[Path, list[str]] = defaultdict(list)
     for photograph in photographs:
-        sizes = ((path, _size(path)) for path in photograph.masks.values())
+        sizes = ((path, mask_size(path)) for path in photograph.masks.values())
         normal = photograph.normal
         for path, size in chain(sizes, [(normal.path, normal.size())] if normal else []):
             camera = photograph.camera
@@ -109,8 +110,3 @@ def _check_siblings(photographs: Sequence[Photograph]) -> None:
                 others[path.parent].append(path.name)
     for folder, names in others.items():
         note(f"{folder}: resampled, being of another size than the images: {listed(sorted(names))}")
-
-
-def _size(path: Path) -> tuple[int, int]:
-    header = read_header(path)
-    return header.width, header.height

@@ -24,15 +24,17 @@ def with_siblings(photographs: Sequence[Photograph], root: Path, frame: Frame) -
 
 
 def with_masks(photographs: Sequence[Photograph], root: Path) -> list[Photograph]:
-    """The photographs with the masks below `root`; those that a photograph has already stay.
+    """The photographs with the masks below `root`, of regions that their own data name no masks of.
 
     Raises:
         DatasetError: a folder lacks a file for some of them, or holds several for one.
     """
     result = list(photographs)
     for region, folder in region_folders(root).items():
-        paths = Siblings(folder).find_all(photograph.name for photograph in photographs)
-        result = [replace(p, masks={region: path, **p.masks}) for p, path in zip(result, paths, strict=True)]
+        lacking = [photograph.name for photograph in result if region not in photograph.masks]
+        if lacking:
+            paths = dict(zip(lacking, Siblings(folder).find_all(lacking), strict=True))
+            result = [p if region in p.masks else replace(p, masks={**p.masks, region: paths[p.name]}) for p in result]
     return result
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 import pycolmap
@@ -12,9 +14,10 @@ from numpy.typing import NDArray
 from envgs_bench.core import Camera, View
 
 from ..errors import DatasetError
+from ..formats.masks import Coding, mask_codings, read_mask
 from ..formats.normal_maps import world_normals
 from ..formats.photograph import Photograph
-from ..formats.pictures import Color, read_mask, read_picture
+from ..formats.pictures import Color, read_picture
 from ..progress import streamed
 from .exposure import brightened
 from .resampling import resample
@@ -24,7 +27,9 @@ OPAQUE_SHARE = 0.999  # share of a pixel that counts as all of it: floats do not
 ROUNDING = 1e-14  # relative error of float64 numbers after some operations
 
 
-def read_views(photographs: Sequence[Photograph], downsample: float, background: Color) -> Iterator[View]:
+def read_views(
+    photographs: Sequence[Photograph], downsample: float, background: Color, mask_labels: Sequence[int | str] = ()
+) -> Iterator[View]:
     """The photographs as views, in the given order, one after the other while others are read in parallel.
 
     Pictures, masks and normals are undistorted, then shrunk by area.
@@ -33,14 +38,22 @@ def read_views(photographs: Sequence[Photograph], downsample: float, background:
         photographs: fitted to their files (`fit_to_files`).
         downsample: ≥ 1: pictures are this many times smaller.
         background: sRGB, behind transparent ones.
+        mask_labels: what is inside where masks hold labels, see `mask_codings`.
 
     Raises:
-        DatasetError: any file that cannot be read; the message names it.
+        DatasetError: any file that cannot be read; the message names it. Or masks without a meaning.
     """
-    return streamed("reading images", lambda photograph: _view(photograph, downsample, background), photographs)
+    regions: dict[str, list[Path]] = defaultdict(list)
+    for photograph in photographs:
+        for region, path in photograph.masks.items():
+            regions[region].append(path)
+    codings = mask_codings(regions, mask_labels)
+    return streamed(
+        "reading images", lambda photograph: _view(photograph, downsample, background, codings), photographs
+    )
 
 
-def _view(photograph: Photograph, downsample: float, background: Color) -> View:
+def _view(photograph: Photograph, downsample: float, background: Color, codings: Mapping[str, Coding]) -> View:
     camera = _camera(photograph, downsample)
 
     def fitted(pixels: NDArray) -> torch.Tensor:
@@ -57,7 +70,7 @@ def _view(photograph: Photograph, downsample: float, background: Color) -> View:
         name=photograph.view_name,
         camera=camera,
         image=fitted(picture),
-        masks={region: fitted(read_mask(path)) for region, path in photograph.masks.items()},
+        masks={region: fitted(read_mask(path, codings[region])) for region, path in photograph.masks.items()},
         normal=normal,
     )
 

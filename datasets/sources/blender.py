@@ -27,7 +27,7 @@ from ..split import validation_of, without_normals
 from ..store.scene_file import on_disk
 from .capture import CaptureSettings, Channel, Missing, cached_capture, files_of, refuse_missing
 
-VERSION = 3  # raise it with every change that alters a scene
+VERSION = 4  # raise it with every change that alters a scene
 TRANSFORMS = ("transforms_train.json", "transforms_test.json")
 POINTS = "points3d.ply"  # what 3DGS writes beside such a scene
 BOX, CAMERAS_OUT = (
@@ -75,7 +75,7 @@ def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         measured = read_point_cloud(root / POINTS) if (root / POINTS).is_file() else None
         placed, placement = placed_photographs(fit_to_files(photographs), measured, root)
         cloud = placed_cloud(measured, placement) if measured else _random_points(choice, placed, placement)
-        views = on_disk(read_views(placed, choice.downsample, choice.background))
+        views = on_disk(read_views(placed, choice.downsample, choice.background, choice.mask_labels))
         train, test = views[: len(learned)], views[len(learned) :]
         val = validation_of(train)
         if not choice.train_normals:

@@ -26,6 +26,7 @@ from ..store.contents import digest_of
 from ..store.scene_file import on_disk
 
 Missing = Literal["refuse", "skip"]
+MaskLabel = int | Annotated[str, Field(pattern="^#[0-9a-fA-F]{6}$")]  # a number, or a color
 Channel = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -35,6 +36,7 @@ class CaptureSettings(SourceSettings):
     root: Path
     downsample: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 1.0  # pictures are this many times smaller
     background: tuple[Channel, Channel, Channel] = (0.0, 0.0, 0.0)  # sRGB
+    mask_labels: tuple[MaskLabel, ...] = ()  # those inside, where masks hold more than two values
     normal_estimator: str | None = None  # package.module:function, for the training views
 
     @property
@@ -107,7 +109,7 @@ def make_scene(
     measured = cloud if isinstance(cloud, PointCloud) else None
     fitted, placement = placed_photographs(fit_to_files(photographs), measured, source)
     started = placed_cloud(cloud, placement) if isinstance(cloud, PointCloud) else cloud.placed(placement)
-    views = on_disk(read_views(fitted, settings.downsample, settings.background))
+    views = on_disk(read_views(fitted, settings.downsample, settings.background, settings.mask_labels))
     train, test = split_views(views, str(source))
     val = validation_of(train)
     if not settings.exact_normals:

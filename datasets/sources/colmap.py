@@ -23,7 +23,7 @@ from ..photographs.siblings import sibling_files, with_siblings
 from ..settings import parse_dataset_settings, require_folder
 from .capture import Missing, PhotographSettings, cached_capture, make_scene, refuse_missing
 
-VERSION = 5  # raise it with every change that alters a scene
+VERSION = 6  # raise it with every change that alters a scene
 
 
 class ColmapSettings(PhotographSettings):

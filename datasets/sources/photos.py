@@ -24,7 +24,7 @@ from ..settings import parse_dataset_settings, require_folder
 from ..store.contents import digest_of
 from .capture import PhotographSettings, cached_capture, make_scene
 
-VERSION = 4  # raise it with every change that alters a scene
+VERSION = 5  # raise it with every change that alters a scene
 MODEL_VERSION = 1  # and this with every change that alters a reconstruction
 
 

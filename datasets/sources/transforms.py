@@ -25,7 +25,7 @@ from ..settings import parse_dataset_settings, require_folder
 from ..store.contents import digest_of
 from .capture import Missing, PhotographSettings, cached_capture, files_of, make_scene, refuse_missing
 
-VERSION = 4  # raise it with every change that alters a scene
+VERSION = 5  # raise it with every change that alters a scene
 MODEL_VERSION = 1  # and this with every change that alters a model
 FEATURE_SIZE = 3200  # pixels along the longer side, for finding features: COLMAP's own
 NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # instant-ngp's defaults; aabb_scale enlarges its box [0, 1]³ around the middle

@@ -26,8 +26,9 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from envgs_bench.datasets import DatasetError, load_scene
+from envgs_bench.datasets.formats.mask_file import read_mask_file
 from envgs_bench.datasets.formats.normal_maps import NormalMap
-from envgs_bench.datasets.formats.pictures import read_header, read_mask, read_picture
+from envgs_bench.datasets.formats.pictures import read_header, read_picture
 from envgs_bench.datasets.formats.point_clouds import read_point_cloud
 
 BLACK = (0.0, 0.0, 0.0)
@@ -36,7 +37,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "header": read_header,
     "picture": lambda path: read_picture(path, BLACK),
     "turned": lambda path: read_picture(path, BLACK, turn=True),
-    "mask": read_mask,
+    "mask": read_mask_file,
     "normals": lambda path: NormalMap(path).read(None),
     "size": lambda path: NormalMap(path).size(),
 }
@@ -483,6 +484,7 @@ from pathlib import Path
 from envgs_bench.datasets import DatasetError
 from envgs_bench.datasets.formats.colmap_model import Model
 from envgs_bench.datasets.formats.normal_maps import NormalMap
+from envgs_bench.datasets.formats.mask_file import read_mask_file
 from envgs_bench.datasets.formats.pictures import read_picture
 from envgs_bench.datasets.formats.point_clouds import read_point_cloud
 from envgs_bench.methods.storage.ply import read_ply

@@ -15,7 +15,7 @@ from skimage.transform import resize_local_mean
 
 from envgs_bench.core import View
 from envgs_bench.datasets import DatasetError, load_scene
-from envgs_bench.datasets.formats.pictures import read_header, read_mask, read_picture
+from envgs_bench.datasets.formats.pictures import read_header, read_picture
 from envgs_bench.datasets.photographs.resampling import resample
 from envgs_bench.datasets.photographs.undistortion import undistort, undistorted_camera
 
@@ -70,21 +70,6 @@ def test_sixteen_bits_of_color(tmp_path: Path) -> None:
     parts = [chunk(b"IHDR", header), chunk(b"IDAT", zlib.compress(lines)), chunk(b"IEND", b"")]
     (tmp_path / "c.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(parts))
     np.testing.assert_array_equal(pixels_of(tmp_path / "c.png"), gradient())
-
-
-def test_masks_of_any_depth(tmp_path: Path) -> None:
-    inside = gradient()[..., 0] > 100
-    for name, values in {
-        "bits.png": inside,
-        "ones.png": inside.astype(np.uint8),
-        "bytes.png": np.where(inside, 255, 0).astype(np.uint8),
-        "words.png": np.where(inside, 65535, 0).astype(np.uint16),
-        "colors.png": np.where(inside[..., None], 255, 0).astype(np.uint8).repeat(3, axis=-1),
-    }.items():
-        np.testing.assert_array_equal(read_mask(save(tmp_path / name, values)), inside, err_msg=name)
-    cut_out = np.full((*inside.shape, 4), 255, np.uint8)  # white, and transparent outside
-    cut_out[..., 3] = np.where(inside, 255, 0)
-    np.testing.assert_array_equal(read_mask(save(tmp_path / "cut_out.png", cut_out)), inside)
 
 
 def cmyk(path: Path) -> None:

@@ -199,13 +199,26 @@ def test_masks_of_the_frames(root: Path) -> None:
     refused(root, r"names the mask .*m/none\.png, which is not there")
 
 
+def test_what_frames_name_counts_before_the_masks_of_a_folder(root: Path) -> None:
+    """One mask for all frames too, which lies in that folder."""
+    (root / "masks").mkdir()
+    inside = gradient()[..., 0] > 100
+    Image.fromarray(np.where(inside, 255, 0).astype(np.uint8)).save(root / "masks/mask.png")
+    for index in range(len(NAMES)):
+        change_frame(root, index, mask_path="masks/mask.png")
+    for view in load(root).train:
+        np.testing.assert_array_equal(view.masks["foreground"], inside)
+
+
 def test_masks_and_normals_beside_the_images(root: Path) -> None:
     for folder in ("masks", "normals"):
         (root / folder).mkdir()
         for name in NAMES:
-            Image.fromarray(np.full((HEIGHT, WIDTH, 3), [128, 128, 0], dtype=np.uint8)).save(root / folder / name)
+            pixels = np.full((HEIGHT, WIDTH, 3), [128, 128, 0], dtype=np.uint8)
+            pixels[:10] = 0 if folder == "masks" else pixels[:10]
+            Image.fromarray(pixels).save(root / folder / name)
     view = load(root).train[0]
-    assert not view.masks["foreground"].any()
+    assert view.masks["foreground"][10:].all() and not view.masks["foreground"][:10].any()
     np.testing.assert_allclose(view.normal[20, 20], [0, 0, -1], atol=0.01)
 
 
