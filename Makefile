@@ -41,8 +41,9 @@ weights: $(WEIGHTS)
 $(WEIGHTS): | $(RUNTIME)
 	@$(BIN)/envgs-bench weights && touch $@ || echo "warning: no weights of VGG-16, LPIPS will read n/c"
 
+# A run a core.
 demo: install weights
-	$(BIN)/envgs-bench run -m experiment=demo runs_dir=out/demo/runs
+	$(BIN)/envgs-bench run -m experiment=demo hydra/launcher=joblib runs_dir=out/demo/runs
 	$(BIN)/envgs-bench report out/demo/runs --out out/demo
 	@cat out/demo/table.md
 
