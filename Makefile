@@ -54,7 +54,9 @@ test: $(TOOLS) weights
 test-slow: $(TOOLS)
 	$(BIN)/python -m pytest -m slow
 
+NATIVE := find envgs_bench/core tests/support -name '*.cpp' -o -name '*.h' -o -name '*.cu' -o -name '*.cuh'
 lint: $(TOOLS)
+	$(NATIVE) | xargs $(BIN)/clang-format --dry-run --Werror
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/codespell

@@ -103,8 +103,8 @@ std::pair<BuildPart, BuildPart> split(std::vector<Item>& items, const BuildPart&
         float cost = box.area() * leaves_for(count) + right_cost[bin];
         if (cost < best_cost) best_cost = cost, best = bin;
     }
-    // The ends of the centroids' box fall into the first and the last bin, so some plane has surfels on both sides; none
-    // is best where the boxes' areas are too large for a float.
+    // The ends of the centroids' box fall into the first and the last bin, so some plane has surfels on both sides;
+    // none is best where the boxes' areas are too large for a float.
     if (best < 0) return halves();
     BuildPart left{part.begin, part.begin, {}, {}}, right{part.end, part.end, {}, {}};
     for (int bin = 0; bin < bins; ++bin) (bin < best ? left : right).box.add(boxes[bin]);

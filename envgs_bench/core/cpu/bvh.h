@@ -30,9 +30,8 @@ struct alignas(64) BvhLeaf {
 class Bvh {
 public:
     // Boxes are exact around each surfel's supporting disc. The hierarchy depends on the set alone, not on `threads`.
-    Bvh(
-        const Gaussians& gaussians,  // surfels
-        int threads  // workers that build it
+    Bvh(const Gaussians& gaussians,  // surfels
+        int threads                  // workers that build it
     );
 
     std::vector<TracedSurfel> surfels;  // by primitive index; support < 0 where never visible

@@ -61,14 +61,13 @@ inline Vec3<Float8> see_colors_backward(const float* const (&sh)[kGroup], int co
     return normalize_backward(seen.direction, seen.inverse_length, sh_basis_backward<Degree>(seen.direction, g_basis));
 }
 
-// From dL/dcolor, adds dL/dsh to each lane's g_sh, rows of four [K][4], which so never overlap; returns dL/dv, 0 in lanes
-// from `count` on.
+// From dL/dcolor, adds dL/dsh to each lane's g_sh, rows of four [K][4], which so never overlap; returns dL/dv, 0 in
+// lanes from `count` on.
 inline Vec3<Float8> see_colors_backward(int coefficients, const float* const (&sh)[kGroup], int count,
                                         const SeenColors& seen, const Float4 (&gradient)[kGroup],
                                         float* const (&g_sh)[kGroup]) {
-    return with_degree(coefficients, [&](auto degree) {
-        return see_colors_backward<degree>(sh, count, seen, gradient, g_sh);
-    });
+    return with_degree(coefficients,
+                       [&](auto degree) { return see_colors_backward<degree>(sh, count, seen, gradient, g_sh); });
 }
 
 }  // namespace envgs

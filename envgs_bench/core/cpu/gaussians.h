@@ -23,7 +23,7 @@ struct Gaussians {
 // The same arrays to be filled with gradients; zeroed by the caller.
 struct GaussianGradients {
     float *means, *quaternions, *scales, *opacities, *sh, *extras;  // shapes as in Gaussians
-    float* position_gradients;  // [N, 3] Σ t·dL/dmean, world frame
+    float* position_gradients;                                      // [N, 3] Σ t·dL/dmean, world frame
 };
 
 inline Quaternion<float> quaternion_at(const Gaussians& g, int i) {
@@ -50,9 +50,8 @@ inline Vec3<float> color_at(const Gaussians& g, int i, Vec3<float> v) {
 inline Vec3<float> color_backward_at(const Gaussians& g, int i, Vec3<float> v, Vec3<float> color, Vec3<float> gradient,
                                      float* g_sh) {
     const float* sh = g.sh + 3l * g.sh_coefficients * i;
-    return with_degree(g.sh_coefficients, [&](auto degree) {
-        return sh_color_backward<degree>(sh, v, color, gradient, g_sh);
-    });
+    return with_degree(g.sh_coefficients,
+                       [&](auto degree) { return sh_color_backward<degree>(sh, v, color, gradient, g_sh); });
 }
 
 }  // namespace envgs

@@ -33,12 +33,23 @@ using PixelFloat = LaneTypes<kPixelLanes>::Float;
 using PixelInt = LaneTypes<kPixelLanes>::Int;
 
 template <class F> struct LanesOf;
-template <> struct LanesOf<LaneTypes<4>::Float> { static constexpr int width = 4; using Int = LaneTypes<4>::Int; };
-template <> struct LanesOf<LaneTypes<8>::Float> { static constexpr int width = 8; using Int = LaneTypes<8>::Int; };
-template <> struct LanesOf<LaneTypes<16>::Float> { static constexpr int width = 16; using Int = LaneTypes<16>::Int; };
+template <> struct LanesOf<LaneTypes<4>::Float> {
+    static constexpr int width = 4;
+    using Int = LaneTypes<4>::Int;
+};
+template <> struct LanesOf<LaneTypes<8>::Float> {
+    static constexpr int width = 8;
+    using Int = LaneTypes<8>::Int;
+};
+template <> struct LanesOf<LaneTypes<16>::Float> {
+    static constexpr int width = 16;
+    using Int = LaneTypes<16>::Int;
+};
 
 template <class F, class I = typename LanesOf<F>::Int>
-inline F select(I mask, F a, F b) { return mask ? a : b; }
+inline F select(I mask, F a, F b) {
+    return mask ? a : b;
+}
 // One instruction where x86 has it, which says the same of NaN and of two zeros: b. The compiler makes two of it.
 template <class F, class = LanesOf<F>>
 inline F minimum(F a, F b) {
@@ -69,7 +80,9 @@ inline F maximum(F a, F b) {
     return a > b ? a : b;
 }
 template <class F, class I = typename LanesOf<F>::Int>
-inline F absolute(F a) { return (F)((I)a & 0x7fffffff); }
+inline F absolute(F a) {
+    return (F)((I)a & 0x7fffffff);
+}
 
 template <class F>
 inline F load_lanes(const float* p) {
@@ -78,7 +91,9 @@ inline F load_lanes(const float* p) {
     return out;
 }
 template <class T, class F>
-inline void store_lanes(T* p, F value) { std::memcpy(p, &value, sizeof value); }
+inline void store_lanes(T* p, F value) {
+    std::memcpy(p, &value, sizeof value);
+}
 
 // Bit i is set where lane i of the mask is.
 inline unsigned mask_bits(LaneTypes<4>::Int mask) {
@@ -148,8 +163,14 @@ template <int M>
 inline Int8 larger_first(Int8 x) {
 #if defined(__AVX2__)
     Int8 other = __builtin_shufflevector(x, x, 0 ^ M, 1 ^ M, 2 ^ M, 3 ^ M, 4 ^ M, 5 ^ M, 6 ^ M, 7 ^ M);
-    constexpr Int8 front = {-1, 1 < (1 ^ M) ? -1 : 0, 2 < (2 ^ M) ? -1 : 0, 3 < (3 ^ M) ? -1 : 0,
-                            4 < (4 ^ M) ? -1 : 0, 5 < (5 ^ M) ? -1 : 0, 6 < (6 ^ M) ? -1 : 0, 0};
+    constexpr Int8 front = {-1,
+                            1 < (1 ^ M) ? -1 : 0,
+                            2 < (2 ^ M) ? -1 : 0,
+                            3 < (3 ^ M) ? -1 : 0,
+                            4 < (4 ^ M) ? -1 : 0,
+                            5 < (5 ^ M) ? -1 : 0,
+                            6 < (6 ^ M) ? -1 : 0,
+                            0};
     return front ? (x > other ? x : other) : (x < other ? x : other);
 #else
     constexpr int m = M & 3;  // within a half; the compiler shuffles what is wider than a register lane by lane

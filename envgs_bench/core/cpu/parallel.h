@@ -34,9 +34,10 @@ inline bool threads_can_be_had(int count) {
 }
 #endif
 
-// From now on threads that wait for others, torch's too, sleep. By default GNU's runtime lets them spin for milliseconds,
-// and beside another program they spin while that holds the core of the one they wait for. It has no call for this once
-// it is loaded, but spins a hundred times only where there are more threads than CPUs: so there are, asleep.
+// From now on threads that wait for others, torch's too, sleep. By default GNU's runtime lets them spin for
+// milliseconds, and beside another program they spin while that holds the core of the one they wait for. It has no call
+// for this once it is loaded, but spins a hundred times only where there are more threads than CPUs: so there are,
+// asleep.
 //
 // That costs no time and next to no memory, but the addresses of a stack a thread (8 MB as most systems are set up),
 // which RLIMIT_AS and RLIMIT_DATA count, and CPUs + 1 of the threads that a user or a container may have. The runtime

@@ -1,8 +1,8 @@
 // Primitives are sorted by depth once and binned into tiles in that order, so that the tiles' lists need no sort of
 // their own. A tile is drawn by one thread, primitive by primitive, W pixels of a row at a time, with all sums of its
 // pixels in the first-level cache. Which of these runs a primitive touches is known beforehand, a bit each, so that
-// nearly all that is evaluated is hit and the processor need not guess. The backward pass goes through the same lists in
-// the same order.
+// nearly all that is evaluated is hit and the processor need not guess. The backward pass goes through the same lists
+// in the same order.
 #include "rasterize.h"
 
 #include <algorithm>
@@ -108,11 +108,14 @@ class TileRasterizer final : public RasterPass {
 
 public:
     TileRasterizer(const Gaussians& gaussians, const PinholeCamera& camera, Vec3<float> background,
-                   float transmittance_min,
-                   int threads)
-        : g_(gaussians), camera_(camera), background_(background), transmittance_min_(transmittance_min),
-          threads_(threads), tiles_x_((camera.width + kTile - 1) / kTile),
-              tiles_y_((camera.height + kTile - 1) / kTile) {}
+                   float transmittance_min, int threads)
+        : g_(gaussians),
+          camera_(camera),
+          background_(background),
+          transmittance_min_(transmittance_min),
+          threads_(threads),
+          tiles_x_((camera.width + kTile - 1) / kTile),
+          tiles_y_((camera.height + kTile - 1) / kTile) {}
 
     void forward(Planes<float> out, int* hits, float* weights) override;
     void backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result) override;
@@ -187,9 +190,9 @@ private:
     Vec3<float> background_;
     float transmittance_min_;
     int threads_, tiles_x_, tiles_y_;
-    std::vector<VisiblePrimitive<Splat>> visible_;      // visible primitives, front to back
-    std::vector<long> tile_begin_;         // tile -> its part of tile_items_
-    std::vector<int> tile_items_;          // indices into visible_, front to back
+    std::vector<VisiblePrimitive<Splat>> visible_;  // visible primitives, front to back
+    std::vector<long> tile_begin_;                  // tile -> its part of tile_items_
+    std::vector<int> tile_items_;                   // indices into visible_, front to back
 };
 
 template <class Kind>
@@ -257,9 +260,8 @@ void TileRasterizer<Kind>::forward(Planes<float> out, int* hits, float* weights)
     prepare_primitives();
     fill_tiles();
     std::vector<std::vector<float>> partial(threads_, std::vector<float>(visible_.size(), 0.0f));
-    parallel_interleaved(threads_, tiles_x_ * tiles_y_, [&](int tile, int worker) {
-        draw_tile(tile, out, hits, partial[worker].data());
-    });
+    parallel_interleaved(threads_, tiles_x_ * tiles_y_,
+                         [&](int tile, int worker) { draw_tile(tile, out, hits, partial[worker].data()); });
     std::fill(weights, weights + g_.count, 0.0f);
     for (size_t i = 0; i < visible_.size(); ++i)
         for (int worker = 0; worker < threads_; ++worker) weights[visible_[i].index] += partial[worker][i];
@@ -268,23 +270,28 @@ void TileRasterizer<Kind>::forward(Planes<float> out, int* hits, float* weights)
 template <class Kind>
 void TileRasterizer<Kind>::draw_tile(int tile_index, Planes<float> out, int* hits, float* weights) {
     TileRect rect = rect_of(tile_index);
+    // Clear: nothing is blended, all of the light comes through.
     TileBuffers tile;
     std::memset(&tile, 0, sizeof tile);
     for (int row = 0; row < rect.height; ++row)
         for (int x = 0; x < rect.width; ++x) tile.transmittance.values[place_of(row, x)] = 1.0f;
+    // Blend: primitive by primitive, front to back, in the runs of pixels that have not ended.
     RunBits live = runs_of(rect);
     for (long item = tile_begin_[tile_index]; item < tile_begin_[tile_index + 1] && live; ++item) {
         const VisiblePrimitive<Splat>& p = visible_[tile_items_[item]];
         const float* extras = g_.extras + long(p.index) * g_.extra_count;
         F weight_sum = {};
         for_each_run(runs_of(p.outline, rect) & live, rect, [&](int at, F x, float y, RunBits run) {
+            // Intersect.
             auto pixel = evaluate(p.splat, x, F{} + y, camera_.near);
             F transmittance = load_lanes<F>(tile.transmittance.values + at);
             I hit = (pixel.rho <= p.splat.support) & (transmittance >= transmittance_min_);
+            // Weigh.
             F alpha = select(hit, response_alpha(F{} + p.splat.opacity, pixel.rho), F{});
             F weight = transmittance * alpha;
             transmittance = transmittance * (1.0f - alpha);
             store_lanes(tile.transmittance.values + at, transmittance);
+            // Add.
             auto sums = load_pixels<BlendedSums<F>, F>(tile.sums, at);
             blend(sums, weight, p.color, select(hit, pixel.t, F{}), pixel.side, p.normal);
             store_pixels<F>(tile.sums, at, sums);
@@ -293,6 +300,7 @@ void TileRasterizer<Kind>::draw_tile(int tile_index, Planes<float> out, int* hit
                 store_lanes(plane, load_lanes<F>(plane) + weight * extras[e]);
             }
             weight_sum += weight;
+            // Count, and end the run where every pixel has.
             I count;
             std::memcpy(&count, tile.hits + at, sizeof count);
             count -= hit;
@@ -301,12 +309,13 @@ void TileRasterizer<Kind>::draw_tile(int tile_index, Planes<float> out, int* hit
         });
         weights[tile_items_[item]] += sum_lanes(weight_sum);
     }
+    // Write: what is left of the light shows the background.
     for (int row = 0; row < rect.height; ++row)
         for (int x = 0; x < rect.width; ++x) {
             int at = place_of(row, x);
             long to = long(rect.y0 + row) * camera_.width + rect.x0 + x;
-            write_blended(out, to, load_pixels<BlendedSums<float>, float>(tile.sums, at),
-                          tile.transmittance.values[at], background_);
+            write_blended(out, to, load_pixels<BlendedSums<float>, float>(tile.sums, at), tile.transmittance.values[at],
+                          background_);
             for (int e = 0; e < g_.extra_count; ++e) out.extras[e * out.pixels + to] = tile.extras[e].values[at];
             hits[to] = tile.hits[at];
         }
@@ -335,9 +344,11 @@ template <class Kind>
 void TileRasterizer<Kind>::differentiate_tile(int tile_index, Planes<const float> out, Planes<const float> gradient,
                                               FloatSums* sums) {
     TileRect rect = rect_of(tile_index);
+    // Load: each pixel's gradient, and what of it lies behind the next primitive: at first all.
     TileGradientBuffers tile;
     std::memset(&tile, 0, sizeof tile);
     load_gradients(rect, out, gradient, tile);
+    // Differentiate: the same primitives in the same order, the same hits in the same runs.
     RunBits live = runs_of(rect);
     for (long item = tile_begin_[tile_index]; item < tile_begin_[tile_index + 1] && live; ++item) {
         const VisiblePrimitive<Splat>& p = visible_[tile_items_[item]];
@@ -345,12 +356,14 @@ void TileRasterizer<Kind>::differentiate_tile(int tile_index, Planes<const float
         LaneSums sum = {};
         bool touched = false;
         for_each_run(runs_of(p.outline, rect) & live, rect, [&](int at, F x, float y, RunBits run) {
+            // Intersect.
             auto pixel = evaluate(p.splat, x, F{} + y, camera_.near);
             F transmittance = load_lanes<F>(tile.transmittance.values + at);
             I hit = (pixel.rho <= p.splat.support) & (transmittance >= transmittance_min_);
             if (!mask_bits(hit)) return;
             touched = true;
             F alpha = select(hit, response_alpha(F{} + p.splat.opacity, pixel.rho), F{});
+            // Unblend: what of the gradient lies behind this hit.
             auto g_sum = load_pixels<SumGradient<F>, F>(tile.sum, at);
             F value = hit_value(g_sum, p.color, select(hit, pixel.t, F{}), pixel.side, p.normal);
             for (int e = 0; e < g_.extra_count; ++e) value += load_lanes<F>(tile.extras[e].values + at) * extras[e];
@@ -359,6 +372,7 @@ void TileRasterizer<Kind>::differentiate_tile(int tile_index, Planes<const float
             F weight = g_hit.weight;
             store_lanes(tile.transmittance.values + at, transmittance);
             store_lanes(tile.remaining.values + at, remaining);
+            // Add, to the primitive's sums of its lanes.
             for (int e = 0; e < g_.extra_count; ++e)
                 sum.extras[e] += weight * load_lanes<F>(tile.extras[e].values + at);
             AlphaGradient<F> g = alpha_backward(F{} + p.splat.opacity, alpha, select(hit, g_hit.alpha, F{}));
@@ -366,9 +380,11 @@ void TileRasterizer<Kind>::differentiate_tile(int tile_index, Planes<const float
             sum.color = sum.color + weight * g_sum.color;
             sum.normal = sum.normal + (weight * pixel.side) * g_sum.normal;
             add_pixel(sum.geometry, pixel, hit, g.rho, weight * g_sum.depth);
+            // End the run where every pixel has.
             if (!mask_bits(transmittance >= transmittance_min_)) live &= ~run;
         });
         if (!touched) continue;
+        // Join the lanes.
         float* total = array_of<float>(sums[tile_items_[item]]);
         int used = kSums - kMaxExtras + g_.extra_count;
         for (int k = 0; k < used; ++k) total[k] += sum_lanes(array_of<F>(sum)[k]);
@@ -403,9 +419,8 @@ template <class Kind>
 void TileRasterizer<Kind>::backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result) {
     std::vector<std::vector<FloatSums>> sums(threads_);
     parallel(threads_, [&](int worker) { sums[worker].assign(visible_.size(), FloatSums{}); });
-    parallel_interleaved(threads_, tiles_x_ * tiles_y_, [&](int tile, int worker) {
-        differentiate_tile(tile, out, gradient, sums[worker].data());
-    });
+    parallel_interleaved(threads_, tiles_x_ * tiles_y_,
+                         [&](int tile, int worker) { differentiate_tile(tile, out, gradient, sums[worker].data()); });
     parallel_ranges(threads_, int(visible_.size()), [&](int begin, int end, int) {
         for (int i = begin; i < end; ++i) finish_primitive(i, sums, result);
     });

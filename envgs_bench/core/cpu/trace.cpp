@@ -10,9 +10,9 @@ namespace envgs {
 
 namespace {
 
-constexpr int kChunk = 64;  // rays that one thread takes at a time
-constexpr int kAhead = 4;   // hits between the one whose memory is asked for and the one that is blended
-constexpr int kLine = 64;   // bytes of a line of the caches
+constexpr int kChunk = 64;          // rays that one thread takes at a time
+constexpr int kAhead = 4;           // hits between the one whose memory is asked for and the one that is blended
+constexpr int kLine = 64;           // bytes of a line of the caches
 constexpr int kColors = 2 * kLine;  // bytes of a hit's SH that are asked for: most of degree 2's
 constexpr int kSurfelValues = count_of<SurfelValues<float>, float>, kMoments = count_of<SurfelMoments<float>, float>;
 
@@ -41,8 +41,14 @@ struct TracePass::Worker {
 
 TracePass::TracePass(std::shared_ptr<const Bvh> bvh, const Gaussians& gaussians, const RayBatch& rays,
                      Vec3<float> background, float t_min, float transmittance_min, bool sh_along_ray, int threads)
-    : bvh_(std::move(bvh)), g_(gaussians), rays_(rays), background_(background), t_min_(t_min),
-      transmittance_min_(transmittance_min), sh_along_ray_(sh_along_ray), threads_(threads) {}
+    : bvh_(std::move(bvh)),
+      g_(gaussians),
+      rays_(rays),
+      background_(background),
+      t_min_(t_min),
+      transmittance_min_(transmittance_min),
+      sh_along_ray_(sh_along_ray),
+      threads_(threads) {}
 
 int TracePass::chunks() const { return (rays_.count + kChunk - 1) / kChunk; }
 
@@ -214,8 +220,8 @@ void TracePass::finish_surfels(int begin, int end, const std::vector<Worker>& wo
         }
         float inverse_norm;
         Quaternion<float> q = normalized(quaternion_at(g_, i), inverse_norm);
-        SurfelGradient<float> g = surfel_backward(axes_of(q), g_.scales[2 * i], g_.scales[2 * i + 1], sum.moments,
-                                                  sum.normal);
+        SurfelGradient<float> g =
+            surfel_backward(axes_of(q), g_.scales[2 * i], g_.scales[2 * i + 1], sum.moments, sum.normal);
         store3(result.means + 3l * i, g.mean + sum.color_direction);
         store3(result.position_gradients + 3l * i, g.position_statistic);
         Quaternion<float> gq = quaternion_gradient(q, inverse_norm, g.torque);

@@ -20,28 +20,25 @@ struct RayGradients {
 // The arrays of `gaussians` and `rays` must outlive it.
 class TracePass {
 public:
-    TracePass(
-        std::shared_ptr<const Bvh> bvh,  // over `gaussians`
-        const Gaussians& gaussians,      // surfels
-        const RayBatch& rays,
-        Vec3<float> background,          // in [0, 1]
-        float t_min,                     // hits at smaller t are not drawn, units of |direction|
-        float transmittance_min,         // a ray ends with the hit that takes it below this
-        bool sh_along_ray,               // SH at the ray's direction; else from its origin toward each surfel's center
-        int threads                      // workers; sums over rays depend on their number
+    TracePass(std::shared_ptr<const Bvh> bvh,  // over `gaussians`
+              const Gaussians& gaussians,      // surfels
+              const RayBatch& rays,
+              Vec3<float> background,   // in [0, 1]
+              float t_min,              // hits at smaller t are not drawn, units of |direction|
+              float transmittance_min,  // a ray ends with the hit that takes it below this
+              bool sh_along_ray,        // SH at the ray's direction; else from its origin toward each surfel's center
+              int threads               // workers; sums over rays depend on their number
     );
 
-    void forward(
-        Planes<float> out,  // filled, P = R
-        int* hits,          // [R] filled: surfels blended along each ray
-        float* weights,     // [N] filled: sums of the blending weights
-        bool keep_hits      // remember hits for backward()
+    void forward(Planes<float> out,  // filled, P = R
+                 int* hits,          // [R] filled: surfels blended along each ray
+                 float* weights,     // [N] filled: sums of the blending weights
+                 bool keep_hits      // remember hits for backward()
     );
-    void backward(
-        Planes<const float> out,       // as forward() filled them
-        Planes<const float> gradient,  // dL/d(out)
-        GaussianGradients result,      // filled
-        RayGradients rays              // filled
+    void backward(Planes<const float> out,       // as forward() filled them
+                  Planes<const float> gradient,  // dL/d(out)
+                  GaussianGradients result,      // filled
+                  RayGradients rays              // filled
     );
 
 private:

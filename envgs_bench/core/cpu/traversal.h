@@ -30,11 +30,10 @@ public:
     explicit Traversal(const Bvh& bvh) : bvh_(bvh), stack_children_(64), stack_nearest_(64) {}
 
     // The hits that a ray blends, in order. Valid until the next call.
-    const std::vector<Hit>& hits(
-        Vec3<float> origin,      // world units
-        Vec3<float> direction,   // world frame, any length; zero hits nothing
-        float t_min,             // hits at smaller t are skipped, units of |direction|
-        float transmittance_min  // the ray ends with the hit that takes it below this
+    const std::vector<Hit>& hits(Vec3<float> origin,      // world units
+                                 Vec3<float> direction,   // world frame, any length; zero hits nothing
+                                 float t_min,             // hits at smaller t are skipped, units of |direction|
+                                 float transmittance_min  // the ray ends with the hit that takes it below this
     );
 
 private:
@@ -46,7 +45,7 @@ private:
     int stack_size_ = 0;
     std::vector<int> stack_children_;   // nodes and leaves to visit, with room for eight more
     std::vector<float> stack_nearest_;  // the smallest t at which this one or one below it is entered
-    std::vector<Hit> found_;    // sorted; those before finalized_ are in blended_
+    std::vector<Hit> found_;            // sorted; those before finalized_ are in blended_
     size_t finalized_ = 0;
     std::vector<Hit> blended_;
     Vec3<float> origin_, direction_, inverse_;
@@ -70,8 +69,8 @@ inline void Traversal::visit_node(const BvhNode& node) {
     Int8 entered = (enter <= leave) & (load_lanes<Float8>(node.low[0]) <= load_lanes<Float8>(node.high[0]));
     unsigned bits = mask_bits(entered);
     if (!bits) return;
-    // Sorted with the farthest first, so that the nearest ends on top of the stack, and without a branch, which would be
-    // mispredicted: keys are t's bits, the last three of them replaced by the lane. That rounds t down.
+    // Sorted with the farthest first, so that the nearest ends on top of the stack, and without a branch, which would
+    // be mispredicted: keys are t's bits, the last three of them replaced by the lane. That rounds t down.
     constexpr Int8 lanes = {0, 1, 2, 3, 4, 5, 6, 7};
     Int8 sorted = sorted_lanes(select(entered, ((Int8)enter & ~7) | lanes, Int8{} - 1));
     Int8 children;
@@ -123,7 +122,7 @@ inline bool Traversal::finalize_hits(float t_end) {
 }
 
 inline const std::vector<Hit>& Traversal::hits(Vec3<float> origin, Vec3<float> direction, float t_min,
-                                          float transmittance_min) {
+                                               float transmittance_min) {
     // A component of 0 would make 0·∞ of a box that touches the ray; a tiny one only makes it very far away.
     auto inverse = [](float x) { return 1.0f / (std::fabs(x) > 1e-20f ? x : std::copysign(1e-20f, x)); };
     origin_ = origin;

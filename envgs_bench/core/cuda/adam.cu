@@ -16,19 +16,19 @@ struct Step {
 
 }  // namespace
 
-extern "C" __global__ void __launch_bounds__(256) adam_step(
-    float* values,  // [n] that are trained
-    const float* gradients,  // [n] dL/dvalues
-    float* means,  // [n] of the gradients, decaying
-    float* squares,  // [n] of the gradients, decaying
-    int n,  // values
-    const float* rate,  // [1] learning rate
-    const float* steps,  // [1] taken, this one included
-    const float* skipped,  // [1] whether this step is not to be taken; null: it is
-    float beta1,  // decay of the means
-    float beta2,  // decay of the squares
-    float epsilon  // added to the root of the squares
-) {
+extern "C" __global__ void __launch_bounds__(256)
+    adam_step(float* values,           // [n] that are trained
+              const float* gradients,  // [n] dL/dvalues
+              float* means,            // [n] of the gradients, decaying
+              float* squares,          // [n] of the gradients, decaying
+              int n,                   // values
+              const float* rate,       // [1] learning rate
+              const float* steps,      // [1] taken, this one included
+              const float* skipped,    // [1] whether this step is not to be taken; null: it is
+              float beta1,             // decay of the means
+              float beta2,             // decay of the squares
+              float epsilon            // added to the root of the squares
+    ) {
     if (skipped && *skipped != 0.0f) return;
     Step step = {beta1, beta2, epsilon};
     // 1 - beta^steps, without the digits that it loses where beta is near 1.

@@ -5,11 +5,11 @@
 
 using namespace envgs;
 
-extern "C" __global__ void __launch_bounds__(256) center_statistics(
-    const float* means,  // [N, 3] centers, world units
-    int count,  // N
-    CenterStatistics* statistics  // [1] `low` set to all ones before, the rest to zero
-) {
+extern "C" __global__ void __launch_bounds__(256)
+    center_statistics(const float* means,           // [N, 3] centers, world units
+                      int count,                    // N
+                      CenterStatistics* statistics  // [1] `low` set to all ones before, the rest to zero
+    ) {
     float low[3], high[3], sum[3] = {}, squares[3] = {}, finite = 0.0f;
     for (int k = 0; k < 3; ++k) low[k] = kInfinity, high[k] = -kInfinity;
     for (int i = blockIdx.x * blockDim.x + threadIdx.x; i < count; i += gridDim.x * blockDim.x) {
@@ -23,8 +23,8 @@ extern "C" __global__ void __launch_bounds__(256) center_statistics(
         }
     }
     __shared__ CenterStatistics block;
-    for (int i = threadIdx.x; i < sizeof(block) / 4;
-         i += blockDim.x) reinterpret_cast<u32*>(&block)[i] = i < 3 ? ~0u : 0;
+    for (int i = threadIdx.x; i < sizeof(block) / 4; i += blockDim.x)
+        reinterpret_cast<u32*>(&block)[i] = i < 3 ? ~0u : 0;
     __syncthreads();
     for (int k = 0; k < 3; ++k) {
         atomicMin(&block.low[k], sortable_bits(low[k]));
@@ -45,11 +45,11 @@ extern "C" __global__ void __launch_bounds__(256) center_statistics(
 }
 
 extern "C" __global__ void hilbert_keys(
-    const float* means,  // [N, 3] centers, world units
-    const float* opacities,  // [N] in [0, 1]
-    int count,  // N
+    const float* means,                  // [N, 3] centers, world units
+    const float* opacities,              // [N] in [0, 1]
+    int count,                           // N
     const CenterStatistics* statistics,  // [1] extent of the centers
-    u32* keys  // [N] position along the curve, 30 bits; all ones where never visible
+    u32* keys                            // [N] position along the curve, 30 bits; all ones where never visible
 ) {
     int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i >= count) return;
@@ -62,9 +62,7 @@ struct Aabb {
     float low[3], high[3];
 };
 
-ENVGS_FN Aabb empty_box() {
-    return {{kInfinity, kInfinity, kInfinity}, {-kInfinity, -kInfinity, -kInfinity}};
-}
+ENVGS_FN Aabb empty_box() { return {{kInfinity, kInfinity, kInfinity}, {-kInfinity, -kInfinity, -kInfinity}}; }
 
 // Around the supporting disc: along each axis r·√((s_u·t_u)² + (s_v·t_v)²), and a hair for the rounding of this and of
 // the shafts that it is tested against.
@@ -147,17 +145,17 @@ __device__ __forceinline__ void halve(Aabb& box, int& from, int present, Scratch
 }
 
 // A thread a surfel, in the order of the curve; further threads pad leaves and the two lowest levels.
-extern "C" __global__ void __launch_bounds__(256) pack_surfels(
-    const float* means,  // [N, 3] centers, world units
-    const float* quaternions,  // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
-    const float* scales,  // [N, 2] standard deviations, world units; rows begin at 8 bytes
-    const float* opacities,  // [N] in [0, 1]
-    int count,  // N
-    bool arrange,  // whether 32 neighbors in `order` are reordered into good leaves; else `order` is kept
-    u32* order,  // [N] indices of surfels along the curve; reordered where `arrange` is set
-    float4* packed_surfels,  // [leaves, 3, kLeaf] see PackedSurfels
-    float2* boxes  // [3, boxes] (low, high) of each box and axis, world units: see Levels
-) {
+extern "C" __global__ void __launch_bounds__(256)
+    pack_surfels(const float* means,        // [N, 3] centers, world units
+                 const float* quaternions,  // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
+                 const float* scales,       // [N, 2] standard deviations, world units; rows begin at 8 bytes
+                 const float* opacities,    // [N] in [0, 1]
+                 int count,                 // N
+                 bool arrange,  // whether 32 neighbors in `order` are reordered into good leaves; else `order` is kept
+                 u32* order,    // [N] indices of surfels along the curve; reordered where `arrange` is set
+                 float4* packed_surfels,  // [leaves, 3, kLeaf] see PackedSurfels
+                 float2* boxes            // [3, boxes] (low, high) of each box and axis, world units: see Levels
+    ) {
     Levels levels = Levels::of(count);
     int stride = levels.total(), slot = blockIdx.x * blockDim.x + threadIdx.x, leaf = slot / kLeaf;
     Aabb box = empty_box();
@@ -208,8 +206,8 @@ extern "C" __global__ void __launch_bounds__(256) pack_surfels(
 // Level `level` + 1 from level `level`; further threads pad it.
 extern "C" __global__ void merge_boxes(
     float2* boxes,  // [3, boxes] (low, high) of each box and axis, world units: see Levels
-    int count,  // N surfels
-    int level  // the level to merge; its parents are written
+    int count,      // N surfels
+    int level       // the level to merge; its parents are written
 ) {
     Levels levels = Levels::of(count);
     int stride = levels.total(), at = blockIdx.x * blockDim.x + threadIdx.x;

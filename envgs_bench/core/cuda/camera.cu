@@ -8,13 +8,13 @@ static_assert(sizeof(PinholeCamera) == 4 * CAMERA_FLOATS);
 // One thread. The camera stays on the device, so that drawing never waits for it.
 extern "C" __global__ void make_camera(
     const float* world_to_camera,  // [4, 4] rigid
-    const float* intrinsics,  // [3, 3] pixels
-    int width,  // pixels
-    int height,  // pixels
-    float near,  // nearest depth that is drawn, world units
-    int low_pass,  // whether to anti-alias
-    int low_pass_statistics,  // whether position statistics count what the low-pass of a surfel answers
-    PinholeCamera* camera  // [1]
+    const float* intrinsics,       // [3, 3] pixels
+    int width,                     // pixels
+    int height,                    // pixels
+    float near,                    // nearest depth that is drawn, world units
+    int low_pass,                  // whether to anti-alias
+    int low_pass_statistics,       // whether position statistics count what the low-pass of a surfel answers
+    PinholeCamera* camera          // [1]
 ) {
     const float* m = world_to_camera;
     PinholeCamera v;

@@ -51,31 +51,31 @@ struct WarpRows {
 };
 
 extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
-    const float* origins,  // [R, 3] world units
-    const float* directions,  // [R, 3] world frame, any length; zero hits nothing
-    const u32* order,  // [R] indices of rays; packets take eight in this order
-    int rays,  // R
-    float4* packed_surfels,  // [leaves, 3, kLeaf] see PackedSurfels
+    const float* origins,                 // [R, 3] world units
+    const float* directions,              // [R, 3] world frame, any length; zero hits nothing
+    const u32* order,                     // [R] indices of rays; packets take eight in this order
+    int rays,                             // R
+    float4* packed_surfels,               // [leaves, 3, kLeaf] see PackedSurfels
     const PackedAppearance* appearances,  // [N] by slot
-    const float* background,  // [3] in [0, 1]
-    const float* color,  // [3, R] blended color, 1 is white
-    const float* alpha,  // [R] in [0, 1]
-    const float* depth,  // [R] expected t in units of |direction|, 0 where nothing is hit
-    const float* normal,  // [3, R] world frame, blended, not normalized
-    const float* extras,  // [E, R] blended extras
-    const float* g_color,  // [3, R] dL/dcolor, null for zero
-    const float* g_alpha,  // [R] dL/dalpha, null for zero
-    const float* g_depth,  // [R] dL/ddepth, null for zero
-    const float* g_normal,  // [3, R] dL/dnormal, null for zero
-    const float* g_extras,  // [E, R] dL/dextras, null for zero
-    const u32* page_slots,  // [page_capacity, kPageRows, kRays] slots of hits, kNoHit where a ray has none
-    const int* page_next,  // [page_capacity] the page that follows; −1: none
+    const float* background,              // [3] in [0, 1]
+    const float* color,                   // [3, R] blended color, 1 is white
+    const float* alpha,                   // [R] in [0, 1]
+    const float* depth,                   // [R] expected t in units of |direction|, 0 where nothing is hit
+    const float* normal,                  // [3, R] world frame, blended, not normalized
+    const float* extras,                  // [E, R] blended extras
+    const float* g_color,                 // [3, R] dL/dcolor, null for zero
+    const float* g_alpha,                 // [R] dL/dalpha, null for zero
+    const float* g_depth,                 // [R] dL/ddepth, null for zero
+    const float* g_normal,                // [3, R] dL/dnormal, null for zero
+    const float* g_extras,                // [E, R] dL/dextras, null for zero
+    const u32* page_slots,   // [page_capacity, kPageRows, kRays] slots of hits, kNoHit where a ray has none
+    const int* page_next,    // [page_capacity] the page that follows; −1: none
     const int2* page_heads,  // [packets] first page, number of rows
-    const u32* pages_used,  // [1] pages asked for; above page_capacity hits were lost
-    u32 page_capacity,  // pages there is room for; 0: hits are not kept
-    float* sums,  // [N, kTraceSums] by index, zeroed before
-    float* g_origins,  // [R, 3] dL/dorigins
-    float* g_directions  // [R, 3] dL/ddirections
+    const u32* pages_used,   // [1] pages asked for; above page_capacity hits were lost
+    u32 page_capacity,       // pages there is room for; 0: hits are not kept
+    float* sums,             // [N, kTraceSums] by index, zeroed before
+    float* g_origins,        // [R, 3] dL/dorigins
+    float* g_directions      // [R, 3] dL/ddirections
 ) {
     __shared__ WarpRows rows_of_warps[128 / 32];
     WarpRows& rows_of_warp = rows_of_warps[warp_id()];
@@ -115,9 +115,9 @@ extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
             Vec3<float> c = sh_color<kShDegree>(appearance.sh, v);
             auto [weight, g_a] = g.hit(a, c, hit.t, side, s.frame.n, appearance.extras);
             AlphaGradient<float> own = alpha_backward(s.opacity, a, g_a);
-            Vec3<float> local = intersect_backward(hit, dot(s.frame.u, ray.direction), dot(s.frame.v, ray.direction),
-                                                   weight * g.sum.depth, 2.0f * own.rho * hit.u,
-                                                   2.0f * own.rho * hit.v);
+            Vec3<float> local =
+                intersect_backward(hit, dot(s.frame.u, ray.direction), dot(s.frame.v, ray.direction),
+                                   weight * g.sum.depth, 2.0f * own.rho * hit.u, 2.0f * own.rho * hit.v);
             float sum[kTraceSums] = {};
             SurfelMoments<float> moments = {};
             add_hit(moments, hit, local);
@@ -132,14 +132,16 @@ extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
             index = s.index;
 #pragma unroll
             for (int k = 0; k < WarpRows::kFloat4s; ++k)
-                rows_of_warp.values4[lane_id()][k] = make_float4(sum[4 * k], sum[4 * k + 1], sum[4 * k + 2],
-                                                                 sum[4 * k + 3]);
+                rows_of_warp.values4[lane_id()][k] =
+                    make_float4(sum[4 * k], sum[4 * k + 1], sum[4 * k + 2], sum[4 * k + 3]);
 
             Vec3<float> world = local.x * s.frame.u + local.y * s.frame.v + local.z * s.frame.n;
             g_origin = g_origin + world;
             g_direction = g_direction + hit.t * world;
-            if constexpr (kShAlongRay) g_direction = g_direction + g_v;
-            else g_origin = g_origin - g_v;
+            if constexpr (kShAlongRay)
+                g_direction = g_direction + g_v;
+            else
+                g_origin = g_origin - g_v;
         }
         rows_of_warp.add_to(sums, index);
     }

@@ -4,27 +4,27 @@
 
 using namespace envgs;
 
-extern "C" __global__ void __launch_bounds__(kThreads) differentiate_tiles(
-    const uint2* ranges,  // [tiles] first and past-the-last instance
-    const u32* instance_slots,  // [instances] slot of the primitive, sorted by tile, then depth
-    const VisiblePrimitive* primitives,  // [visible] by slot
-    const Outline* outlines,  // [visible] by slot, pixels
-    const PinholeCamera* camera_at,  // [1]
-    int tiles_x,  // tiles in a row of the image
-    float transmittance_min,  // a pixel is finished below this
-    const float* background,  // [3] in [0, 1]
-    const float* color,  // [3, P] blended color, 1 is white
-    const float* alpha,  // [P] in [0, 1]
-    const float* depth,  // [P] expected camera-frame z, 0 where nothing is hit
-    const float* normal,  // [3, P] world frame, blended, not normalized
-    const float* extras,  // [E, P] blended extras
-    const float* g_color,  // [3, P] dL/dcolor, null for zero
-    const float* g_alpha,  // [P] dL/dalpha, null for zero
-    const float* g_depth,  // [P] dL/ddepth, null for zero
-    const float* g_normal,  // [3, P] dL/dnormal, null for zero
-    const float* g_extras,  // [E, P] dL/dextras, null for zero
-    float* sums  // [visible, kSumsStride] PrimitiveSums by slot, zeroed before
-) {
+extern "C" __global__ void __launch_bounds__(kThreads)
+    differentiate_tiles(const uint2* ranges,        // [tiles] first and past-the-last instance
+                        const u32* instance_slots,  // [instances] slot of the primitive, sorted by tile, then depth
+                        const VisiblePrimitive* primitives,  // [visible] by slot
+                        const Outline* outlines,             // [visible] by slot, pixels
+                        const PinholeCamera* camera_at,      // [1]
+                        int tiles_x,                         // tiles in a row of the image
+                        float transmittance_min,             // a pixel is finished below this
+                        const float* background,             // [3] in [0, 1]
+                        const float* color,                  // [3, P] blended color, 1 is white
+                        const float* alpha,                  // [P] in [0, 1]
+                        const float* depth,                  // [P] expected camera-frame z, 0 where nothing is hit
+                        const float* normal,                 // [3, P] world frame, blended, not normalized
+                        const float* extras,                 // [E, P] blended extras
+                        const float* g_color,                // [3, P] dL/dcolor, null for zero
+                        const float* g_alpha,                // [P] dL/dalpha, null for zero
+                        const float* g_depth,                // [P] dL/ddepth, null for zero
+                        const float* g_normal,               // [3, P] dL/dnormal, null for zero
+                        const float* g_extras,               // [E, P] dL/dextras, null for zero
+                        float* sums  // [visible, kSumsStride] PrimitiveSums by slot, zeroed before
+    ) {
     const PinholeCamera& camera = *camera_at;
     Place place = Place::own();
     long plane = long(camera.width) * camera.height;
@@ -65,7 +65,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) differentiate_tiles(
         for (int k = 0; k < kPixels; ++k) progress[k] = {own.lives[k] ? 1.0f : 0.0f, g[k].remaining};
         list.share(
             place.area, transmittance_min, progress,
-            [&](const VisiblePrimitive& p, Progress (&through)[kPixels]) {
+            [&](const VisiblePrimitive& p, Progress(&through)[kPixels]) {
 #pragma unroll
                 for (int k = 0; k < kPixels; ++k) {
                     auto at = own.response(p.splat, k);

@@ -1,28 +1,28 @@
-// Draws: a thread some pixels, or eight that share them (see tile_primitives.cuh). For color alone the planes from depth
-// on, hits, indices and weights are null.
+// Draws: a thread some pixels, or eight that share them (see tile_primitives.cuh). For color alone the planes from
+// depth on, hits, indices and weights are null.
 #include "tile_primitives.cuh"
 
 using namespace envgs;
 
-extern "C" __global__ void __launch_bounds__(kThreads) draw_tiles(
-    const uint2* ranges,  // [tiles] first and past-the-last instance
-    const u32* instance_slots,  // [instances] slot of the primitive, sorted by tile, then depth
-    const VisiblePrimitive* primitives,  // [visible] by slot
-    const Outline* outlines,  // [visible] by slot, pixels
-    const PinholeCamera* camera_at,  // [1]
-    int tiles_x,  // tiles in a row of the image
-    float transmittance_min,  // a pixel is finished below this
-    const float* background,  // [3] in [0, 1]
-    const Counters* counters,  // [1]
-    float* color,  // [3, P] blended color, 1 is white
-    float* alpha,  // [P] in [0, 1]
-    float* depth,  // [P] expected camera-frame z, 0 where nothing is hit
-    float* normal,  // [3, P] world frame, blended, not normalized
-    float* extras,  // [E, P] blended extras
-    int* hit_counts,  // [P] hits blended
-    const int* indices,  // [visible] by slot: the primitive's index
-    float* weights  // [N] sums of the blending weights, zeroed before
-) {
+extern "C" __global__ void __launch_bounds__(kThreads)
+    draw_tiles(const uint2* ranges,                 // [tiles] first and past-the-last instance
+               const u32* instance_slots,           // [instances] slot of the primitive, sorted by tile, then depth
+               const VisiblePrimitive* primitives,  // [visible] by slot
+               const Outline* outlines,             // [visible] by slot, pixels
+               const PinholeCamera* camera_at,      // [1]
+               int tiles_x,                         // tiles in a row of the image
+               float transmittance_min,             // a pixel is finished below this
+               const float* background,             // [3] in [0, 1]
+               const Counters* counters,            // [1]
+               float* color,                        // [3, P] blended color, 1 is white
+               float* alpha,                        // [P] in [0, 1]
+               float* depth,                        // [P] expected camera-frame z, 0 where nothing is hit
+               float* normal,                       // [3, P] world frame, blended, not normalized
+               float* extras,                       // [E, P] blended extras
+               int* hit_counts,                     // [P] hits blended
+               const int* indices,                  // [visible] by slot: the primitive's index
+               float* weights                       // [N] sums of the blending weights, zeroed before
+    ) {
     const PinholeCamera& camera = *camera_at;
     Place place = Place::own();
     OwnPixels own(camera, place, tiles_x);
@@ -58,7 +58,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) draw_tiles(
         for (int k = 0; k < kPixels; ++k) progress[k] = {own.lives[k] ? 1.0f : 0.0f, 0.0f};
         list.share(
             place.area, transmittance_min, progress,
-            [&](const VisiblePrimitive& p, Progress (&through)[kPixels]) {
+            [&](const VisiblePrimitive& p, Progress(&through)[kPixels]) {
 #pragma unroll
                 for (int k = 0; k < kPixels; ++k) {
                     auto at = own.response(p.splat, k);

@@ -19,11 +19,11 @@ struct Stencil {
     }
 };
 
-extern "C" __global__ void __launch_bounds__(256) depth_normals(
-    const PinholeCamera* camera,  // [1]
-    const float* depth,  // [H, W] camera-frame z, 0 where nothing is hit
-    float* normals  // [3, H, W] unit, world frame, facing the camera; 0 where the stencil is incomplete
-) {
+extern "C" __global__ void __launch_bounds__(256)
+    depth_normals(const PinholeCamera* camera,  // [1]
+                  const float* depth,           // [H, W] camera-frame z, 0 where nothing is hit
+                  float* normals  // [3, H, W] unit, world frame, facing the camera; 0 where the stencil is incomplete
+    ) {
     int i = blockIdx.x * blockDim.x + threadIdx.x, pixels = camera->width * camera->height;
     if (i >= pixels) return;
     Stencil stencil(*camera, depth, i % camera->width, i / camera->width);
@@ -36,12 +36,12 @@ extern "C" __global__ void __launch_bounds__(256) depth_normals(
 }
 
 // The gradient of depth_normals: a pixel is a neighbor in four stencils.
-extern "C" __global__ void __launch_bounds__(256) differentiate_depth_normals(
-    const PinholeCamera* camera,  // [1]
-    const float* depth,  // [H, W] camera-frame z, 0 where nothing is hit
-    const float* g_normals,  // [3, H, W] dL/dnormals
-    float* g_depth  // [H, W] dL/ddepth
-) {
+extern "C" __global__ void __launch_bounds__(256)
+    differentiate_depth_normals(const PinholeCamera* camera,  // [1]
+                                const float* depth,           // [H, W] camera-frame z, 0 where nothing is hit
+                                const float* g_normals,       // [3, H, W] dL/dnormals
+                                float* g_depth                // [H, W] dL/ddepth
+    ) {
     int i = blockIdx.x * blockDim.x + threadIdx.x, pixels = camera->width * camera->height;
     if (i >= pixels) return;
     int column = i % camera->width, row = i / camera->width;

@@ -16,14 +16,14 @@
 namespace envgs {
 
 constexpr int kListCapacity = 56;               // hits a ray may list in a search; even, at most 64
-constexpr int kListStride = kListCapacity + 4;         // rays' lists begin four banks apart in shared memory
-constexpr int kListSlack = 8;                 // free places that cutting must leave
-constexpr int kStackSize = 100;               // 2²⁴ surfels leave 4 children at the top, then at most 31, 31 and 32
+constexpr int kListStride = kListCapacity + 4;  // rays' lists begin four banks apart in shared memory
+constexpr int kListSlack = 8;                   // free places that cutting must leave
+constexpr int kStackSize = 100;                 // 2²⁴ surfels leave 4 children at the top, then at most 31, 31 and 32
 constexpr int kLeavesAtOnce = 32 / kRays, kPairsAtOnce = 32 / kLeaf;
 constexpr int kLeafRing = 64, kPairRing = 64;
-constexpr float kGroupSlope = 0.12f;      // rays of a group: how far their slopes may differ from the first's
+constexpr float kGroupSlope = 0.12f;               // rays of a group: how far their slopes may differ from the first's
 constexpr float kGroupOriginDistance = 1.0f / 24;  // and their origins, as a share of the scene
-constexpr float kDepthSteps = 4096.0f;    // a ray's optical depth, −log₂ of its transmittance, is summed in these
+constexpr float kDepthSteps = 4096.0f;  // a ray's optical depth, −log₂ of its transmittance, is summed in these
 constexpr float kOriginSlack = 2e-6f, kDistanceSlack = 4e-6f;  // relative rounding of a ray-box test
 
 struct alignas(16) RayState {
@@ -31,28 +31,28 @@ struct alignas(16) RayState {
     float from_t;
     Vec3<float> direction;
     float far_t;
-    u32 listed;       // how many hits are listed, and 256 times the optical depth with them, rounded down
+    u32 listed;         // how many hits are listed, and 256 times the optical depth with them, rounded down
     u32 initial_depth;  // optical depth before them
-    int from_slot;    // −1: hits at from_t itself are taken
-    int far_slot;     // −1: hits at far_t itself are taken
-    int dropped;      // hits beyond far_t may have been left for another search
-    int unused[7];    // rays begin in different banks
+    int from_slot;      // −1: hits at from_t itself are taken
+    int far_slot;       // −1: hits at far_t itself are taken
+    int dropped;        // hits beyond far_t may have been left for another search
+    int unused[7];      // rays begin in different banks
 };
 
 struct alignas(16) PacketMemory {
     RayState rays[kRays];
     float t[kRays][kListStride];
-    u32 tag[kRays][kListStride];     // slot << 8 | alpha in 8 bits, rounded down
+    u32 tag[kRays][kListStride];  // slot << 8 | alpha in 8 bits, rounded down
     uint2 stack[kStackSize];      // where the shaft enters (float), and level << 27 | group
-    u32 leaves[kLeafRing];    // ring buffer of leaves that overlap the shaft
-    u32 pairs[kPairRing];     // ring buffer of leaf << 4 | ray that enters it
+    u32 leaves[kLeafRing];        // ring buffer of leaves that overlap the shaft
+    u32 pairs[kPairRing];         // ring buffer of leaf << 4 | ray that enters it
 };
 
 struct Shaft {
     int axis;
-    float sign;            // sign of the rays' directions along the axis
-    float start, end;      // along sign·axis
-    float low[2], high[2]; // position at the start, on the two other axes
+    float sign;             // sign of the rays' directions along the axis
+    float start, end;       // along sign·axis
+    float low[2], high[2];  // position at the start, on the two other axes
     float slope_low[2], slope_high[2];
     int along, across[2];  // planes of boxes: the axis, and the two others
     u32 rays;              // bit r: ray r is in the group
@@ -69,9 +69,14 @@ class Packet {
 public:
     __device__ Packet(PacketMemory& memory, const Levels& levels, const float2* boxes, PackedSurfels surfels,
                       const Ray& ray, float t_min, float transmittance_min, float max_origin_distance)
-        : m_(memory), levels_(levels), boxes_(boxes), surfels_(surfels), own_(memory.rays[lane_id() % kRays]),
-          max_origin_distance_(max_origin_distance), end_depth_(optical_depth(0.999f * transmittance_min) + 1),
-              stride_(levels.total()) {
+        : m_(memory),
+          levels_(levels),
+          boxes_(boxes),
+          surfels_(surfels),
+          own_(memory.rays[lane_id() % kRays]),
+          max_origin_distance_(max_origin_distance),
+          end_depth_(optical_depth(0.999f * transmittance_min) + 1),
+          stride_(levels.total()) {
         Vec3<float> d = ray.direction;
         float least = 1e-12f * maximum(absolute(d.x), maximum(absolute(d.y), absolute(d.z)));
         prepare(ray.origin.x, d.x, least, inverse_.x, entry_.x, exit_.x);
@@ -135,9 +140,9 @@ private:
         float inverse = 1.0f / along, leader_inverse = s.sign / component(ld, s.axis);
         float slope[2] = {component(d, b) * inverse, component(d, c) * inverse};
         bool similar = along > 0.3f * size && absolute(slope[0] - component(ld, b) * leader_inverse) < kGroupSlope &&
-                     absolute(slope[1] - component(ld, c) * leader_inverse) < kGroupSlope &&
-                     absolute(o.x - lo.x) < max_origin_distance_ && absolute(o.y - lo.y) < max_origin_distance_ &&
-                         absolute(o.z - lo.z) < max_origin_distance_;
+                       absolute(slope[1] - component(ld, c) * leader_inverse) < kGroupSlope &&
+                       absolute(o.x - lo.x) < max_origin_distance_ && absolute(o.y - lo.y) < max_origin_distance_ &&
+                       absolute(o.z - lo.z) < max_origin_distance_;
         int ray = lane_id() % kRays;
         bool member = (pending >> ray & 1) && (similar || ray == __ffs(pending) - 1);
         s.rays = __ballot_sync(kFullWarp, member) & ((1u << kRays) - 1);
@@ -240,9 +245,9 @@ private:
         leaves.head += kLeavesAtOnce, leaves.count = max(leaves.count - kLeavesAtOnce, 0);
         __syncwarp();
         float t_enter = fmaxf(fmaxf(entry(x, inverse_.x, entry_.x), entry(y, inverse_.y, entry_.y)),
-                             fmaxf(entry(z, inverse_.z, entry_.z), own_.from_t));
+                              fmaxf(entry(z, inverse_.z, entry_.z), own_.from_t));
         float t_exit = fminf(fminf(exit(x, inverse_.x, exit_.x), exit(y, inverse_.y, exit_.y)),
-                                fminf(exit(z, inverse_.z, exit_.z), own_.far_t));
+                             fminf(exit(z, inverse_.z, exit_.z), own_.far_t));
         bool intersected = t_enter - kDistanceSlack * absolute(t_enter) <= t_exit + kDistanceSlack * absolute(t_exit);
         enqueue<kPairRing>(m_.pairs, pairs, valid && intersected, leaf << 4 | ray);
         __syncwarp();
@@ -415,8 +420,8 @@ private:
         RayState& ray = m_.rays[r];
         int k = 2 * lane_id();
         u32 first = 0, second = 0;
-        if (k < kListCapacity) first = optical_depth_of_tag(m_.tag[r][k]),
-            second = optical_depth_of_tag(m_.tag[r][k + 1]);
+        if (k < kListCapacity)
+            first = optical_depth_of_tag(m_.tag[r][k]), second = optical_depth_of_tag(m_.tag[r][k + 1]);
         u32 through = warp_inclusive_sum(first + second);
         u32 before = ray.initial_depth;
         u32 ended = __ballot_sync(kFullWarp, before + through > end_depth_);
@@ -445,9 +450,9 @@ private:
     RayState& own_;
     float max_origin_distance_;
     u32 end_depth_;
-    bool ties_matter_;                       // some ray's interval ends at a surfel: see within_interval()
-    int stride_;                       // boxes in a plane
-    Vec3<float> inverse_;              // 1 / the ray's direction
+    bool ties_matter_;     // some ray's interval ends at a surfel: see within_interval()
+    int stride_;           // boxes in a plane
+    Vec3<float> inverse_;  // 1 / the ray's direction
     // A ray reaches coordinate p of an axis at t = p·inverse_ + entry_ at the earliest, + exit_ at the latest.
     Vec3<float> entry_, exit_;
 };

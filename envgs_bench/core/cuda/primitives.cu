@@ -7,24 +7,24 @@ using namespace envgs;
 // tiles; slots [N] tells where a primitive went, −1 where nowhere, and indices [visible] the way back. For color alone
 // neither is asked for, nor are the weights.
 extern "C" __global__ void __launch_bounds__(256) prepare_primitives(
-    const float* means,  // [N, 3] centers, world units
-    const float* quaternions,  // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
-    const float* scales,  // [N, 2] of surfels, [N, 3] of 3D Gaussians: standard deviations, world units
-    const float* opacities,  // [N] in [0, 1]
-    const float* sh,  // [N, K, 3] SH coefficients
-    const float* extras,  // [N, E] further values to blend
-    int count,  // N
+    const float* means,              // [N, 3] centers, world units
+    const float* quaternions,        // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
+    const float* scales,             // [N, 2] of surfels, [N, 3] of 3D Gaussians: standard deviations, world units
+    const float* opacities,          // [N] in [0, 1]
+    const float* sh,                 // [N, K, 3] SH coefficients
+    const float* extras,             // [N, E] further values to blend
+    int count,                       // N
     const PinholeCamera* camera_at,  // [1]
-    VisiblePrimitive* primitives,  // [N] room for all; slots [0, visible) are written
-    Outline* outlines,  // [N] by slot, pixels
-    u32* depth_keys,  // [N] by slot: the center's depth as sortable bits
-    u32* tile_counts,  // [N] by slot: tiles that may be touched
-    int* slots,  // [N] each primitive's slot; −1 where not visible
-    int* indices,  // [N] by slot: the primitive's index
-    float* weights,  // [N] set to zero
-    Counters* counters,  // [1] zeroed before
-    u64* state,  // [blocks] prefix sums of earlier blocks, zeroed before
-    u32* ticket  // [1] blocks started so far, zeroed before
+    VisiblePrimitive* primitives,    // [N] room for all; slots [0, visible) are written
+    Outline* outlines,               // [N] by slot, pixels
+    u32* depth_keys,                 // [N] by slot: the center's depth as sortable bits
+    u32* tile_counts,                // [N] by slot: tiles that may be touched
+    int* slots,                      // [N] each primitive's slot; −1 where not visible
+    int* indices,                    // [N] by slot: the primitive's index
+    float* weights,                  // [N] set to zero
+    Counters* counters,              // [1] zeroed before
+    u64* state,                      // [blocks] prefix sums of earlier blocks, zeroed before
+    u32* ticket                      // [1] blocks started so far, zeroed before
 ) {
     __shared__ PinholeCamera camera;
     __shared__ u32 first_slot;
@@ -81,24 +81,24 @@ extern "C" __global__ void __launch_bounds__(256) prepare_primitives(
 // Per primitive: from the sums over its pixels to the gradients of what it was given by. Every row of the results is
 // written, zeros where the primitive was not visible.
 extern "C" __global__ void __launch_bounds__(128) finish_primitives(
-    const float* means,  // [N, 3] centers, world units
-    const float* quaternions,  // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
-    const float* scales,  // [N, 2] of surfels, [N, 3] of 3D Gaussians: standard deviations, world units
-    const float* opacities,  // [N] in [0, 1]
-    const float* sh,  // [N, K, 3] SH coefficients
-    const float* extras,  // [N, E] further values to blend
-    int count,  // N
-    const PinholeCamera* camera_at,  // [1]
+    const float* means,                  // [N, 3] centers, world units
+    const float* quaternions,            // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
+    const float* scales,                 // [N, 2] of surfels, [N, 3] of 3D Gaussians: standard deviations, world units
+    const float* opacities,              // [N] in [0, 1]
+    const float* sh,                     // [N, K, 3] SH coefficients
+    const float* extras,                 // [N, E] further values to blend
+    int count,                           // N
+    const PinholeCamera* camera_at,      // [1]
     const VisiblePrimitive* primitives,  // [visible] by slot
-    const int* slots,  // [N] each primitive's slot; −1 where not visible
-    const float* sums,  // [visible, kSumsStride] PrimitiveSums over all pixels, by slot
-    float* g_means,  // [N, 3] dL/dmeans
-    float* g_quaternions,  // [N, 4] dL/dquaternions
-    float* g_scales,  // [N, 2] or [N, 3] dL/dscales
-    float* g_opacities,  // [N] dL/dopacities
-    float* g_sh,  // [N, K, 3] dL/dsh
-    float* g_extras,  // [N, E] dL/dextras
-    float* position_gradients  // [N, 3] sum over hits of t·dL/dmean, world frame
+    const int* slots,                    // [N] each primitive's slot; −1 where not visible
+    const float* sums,                   // [visible, kSumsStride] PrimitiveSums over all pixels, by slot
+    float* g_means,                      // [N, 3] dL/dmeans
+    float* g_quaternions,                // [N, 4] dL/dquaternions
+    float* g_scales,                     // [N, 2] or [N, 3] dL/dscales
+    float* g_opacities,                  // [N] dL/dopacities
+    float* g_sh,                         // [N, K, 3] dL/dsh
+    float* g_extras,                     // [N, E] dL/dextras
+    float* position_gradients            // [N, 3] sum over hits of t·dL/dmean, world frame
 ) {
     constexpr int row = kShFloats | 1;  // odd: neighboring threads fall on neighboring banks
     __shared__ float staged[128 * row];
@@ -132,8 +132,8 @@ extern "C" __global__ void __launch_bounds__(128) finish_primitives(
         }
         store3(g_means + 3 * i, own.mean);
         store3(position_gradients + 3 * i, own.position_statistic);
-        reinterpret_cast<float4*>(g_quaternions)[i] = make_float4(own.quaternion.w, own.quaternion.x, own.quaternion.y,
-                                                                  own.quaternion.z);
+        reinterpret_cast<float4*>(g_quaternions)[i] =
+            make_float4(own.quaternion.w, own.quaternion.x, own.quaternion.y, own.quaternion.z);
         const float own_scales[3] = {own.scales.x, own.scales.y, own.scales.z};
 #pragma unroll
         for (int k = 0; k < Kind::scale_count; ++k) g_scales[Kind::scale_count * i + k] = own_scales[k];

@@ -11,11 +11,11 @@ static_assert(kItems * kThreads == kTileKeys);
 
 // Counts the keys' digits for all passes.
 extern "C" __global__ void radix_histograms(
-    const u32* keys,  // [capacity]
+    const u32* keys,   // [capacity]
     const u32* count,  // [1] how many of the keys count
-    u32 capacity,  // length of `keys`
-    int passes,  // 1 to 4, eight bits each
-    u32* histograms  // [passes, 256] keys that have digit d at pass p, zeroed before
+    u32 capacity,      // length of `keys`
+    int passes,        // 1 to 4, eight bits each
+    u32* histograms    // [passes, 256] keys that have digit d at pass p, zeroed before
 ) {
     __shared__ u32 local[4 * kDigits];
     for (int i = threadIdx.x; i < passes * kDigits; i += blockDim.x) local[i] = 0;
@@ -31,18 +31,18 @@ extern "C" __global__ void radix_histograms(
 }
 
 // One pass; thread d looks back for digit d.
-extern "C" __global__ void __launch_bounds__(kThreads) radix_pass(
-    const u32* keys_in,  // [capacity]
-    const u32* values_in,  // [capacity], or null for the keys' own positions
-    u32* keys_out,  // [capacity]
-    u32* values_out,  // [capacity]
-    const u32* count,  // [1] how many of the keys count
-    u32 capacity,  // length of the arrays
-    int shift,  // lowest bit of this pass's digit
-    const u32* histogram,  // [256] of this pass's digit
-    u32* state,  // [tiles, 256] prefix sums of earlier tiles, zeroed before
-    u32* ticket  // [1] tiles started so far, zeroed before
-) {
+extern "C" __global__ void __launch_bounds__(kThreads)
+    radix_pass(const u32* keys_in,    // [capacity]
+               const u32* values_in,  // [capacity], or null for the keys' own positions
+               u32* keys_out,         // [capacity]
+               u32* values_out,       // [capacity]
+               const u32* count,      // [1] how many of the keys count
+               u32 capacity,          // length of the arrays
+               int shift,             // lowest bit of this pass's digit
+               const u32* histogram,  // [256] of this pass's digit
+               u32* state,            // [tiles, 256] prefix sums of earlier tiles, zeroed before
+               u32* ticket            // [1] tiles started so far, zeroed before
+    ) {
     __shared__ u32 warp_counts[kWarps][kDigits];
     __shared__ u32 tile_offset[kDigits];    // where the tile's digit starts among its sorted keys
     __shared__ u32 global_offset[kDigits];  // where it goes, less tile_offset

@@ -7,12 +7,11 @@ using namespace envgs;
 // surfels, which is near the surfels that it hits. Both lie on Hilbert curves, and the key takes three bits of either
 // in turn. The tracer's packets are rays along this order, whatever order the caller's rays come in. Rays without a
 // direction hit nothing and come last.
-extern "C" __global__ void ray_keys(
-    const float* origins,  // [R, 3] world units
-    const float* directions,  // [R, 3] world frame, any length; zero hits nothing
-    int count,  // R
-    const CenterStatistics* statistics,  // [1] extent of the surfels' centers
-    u32* keys  // [R] sorts like rays together; all ones for rays without a direction
+extern "C" __global__ void ray_keys(const float* origins,     // [R, 3] world units
+                                    const float* directions,  // [R, 3] world frame, any length; zero hits nothing
+                                    int count,                // R
+                                    const CenterStatistics* statistics,  // [1] extent of the surfels' centers
+                                    u32* keys  // [R] sorts like rays together; all ones for rays without a direction
 ) {
     int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i >= count) return;

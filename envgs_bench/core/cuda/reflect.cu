@@ -6,20 +6,20 @@ using namespace envgs;
 // A pixel whose alpha or blended normal is too short, or whose β is not above `beta_min`, reflects nothing: its
 // direction is zero, and so is its weight, otherwise β. `beta_min_at`, where there is one, says `beta_min` on the
 // device.
-extern "C" __global__ void __launch_bounds__(256) reflect_pixels(
-    const PinholeCamera* camera,  // [1]
-    const float* alpha,  // [H, W] in [0, 1]
-    const float* depth,  // [H, W] camera-frame z
-    const float* normal,  // [3, H, W] world frame, blended, not normalized
-    const float* beta,  // [H, W] blended reflectivity
-    float offset,  // origins lie this far above the surface, world units
-    float alpha_min,  // least alpha and length of the normal of a surface
-    float beta_min,  // least reflectivity that reflects
-    const float* beta_min_at,  // [1] beta_min on the device, or null
-    float* origins,  // [H, W, 3] world units
-    float* directions,  // [H, W, 3] unit, world frame; 0 where nothing reflects
-    float* weights  // [H, W] β; 0 where nothing reflects
-) {
+extern "C" __global__ void __launch_bounds__(256)
+    reflect_pixels(const PinholeCamera* camera,  // [1]
+                   const float* alpha,           // [H, W] in [0, 1]
+                   const float* depth,           // [H, W] camera-frame z
+                   const float* normal,          // [3, H, W] world frame, blended, not normalized
+                   const float* beta,            // [H, W] blended reflectivity
+                   float offset,                 // origins lie this far above the surface, world units
+                   float alpha_min,              // least alpha and length of the normal of a surface
+                   float beta_min,               // least reflectivity that reflects
+                   const float* beta_min_at,     // [1] beta_min on the device, or null
+                   float* origins,               // [H, W, 3] world units
+                   float* directions,            // [H, W, 3] unit, world frame; 0 where nothing reflects
+                   float* weights                // [H, W] β; 0 where nothing reflects
+    ) {
     int i = blockIdx.x * blockDim.x + threadIdx.x, pixels = camera->width * camera->height;
     if (i >= pixels) return;
     Vec3<float> n = {normal[i], normal[pixels + i], normal[2 * pixels + i]};
@@ -37,18 +37,18 @@ extern "C" __global__ void __launch_bounds__(256) reflect_pixels(
 
 // From the gradients of `reflect_pixels`' outputs to those of depth, normal and β. A pixel that reflects is one whose
 // direction is not zero.
-extern "C" __global__ void __launch_bounds__(256) differentiate_reflection(
-    const PinholeCamera* camera,  // [1]
-    const float* normal,  // [3, H, W] world frame, blended, not normalized
-    const float* directions,  // [H, W, 3] as reflect_pixels wrote them
-    float offset,  // origins lie this far above the surface, world units
-    const float* g_origins,  // [H, W, 3] dL/dorigins
-    const float* g_directions,  // [H, W, 3] dL/ddirections
-    const float* g_weights,  // [H, W] dL/dweights
-    float* g_depth,  // [H, W] dL/ddepth
-    float* g_normal,  // [3, H, W] dL/dnormal
-    float* g_beta  // [H, W] dL/dβ
-) {
+extern "C" __global__ void __launch_bounds__(256)
+    differentiate_reflection(const PinholeCamera* camera,  // [1]
+                             const float* normal,          // [3, H, W] world frame, blended, not normalized
+                             const float* directions,      // [H, W, 3] as reflect_pixels wrote them
+                             float offset,                 // origins lie this far above the surface, world units
+                             const float* g_origins,       // [H, W, 3] dL/dorigins
+                             const float* g_directions,    // [H, W, 3] dL/ddirections
+                             const float* g_weights,       // [H, W] dL/dweights
+                             float* g_depth,               // [H, W] dL/ddepth
+                             float* g_normal,              // [3, H, W] dL/dnormal
+                             float* g_beta                 // [H, W] dL/dβ
+    ) {
     int i = blockIdx.x * blockDim.x + threadIdx.x, pixels = camera->width * camera->height;
     if (i >= pixels) return;
     Vec3<float> n = {normal[i], normal[pixels + i], normal[2 * pixels + i]};

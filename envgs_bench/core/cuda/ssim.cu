@@ -4,7 +4,7 @@
 constexpr int kWindow = 11, kTileWidth = SSIM_TILE_WIDTH, kTileHeight = SSIM_TILE_HEIGHT;
 constexpr int kLoadedWidth = kTileWidth + kWindow - 1, kLoadedHeight = kTileHeight + kWindow - 1;
 constexpr int kLoaded = kLoadedHeight * kLoadedWidth, kRows = kLoadedHeight * kTileWidth,
-    kTilePixels = kTileHeight * kTileWidth;
+              kTilePixels = kTileHeight * kTileWidth;
 
 // A channel of an image, zero beyond its borders.
 struct Channel {
@@ -31,19 +31,19 @@ struct Tile {
 
 // SSIM of two images. Where `partials` is given, it becomes the derivative of each value with respect to the blurred x,
 // x² + y² and x·y, half of it for the first and last.
-extern "C" __global__ void __launch_bounds__(256) ssim_map(
-    const float* image,  // [C, H, W] in [0, 1]
-    const float* target,  // [C, H, W] in [0, 1]
-    int channels,  // C
-    int height,  // H, pixels
-    int width,  // W, pixels
-    int pad,  // zeros on every side, pixels
-    const float* taps,  // [11] weights of the window, which sum to 1
-    float c1,  // C₁ of the formula
-    float c2,  // C₂ of the formula
-    float* similarity,  // [C, H + 2·pad − 10, W + 2·pad − 10]
-    float* partials  // [3, C, …], or null: derivatives by the blurred x, x² + y² and x·y
-) {
+extern "C" __global__ void __launch_bounds__(256)
+    ssim_map(const float* image,   // [C, H, W] in [0, 1]
+             const float* target,  // [C, H, W] in [0, 1]
+             int channels,         // C
+             int height,           // H, pixels
+             int width,            // W, pixels
+             int pad,              // zeros on every side, pixels
+             const float* taps,    // [11] weights of the window, which sum to 1
+             float c1,             // C₁ of the formula
+             float c2,             // C₂ of the formula
+             float* similarity,    // [C, H + 2·pad − 10, W + 2·pad − 10]
+             float* partials       // [3, C, …], or null: derivatives by the blurred x, x² + y² and x·y
+    ) {
     __shared__ float xs[kLoaded], ys[kLoaded], rows[4][kRows];
     int out_height = height + 2 * pad - (kWindow - 1), out_width = width + 2 * pad - (kWindow - 1);
     Tile tile(out_height, out_width);
@@ -89,18 +89,18 @@ extern "C" __global__ void __launch_bounds__(256) ssim_map(
 }
 
 // The gradient of `image`, from ssim_map's partials and the gradient of its values.
-extern "C" __global__ void __launch_bounds__(256) differentiate_ssim_map(
-    const float* image,  // [C, H, W] in [0, 1]
-    const float* target,  // [C, H, W] in [0, 1]
-    const float* gradient,  // [C, H + 2·pad − 10, W + 2·pad − 10] dL/dsimilarity
-    const float* partials,  // [3, C, …] from ssim_map
-    int channels,  // C
-    int height,  // H, pixels
-    int width,  // W, pixels
-    int pad,  // zeros on every side, pixels
-    const float* taps,  // [11] weights of the window
-    float* g_image  // [C, H, W] dL/dimage
-) {
+extern "C" __global__ void __launch_bounds__(256)
+    differentiate_ssim_map(const float* image,     // [C, H, W] in [0, 1]
+                           const float* target,    // [C, H, W] in [0, 1]
+                           const float* gradient,  // [C, H + 2·pad − 10, W + 2·pad − 10] dL/dsimilarity
+                           const float* partials,  // [3, C, …] from ssim_map
+                           int channels,           // C
+                           int height,             // H, pixels
+                           int width,              // W, pixels
+                           int pad,                // zeros on every side, pixels
+                           const float* taps,      // [11] weights of the window
+                           float* g_image          // [C, H, W] dL/dimage
+    ) {
     __shared__ float loaded[3][kLoaded], rows[3][kRows];
     int map_height = height + 2 * pad - (kWindow - 1), map_width = width + 2 * pad - (kWindow - 1);
     int border = kWindow - 1 - pad;

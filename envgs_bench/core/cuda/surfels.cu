@@ -7,12 +7,11 @@ using namespace envgs;
 ENVGS_FN float within_halves(float value) { return maximum(-kLargestHalf, minimum(kLargestHalf, value)); }
 
 // Packs the surfels' appearances in the BVH's order; a thread a word.
-extern "C" __global__ void pack_appearances(
-    const u32* order,  // [N] indices of surfels in the BVH's order
-    const float* sh,  // [N, K, 3] SH coefficients
-    const float* extras,  // [N, E] further values to blend
-    int count,  // N
-    u32* appearances  // [N, kAppearance] by slot, see PackedAppearance
+extern "C" __global__ void pack_appearances(const u32* order,     // [N] indices of surfels in the BVH's order
+                                            const float* sh,      // [N, K, 3] SH coefficients
+                                            const float* extras,  // [N, E] further values to blend
+                                            int count,            // N
+                                            u32* appearances      // [N, kAppearance] by slot, see PackedAppearance
 ) {
     long at = long(blockIdx.x) * blockDim.x + threadIdx.x;
     long slot = at / kAppearance;
@@ -30,20 +29,20 @@ extern "C" __global__ void pack_appearances(
 }
 
 // Every row of the results is written, zeros where no ray hit the surfel.
-extern "C" __global__ void __launch_bounds__(128) finish_surfels(
-    const float* quaternions,  // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
-    const float* scales,  // [N, 2] standard deviations, world units; rows begin at 8 bytes
-    int count,  // N
-    const float* weights,  // [N] sums of the blending weights; 0 where no ray hit the surfel
-    const float* sums,  // [N, kTraceSums] by index
-    float* g_means,  // [N, 3] dL/dmeans
-    float* g_quaternions,  // [N, 4] dL/dquaternions
-    float* g_scales,  // [N, 2] dL/dscales
-    float* g_opacities,  // [N] dL/dopacities
-    float* g_sh,  // [N, K, 3] dL/dsh
-    float* g_extras,  // [N, E] dL/dextras
-    float* position_gradients  // [N, 3] sum over hits of t·dL/dmean, world frame
-) {
+extern "C" __global__ void __launch_bounds__(128)
+    finish_surfels(const float* quaternions,  // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
+                   const float* scales,       // [N, 2] standard deviations, world units; rows begin at 8 bytes
+                   int count,                 // N
+                   const float* weights,      // [N] sums of the blending weights; 0 where no ray hit the surfel
+                   const float* sums,         // [N, kTraceSums] by index
+                   float* g_means,            // [N, 3] dL/dmeans
+                   float* g_quaternions,      // [N, 4] dL/dquaternions
+                   float* g_scales,           // [N, 2] dL/dscales
+                   float* g_opacities,        // [N] dL/dopacities
+                   float* g_sh,               // [N, K, 3] dL/dsh
+                   float* g_extras,           // [N, E] dL/dextras
+                   float* position_gradients  // [N, 3] sum over hits of t·dL/dmean, world frame
+    ) {
     constexpr int row = kTraceSums + 1;  // odd: neighboring threads fall on neighboring banks
     __shared__ float staged[128 * row];
     __shared__ bool seen[128];

@@ -22,18 +22,18 @@ struct InstanceWriter {
     }
 };
 
-extern "C" __global__ void __launch_bounds__(256) emit_instances(
-    const u32* order,  // [visible] slots, nearest first; a thread a primitive
-    const Outline* outlines,  // [visible] by slot, pixels
-    const u32* tile_counts,  // [visible] by slot: tiles that may be touched
-    Counters* counters,  // [1] drawn_instances is written
-    u32 capacity,  // instances there is room for
-    int tiles_x,  // tiles in a row of the image
-    u32* tile_keys,  // [capacity] tile of each instance
-    u32* instance_slots,  // [capacity] slot of each instance's primitive
-    u64* state,  // [blocks] prefix sums of earlier blocks, zeroed before
-    u32* ticket  // [1] blocks started so far, zeroed before
-) {
+extern "C" __global__ void __launch_bounds__(256)
+    emit_instances(const u32* order,         // [visible] slots, nearest first; a thread a primitive
+                   const Outline* outlines,  // [visible] by slot, pixels
+                   const u32* tile_counts,   // [visible] by slot: tiles that may be touched
+                   Counters* counters,       // [1] drawn_instances is written
+                   u32 capacity,             // instances there is room for
+                   int tiles_x,              // tiles in a row of the image
+                   u32* tile_keys,           // [capacity] tile of each instance
+                   u32* instance_slots,      // [capacity] slot of each instance's primitive
+                   u64* state,               // [blocks] prefix sums of earlier blocks, zeroed before
+                   u32* ticket               // [1] blocks started so far, zeroed before
+    ) {
     __shared__ u64 first_instance;
     u32 block = take_ticket(ticket), visible = counters->visible;
     if (u64(block) * 256 >= visible) return;
@@ -76,9 +76,9 @@ extern "C" __global__ void __launch_bounds__(256) emit_instances(
 }
 
 extern "C" __global__ void find_tile_ranges(
-    const u32* tile_keys,  // [instances] tile of each instance, ascending
+    const u32* tile_keys,      // [instances] tile of each instance, ascending
     const Counters* counters,  // [1]
-    uint2* ranges  // [tiles] first and past-the-last instance, zeroed before for the tiles without any
+    uint2* ranges              // [tiles] first and past-the-last instance, zeroed before for the tiles without any
 ) {
     u32 n = counters->drawn_instances, i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i >= n) return;

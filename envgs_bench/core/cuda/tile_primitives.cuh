@@ -1,14 +1,14 @@
 // One tile's primitives, front to back, for the tile's 256 pixels: the loop of the forward and the backward pass.
 //
-// A thread has kPixels pixels, four rows apart, so that what a warp does for a primitive is done for all of them. A tile
-// has kAreas areas of 8×4·kPixels pixels, a warp's each. Where an image has tiles enough to fill the GPU (TILE_BLOCKS 1),
-// a block takes a tile and a warp an area: the block fetches a primitive a thread at a time and notes which areas each
-// may touch, so that a warp spends no time on primitives that pass it by.
+// A thread has kPixels pixels, four rows apart, so that what a warp does for a primitive is done for all of them. A
+// tile has kAreas areas of 8×4·kPixels pixels, a warp's each. Where an image has tiles enough to fill the GPU
+// (TILE_BLOCKS 1), a block takes a tile and a warp an area: the block fetches a primitive a thread at a time and notes
+// which areas each may touch, so that a warp spends no time on primitives that pass it by.
 //
 // In a small image few warps would each walk a long list, a primitive after the other. There (TILE_BLOCKS kAreas) a
-// block takes an area, and its eight warps share the list: of those of 256 primitives that touch the area, each takes an
-// eighth. All find first how much light their eighth lets through; what lies before it then gives each the state that
-// it has to begin with, and they visit their primitives side by side.
+// block takes an area, and its eight warps share the list: of those of 256 primitives that touch the area, each takes
+// an eighth. All find first how much light their eighth lets through; what lies before it then gives each the state
+// that it has to begin with, and they visit their primitives side by side.
 #pragma once
 #include "raster.cuh"
 
@@ -41,7 +41,7 @@ struct Pixel {
 struct OwnPixels {
     Pixel pixels[kPixels];
     bool lives[kPixels], live;  // each, and whether any is
-    float x, y, near;  // the first one's center
+    float x, y, near;           // the first one's center
 
     ENVGS_FN OwnPixels(const PinholeCamera& camera, Place place, int tiles_x) : live(false), near(camera.near) {
 #pragma unroll
@@ -104,12 +104,17 @@ struct TileList {
     const VisiblePrimitive* primitives;
     const Outline* outlines;
     const int* rows;  // [visible] by slot: the row of the primitive's sums; null where that is the slot
-    int x0, y0;  // the tile's first pixel
+    int x0, y0;       // the tile's first pixel
 
     ENVGS_FN TileList(const uint2* ranges, const u32* slots, const VisiblePrimitive* all, const Outline* outlines,
                       const int* rows, int tile, int tiles_x)
-        : range(ranges[tile]), instance_slots(slots), primitives(all), outlines(outlines), rows(rows),
-          x0(tile % tiles_x * kTile), y0(tile / tiles_x * kTile) {}
+        : range(ranges[tile]),
+          instance_slots(slots),
+          primitives(all),
+          outlines(outlines),
+          rows(rows),
+          x0(tile % tiles_x * kTile),
+          y0(tile / tiles_x * kTile) {}
 
     ENVGS_FN u32 row_of(u32 slot) const { return rows ? rows[slot] : slot; }
 
@@ -144,9 +149,9 @@ struct TileList {
 
     // The same with the block's warps sharing the area. `progress` is that of each of the thread's pixels, the same in
     // all warps; a pixel is finished below `transmittance_min`. For the primitives of its eighth, a warp first calls
-    // survey(primitive, progress), which advances what each pixel began with as {1, 0}; then begin(k, progress) for each
-    // pixel, visit(primitive, row) for each primitive as above, and end(k, finished) for each pixel: whether it ended in
-    // this eighth. All three see the pixels as the eighths before left them.
+    // survey(primitive, progress), which advances what each pixel began with as {1, 0}; then begin(k, progress) for
+    // each pixel, visit(primitive, row) for each primitive as above, and end(k, finished) for each pixel: whether it
+    // ended in this eighth. All three see the pixels as the eighths before left them.
     template <class Survey, class Begin, class Visit, class End>
     ENVGS_FN void share(int area, float transmittance_min, Progress (&progress)[kPixels], const Survey& survey,
                         const Begin& begin, const bool& live, const Visit& visit, const End& end) const {
@@ -172,7 +177,8 @@ struct TileList {
             if (touches) batch[place] = primitives[slot], batch_rows[place] = row_of(slot);
             __syncthreads();
 
-            u32 each = (count + kWarps - 1) / kWarps, mine = min(count, each * warp_id()), last = min(count, mine + each);
+            u32 each = (count + kWarps - 1) / kWarps, mine = min(count, each * warp_id()),
+                last = min(count, mine + each);
             Progress own[kPixels], before[kPixels];
 #pragma unroll
             for (int k = 0; k < kPixels; ++k) own[k] = {1.0f, 0.0f};

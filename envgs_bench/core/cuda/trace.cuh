@@ -25,7 +25,7 @@ struct Appearance {
         }
     }
 
-  private:
+private:
     __device__ __forceinline__ void take(int k, float word) {
         if constexpr (kColorAlone) {
             float2 pair = floats_of(__float_as_uint(word));
@@ -48,11 +48,11 @@ constexpr int kPageRows = PAGE_ROWS;
 constexpr u32 kNoHit = ~0u;
 
 struct Pages {
-    u32* slots;      // [capacity][kPageRows][kRays]
-    int* next;       // [capacity]
-    int2* heads;     // [packets] first page, and how many rows follow from there
-    u32* used;       // may pass capacity: then hits were lost
-    u32 capacity;    // 0: nothing is kept
+    u32* slots;    // [capacity][kPageRows][kRays]
+    int* next;     // [capacity]
+    int2* heads;   // [packets] first page, and how many rows follow from there
+    u32* used;     // may pass capacity: then hits were lost
+    u32 capacity;  // 0: nothing is kept
 };
 
 struct Ray {

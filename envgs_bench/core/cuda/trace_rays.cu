@@ -4,7 +4,7 @@
 
 using namespace envgs;
 
-constexpr int kBlocks = 32;            // at a time on a multiprocessor
+constexpr int kBlocks = 32;                 // at a time on a multiprocessor
 constexpr int kThreadsPerRay = 32 / kRays;  // threads a ray; thread l works for ray l % kRays
 
 // Products over a ray's threads: of those before this one.
@@ -92,33 +92,33 @@ struct PageWriter {
     }
 };
 
-extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
-    const float* origins,  // [R, 3] world units
-    const float* directions,  // [R, 3] world frame, any length; zero hits nothing
-    const u32* order,  // [R] indices of rays; packets take eight in this order
-    int rays,  // R
-    float4* packed_surfels,  // [leaves, 3, kLeaf] see PackedSurfels
-    const PackedAppearance* appearances,  // [N] by slot
-    const float2* boxes,  // [3, boxes] (low, high) of each box and axis, world units: see Levels
-    int surfel_count,  // N
-    const CenterStatistics* statistics,  // [1] extent of the surfels' centers
-    float t_min,  // hits at smaller t are not drawn
-    float transmittance_min,  // a ray ends below this
-    const float* background,  // [3] in [0, 1]
-    float* color,  // [3, R] blended color, 1 is white
-    float* alpha,  // [R] in [0, 1]
-    // Null from here on where color is drawn alone:
-    float* depth,  // [R] expected t in units of |direction|, 0 where nothing is hit
-    float* normal,  // [3, R] world frame, blended, not normalized
-    float* extras,  // [E, R] blended extras
-    int* hit_counts,  // [R] hits blended
-    float* weights,  // [N] sums of the blending weights, zeroed before
-    u32* page_slots,  // [page_capacity, kPageRows, kRays] slots of hits, kNoHit where a ray has none
-    int* page_next,  // [page_capacity] the page that follows; −1: none
-    int2* page_heads,  // [packets] first page, number of rows
-    u32* pages_used,  // [1] pages asked for; above page_capacity hits were lost
-    u32 page_capacity  // pages there is room for; 0: hits are not kept
-) {
+extern "C" __global__ void __launch_bounds__(32, kBlocks)
+    trace_rays(const float* origins,                 // [R, 3] world units
+               const float* directions,              // [R, 3] world frame, any length; zero hits nothing
+               const u32* order,                     // [R] indices of rays; packets take eight in this order
+               int rays,                             // R
+               float4* packed_surfels,               // [leaves, 3, kLeaf] see PackedSurfels
+               const PackedAppearance* appearances,  // [N] by slot
+               const float2* boxes,  // [3, boxes] (low, high) of each box and axis, world units: see Levels
+               int surfel_count,     // N
+               const CenterStatistics* statistics,  // [1] extent of the surfels' centers
+               float t_min,                         // hits at smaller t are not drawn
+               float transmittance_min,             // a ray ends below this
+               const float* background,             // [3] in [0, 1]
+               float* color,                        // [3, R] blended color, 1 is white
+               float* alpha,                        // [R] in [0, 1]
+               // Null from here on where color is drawn alone:
+               float* depth,      // [R] expected t in units of |direction|, 0 where nothing is hit
+               float* normal,     // [3, R] world frame, blended, not normalized
+               float* extras,     // [E, R] blended extras
+               int* hit_counts,   // [R] hits blended
+               float* weights,    // [N] sums of the blending weights, zeroed before
+               u32* page_slots,   // [page_capacity, kPageRows, kRays] slots of hits, kNoHit where a ray has none
+               int* page_next,    // [page_capacity] the page that follows; −1: none
+               int2* page_heads,  // [packets] first page, number of rows
+               u32* pages_used,   // [1] pages asked for; above page_capacity hits were lost
+               u32 page_capacity  // pages there is room for; 0: hits are not kept
+    ) {
     __shared__ PacketMemory memory;
     __shared__ Blended<kColorAlone> blended_of_rays[kRays];  // not in registers, which the search is short of
     __shared__ Levels levels;
@@ -136,8 +136,11 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
     if (thread_of_ray == 0) blended_of_rays[lane_id()] = Blended<kColorAlone>::initial();
     float transmittance = 1.0f;
     bool wanted = index >= 0;
+    // Rounds of a search and a blending, until every ray of the packet has ended.
     while (__any_sync(kFullWarp, wanted)) {
+        // Search: each ray's nearest hits that were not blended yet, front to back.
         packet.search(wanted, transmittance);
+        // Blend: as many hits of a ray at a time as it has threads.
         bool ended = !wanted;
         int blended = 0;
         Blended<kColorAlone> part = Blended<kColorAlone>::initial();
@@ -146,6 +149,7 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
             int k = first + thread_of_ray;
             bool listed = !ended && k < packet.count();
             u32 slot = listed ? packet.slot(k) : 0;
+            // Intersect: each thread its own hit.
             TracedSurfel s;
             PlaneHit<float> hit;
             float a = 0.0f;
@@ -154,6 +158,7 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
                 hit = intersect(s.frame, own.origin - s.mean, own.direction);
                 a = response_alpha(s.opacity, hit.u * hit.u + hit.v * hit.v);
             }
+            // Weigh: by what the hits before leave of the ray.
             float before = transmittance * exclusive_product(1.0f - a);
             bool blends = listed && before >= transmittance_min;
             if (blends) {
@@ -162,9 +167,10 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
                 part.add(before * a, s, hit, sh_color<kShDegree>(appearance.sh, v), appearance.extras);
                 if constexpr (!kColorAlone) atomicAdd(weights + s.index, before * a);
             }
+            // Keep: the hits, for the backward pass.
             u32* rows = writer.more_rows();
             if (rows) rows[lane_id()] = blends ? slot : kNoHit;
-            // Which of the ray's threads blended: always the first ones.
+            // Advance: past the ray's threads that blended, always the first ones.
             u32 threads = __ballot_sync(kFullWarp, blends) >> lane_id() % kRays;
             int count = 0;
 #pragma unroll
@@ -174,11 +180,13 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks) trace_rays(
             blended += count;
             ended = ended || transmittance < transmittance_min;
         }
+        // Resume: behind the last hit that was blended, where the list had no room for all.
         part.join_threads();
         if (thread_of_ray == 0) blended_of_rays[lane_id()] = part;
         wanted = wanted && !ended && packet.dropped();
         packet.resume_after(wanted ? blended - 1 : -1);
     }
+    // Store: a ray's first thread its sums.
     if (writer.pages.capacity && lane_id() == 0) page_heads[blockIdx.x] = make_int2(writer.first, writer.rows);
     if (thread_of_ray > 0 || index < 0) return;
     Planes<float> out = {color, alpha, depth, normal, extras, rays};

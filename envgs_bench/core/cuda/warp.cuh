@@ -95,7 +95,8 @@ __device__ __forceinline__ u32 take_ticket(u32* ticket) {
     return number;
 }
 
-// Called by one whole warp of a block: the sum over all blocks before this one. A lane looks at a block, the nearest first.
+// Called by one whole warp of a block: the sum over all blocks before this one. A lane looks at a block, the nearest
+// first.
 __device__ __forceinline__ u64 sum_before_block(volatile u64* state, u32 block, u64 own) {
     if (lane_id() == 0) state[block] = (block == 0 ? kComplete : kPartial) | own;
     u64 before = 0;

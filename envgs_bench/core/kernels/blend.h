@@ -48,7 +48,7 @@ ENVGS_FN AlphaGradient<R> alpha_backward(R opacity, R alpha, R g_alpha) {
 template <class R>
 struct SumGradient {
     Vec3<R> color;
-    R depth;   // dL/d(Σ wᵢtᵢ)
+    R depth;  // dL/d(Σ wᵢtᵢ)
     Vec3<R> normal;
     R weight;  // dL/d(Σ wᵢ)
 };
@@ -68,7 +68,8 @@ ENVGS_FN R blended_total(SumGradient<R> g, Vec3<R> color, R alpha, R depth, Vec3
     return dot(g.color, blended) + g.depth * depth * alpha + dot(g.normal, normal) + g.weight * alpha;
 }
 
-// g·c of a hit, what a unit of its weight changes the loss by (the caller adds the extras' part); arguments as blend()'s.
+// g·c of a hit, what a unit of its weight changes the loss by (the caller adds the extras' part); arguments as
+// blend()'s.
 template <class R, class C>
 ENVGS_FN R hit_value(const SumGradient<R>& g, Vec3<C> color, R t, R side, Vec3<C> normal) {
     R along = g.normal.x * normal.x + g.normal.y * normal.y + g.normal.z * normal.z;

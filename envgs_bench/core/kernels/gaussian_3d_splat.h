@@ -5,14 +5,14 @@
 
 namespace envgs {
 
-constexpr float kDilation = 0.3f;        // px² added to V by the low-pass
-constexpr float kFrustumMargin = 0.3f;   // the affine approximation is taken at most this share of the image's
-                                         // half size outside the image
+constexpr float kDilation = 0.3f;       // px² added to V by the low-pass
+constexpr float kFrustumMargin = 0.3f;  // the affine approximation is taken at most this share of the image's
+                                        // half size outside the image
 
 struct Gaussian3dSplat {
-    float x, y, depth;       // the projected center
-    float xx, xy, yy;        // V⁻¹
-    float side;              // +1 where the shortest axis faces the camera, else −1
+    float x, y, depth;  // the projected center
+    float xx, xy, yy;   // V⁻¹
+    float side;         // +1 where the shortest axis faces the camera, else −1
     float support, opacity;
 };
 
@@ -37,9 +37,9 @@ struct Gaussian3dInput {
 
 // The rows of T, and what its derivative needs.
 struct AffineProjection {
-    Vec3<float> t0, t1;      // rows of T, world frame
-    float tx, ty;            // x/z and y/z, clamped
-    bool free_x, free_y;     // not clamped
+    Vec3<float> t0, t1;   // rows of T, world frame
+    float tx, ty;         // x/z and y/z, clamped
+    bool free_x, free_y;  // not clamped
 };
 
 ENVGS_FN float clamped(float value, float low, float high) { return minimum(maximum(value, low), high); }

@@ -46,8 +46,7 @@ ENVGS_FN bool pixels_of(const PinholeCamera& camera, PixelBox box, PixelRect& re
 // The outline of the disc ρ ≤ r² of a surfel with semi-axes axis_u, axis_v: the dual conic of disc_box, inverted about
 // the projected center. Unknown where the disc comes near the camera plane.
 ENVGS_FN Ellipse disc_ellipse(const PinholeCamera& camera, const Projection& center, Vec3<float> axis_u,
-                              Vec3<float> axis_v,
-                              float r2) {
+                              Vec3<float> axis_v, float r2) {
     Vec3<float> hu = center.world_to_pixel * axis_u, hv = center.world_to_pixel * axis_v;
     float zc = center.in_camera.z;
     float depth_extent2 = r2 * (hu.z * hu.z + hv.z * hv.z);
@@ -106,9 +105,7 @@ ENVGS_FN XInterval<R> strip_of(const Ellipse& e, R y0, R y1) {
     float rightmost = e.xy / square_root(maximum(e.xx, 1e-20f));
     float inverse = 1.0f / maximum(e.yy, 1e-20f), slope = e.xy * inverse;
     float width = maximum(e.xx - e.xy * slope, 0.0f);
-    auto half_width = [&](R dy) {
-        return square_root(width * maximum(1.0f - dy * dy * inverse, broadcast<R>(0.0f)));
-    };
+    auto half_width = [&](R dy) { return square_root(width * maximum(1.0f - dy * dy * inverse, broadcast<R>(0.0f))); };
     R right = minimum(maximum(broadcast<R>(rightmost), below), above);
     R left = minimum(maximum(broadcast<R>(-rightmost), below), above);
     auto touched = below <= above;

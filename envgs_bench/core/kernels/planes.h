@@ -45,9 +45,9 @@ struct PixelGradient {
 ENVGS_FN PixelGradient read_gradient(const Planes<const float>& out, const Planes<const float>& gradient, long at,
                                      Vec3<float> background) {
     float alpha = out.alpha[at], depth = out.depth[at];
-    SumGradient<float> g = sum_gradient(read3(gradient.color, at, out.pixels), read(gradient.alpha, at),
-                                        read(gradient.depth, at), read3(gradient.normal, at, out.pixels), alpha, depth,
-                                        background);
+    SumGradient<float> g =
+        sum_gradient(read3(gradient.color, at, out.pixels), read(gradient.alpha, at), read(gradient.depth, at),
+                     read3(gradient.normal, at, out.pixels), alpha, depth, background);
     return {g, blended_total(g, read3(out.color, at, out.pixels), alpha, depth, read3(out.normal, at, out.pixels),
                              background)};
 }

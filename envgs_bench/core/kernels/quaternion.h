@@ -36,10 +36,9 @@ ENVGS_FN Axes<R> axes_of(Quaternion<R> q) {
 template <class R>
 ENVGS_FN Quaternion<R> quaternion_gradient(Quaternion<R> q, R inverse_norm, Vec3<R> torque) {
     R s = 2.0f * inverse_norm;
-    return {-s * (q.x * torque.x + q.y * torque.y + q.z * torque.z),
-            s * (q.w * torque.x + q.y * torque.z - q.z * torque.y),
-            s * (q.w * torque.y + q.z * torque.x - q.x * torque.z),
-            s * (q.w * torque.z + q.x * torque.y - q.y * torque.x)};
+    return {
+        -s * (q.x * torque.x + q.y * torque.y + q.z * torque.z), s * (q.w * torque.x + q.y * torque.z - q.z * torque.y),
+        s * (q.w * torque.y + q.z * torque.x - q.x * torque.z), s * (q.w * torque.z + q.x * torque.y - q.y * torque.x)};
 }
 
 }  // namespace envgs

@@ -14,9 +14,9 @@
 
 namespace envgs {
 
-constexpr float kMaxSupport = 9.0f;             // squared radius of the largest support: three standard deviations
-constexpr float kMaxAlpha = 0.99f;              // a primitive never hides all that lies behind it
-constexpr float kDirectionEpsilon = 1e-12f;     // below this a ray counts as parallel to a surfel's plane
+constexpr float kMaxSupport = 9.0f;          // squared radius of the largest support: three standard deviations
+constexpr float kMaxAlpha = 0.99f;           // a primitive never hides all that lies behind it
+constexpr float kDirectionEpsilon = 1e-12f;  // below this a ray counts as parallel to a surfel's plane
 constexpr float kInfinity = 3.0e38f;
 
 ENVGS_FN float select(bool mask, float a, float b) { return mask ? a : b; }

@@ -7,9 +7,9 @@ namespace envgs {
 constexpr float kSh0 = 0.28209479177387814f;
 constexpr float kSh1 = 0.4886025119029199f;
 ENVGS_TABLE float kSh2[5] = {1.0925484305920792f, -1.0925484305920792f, 0.31539156525252005f, -1.0925484305920792f,
-                           0.5462742152960396f};
+                             0.5462742152960396f};
 ENVGS_TABLE float kSh3[7] = {-0.5900435899266435f, 2.890611442640554f, -0.4570457994644658f, 0.3731763325901154f,
-                           -0.4570457994644658f, 1.445305721320277f, -0.5900435899266435f};
+                             -0.4570457994644658f, 1.445305721320277f, -0.5900435899266435f};
 
 // y[k] = Y_k(d) for k < (degree + 1)², d unit.
 template <int Degree, class R>
@@ -49,10 +49,10 @@ ENVGS_FN Vec3<R> sh_basis_backward(Vec3<R> d, const R* g) {
         out.z += kSh1 * g[2];
     }
     if constexpr (Degree > 1) {
-        out.x += kSh2[0] * d.y * g[4] - 2.0f * kSh2[2] * d.x * g[6] + kSh2[3] * d.z * g[7] +
-                 2.0f * kSh2[4] * d.x * g[8];
-        out.y += kSh2[0] * d.x * g[4] + kSh2[1] * d.z * g[5] - 2.0f * kSh2[2] * d.y * g[6] -
-                 2.0f * kSh2[4] * d.y * g[8];
+        out.x +=
+            kSh2[0] * d.y * g[4] - 2.0f * kSh2[2] * d.x * g[6] + kSh2[3] * d.z * g[7] + 2.0f * kSh2[4] * d.x * g[8];
+        out.y +=
+            kSh2[0] * d.x * g[4] + kSh2[1] * d.z * g[5] - 2.0f * kSh2[2] * d.y * g[6] - 2.0f * kSh2[4] * d.y * g[8];
         out.z += kSh2[1] * d.y * g[5] + 4.0f * kSh2[2] * d.z * g[6] + kSh2[3] * d.x * g[7];
     }
     if constexpr (Degree > 2) {
@@ -63,9 +63,8 @@ ENVGS_FN Vec3<R> sh_basis_backward(Vec3<R> d, const R* g) {
         out.y += 3.0f * kSh3[0] * (xx - yy) * g[9] + kSh3[1] * xz * g[10] +
                  kSh3[2] * (4.0f * zz - xx - 3.0f * yy) * g[11] - 6.0f * kSh3[3] * yz * g[12] -
                  2.0f * kSh3[4] * xy * g[13] - 2.0f * kSh3[5] * yz * g[14] - 6.0f * kSh3[6] * xy * g[15];
-        out.z += kSh3[1] * xy * g[10] + 8.0f * kSh3[2] * yz * g[11] +
-                 3.0f * kSh3[3] * (2.0f * zz - xx - yy) * g[12] + 8.0f * kSh3[4] * xz * g[13] +
-                 kSh3[5] * (xx - yy) * g[14];
+        out.z += kSh3[1] * xy * g[10] + 8.0f * kSh3[2] * yz * g[11] + 3.0f * kSh3[3] * (2.0f * zz - xx - yy) * g[12] +
+                 8.0f * kSh3[4] * xz * g[13] + kSh3[5] * (xx - yy) * g[14];
     }
     return out;
 }

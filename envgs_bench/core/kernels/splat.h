@@ -8,7 +8,7 @@ namespace envgs {
 
 // A camera and how it draws; `Camera` in Python.
 struct PinholeCamera {
-    Mat3<float> rotation;            // world to camera
+    Mat3<float> rotation;  // world to camera
     Vec3<float> translation;
     Mat3<float> intrinsics;
     Mat3<float> pixel_to_direction;  // (x, y, 1) -> world direction with camera z = 1
@@ -31,8 +31,8 @@ ENVGS_FN PixelBox merged(PixelBox a, PixelBox b) {
 // A pinhole projection of one point, and what turns pixel gradients into world ones.
 struct Projection {
     Vec3<float> in_camera;
-    float x, y;                      // pixels
-    Mat3<float> world_to_pixel;      // K·R: homogeneous
+    float x, y;                  // pixels
+    Mat3<float> world_to_pixel;  // K·R: homogeneous
 };
 
 ENVGS_FN Projection project(const PinholeCamera& camera, Vec3<float> point) {

@@ -56,10 +56,10 @@ ENVGS_FN Vec3<R> intersect_backward(PlaneHit<R> hit, R d_x, R d_y, R g_t, R g_u,
 // in the plane, nine numbers hold the gradient of mean, rotation and scales; `g_t` gives the position statistic.
 template <class R>
 struct SurfelMoments {
-    Vec3<R> g;         // Σ g, g = dL/do' of a hit
-    Vec3<R> g_u;       // Σ g·u
-    Vec3<R> g_v;       // Σ g·v
-    Vec3<R> g_t;       // Σ g·t
+    Vec3<R> g;    // Σ g, g = dL/do' of a hit
+    Vec3<R> g_u;  // Σ g·u
+    Vec3<R> g_v;  // Σ g·v
+    Vec3<R> g_t;  // Σ g·t
 };
 
 template <class R>
@@ -74,7 +74,7 @@ template <class R>
 struct SurfelGradient {
     Vec3<R> mean;
     R scale_u, scale_v;
-    Vec3<R> torque;  // gradient of a small rotation about the local axes: see quaternion_gradient
+    Vec3<R> torque;              // gradient of a small rotation about the local axes: see quaternion_gradient
     Vec3<R> position_statistic;  // Σ t·dL/dmean
 };
 
@@ -87,8 +87,7 @@ ENVGS_FN SurfelGradient<R> surfel_backward(Axes<R> axes, R scale_u, R scale_v, S
     out.position_statistic = -(sum.g_t.x * frame.u + sum.g_t.y * frame.v + sum.g_t.z * frame.n);
     out.scale_u = -sum.g_u.x / scale_u;
     out.scale_v = -sum.g_v.y / scale_v;
-    out.torque = {-scale_v * sum.g_v.z - dot(axes.v, g_normal),
-                  scale_u * sum.g_u.z + dot(axes.u, g_normal),
+    out.torque = {-scale_v * sum.g_v.z - dot(axes.v, g_normal), scale_u * sum.g_u.z + dot(axes.u, g_normal),
                   (scale_v / scale_u) * sum.g_v.x - (scale_u / scale_v) * sum.g_u.y};
     return out;
 }

@@ -13,16 +13,16 @@ struct SurfelSplat {
     Mat3<float> direction;  // d' = direction · (x, y, 1)
     float x, y, depth;      // the projected center
     float support, opacity;
-    float screen_support;   // the low-pass's support; negative where it is off or the center nearer than near
+    float screen_support;  // the low-pass's support; negative where it is off or the center nearer than near
 };
 
 template <class R>
 struct SurfelPixel {
     PlaneHit<R> plane;
-    R d_x, d_y;     // d'_x, d'_y
-    R dx, dy;       // pixel − projected center
-    R rho, t, side; // side: +1 where the ray hits the front of the surfel (n·d < 0), else −1
-    R screen;       // 1 where the low-pass's response is the larger one, else 0
+    R d_x, d_y;      // d'_x, d'_y
+    R dx, dy;        // pixel − projected center
+    R rho, t, side;  // side: +1 where the ray hits the front of the surfel (n·d < 0), else −1
+    R screen;        // 1 where the low-pass's response is the larger one, else 0
 };
 
 // Σ over pixels; see SurfelMoments for the first, the rest belongs to the low-pass.
@@ -48,8 +48,7 @@ ENVGS_FN Vec3<float> normal_of(const SurfelInput& in) {
 // follows from the dual conic r²(h_u h_uᵀ + h_v h_vᵀ) − h_c h_cᵀ, taken about the projected center to keep float
 // accuracy; where it crosses the camera plane, the square around it is clipped at the near plane and projected.
 ENVGS_FN PixelBox disc_box(const PinholeCamera& camera, const Projection& center, Vec3<float> axis_u,
-                           Vec3<float> axis_v,
-                           float r2) {
+                           Vec3<float> axis_v, float r2) {
     PixelBox empty = {1.0f, 1.0f, 0.0f, 0.0f};
     Vec3<float> hu = center.world_to_pixel * axis_u, hv = center.world_to_pixel * axis_v;
     float zc = center.in_camera.z, r = square_root(r2);
@@ -157,7 +156,7 @@ struct SplatGradient {
     Vec3<float> mean;                // geometry only: the color's direction adds its own
     Vec3<float> position_statistic;  // Σ t·dL/dmean
     Quaternion<float> quaternion;
-    Vec3<float> scales;              // the third of a surfel is 0
+    Vec3<float> scales;  // the third of a surfel is 0
 };
 
 // g_normal: Σ w·side·dL/dnormal over the pixels, world frame.
@@ -171,7 +170,9 @@ ENVGS_FN SplatGradient finish(const PinholeCamera& camera, const SurfelInput& in
     if (center.in_camera.z >= camera.near) screen = project_backward(center, sum.x, sum.y, sum.depth);
     Vec3<float> statistic = own.position_statistic;
     if (camera.low_pass_statistics) statistic = statistic + center.in_camera.z * screen;
-    return {own.mean + screen, statistic, quaternion_gradient(q, inverse_norm, own.torque),
+    return {own.mean + screen,
+            statistic,
+            quaternion_gradient(q, inverse_norm, own.torque),
             {own.scale_u, own.scale_v, 0.0f}};
 }
 

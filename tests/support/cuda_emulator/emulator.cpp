@@ -2,13 +2,13 @@
 // operation of its warp. Blocks run one after the other.
 #include "emulator.h"
 
+#include <ucontext.h>
 #include <csetjmp>
 #include <csignal>
 #include <cstdarg>
 #include <cstdio>
 #include <memory>
 #include <numeric>
-#include <ucontext.h>
 
 Coordinates threadIdx, blockIdx, blockDim, gridDim;
 
@@ -152,7 +152,8 @@ void run_block(unsigned count, int order) {
             any = give_turns(turns, count);
         } else {
             for (unsigned first = 0; first < count; first += 32)
-                for (; give_turns(turns + first, std::min(32u, count - first)) && rounds < kMaxRounds; ++rounds) any = true;
+                for (; give_turns(turns + first, std::min(32u, count - first)) && rounds < kMaxRounds; ++rounds)
+                    any = true;
         }
         if (!any) fail_block("deadlock: every thread waits for others");
         if (++rounds > kMaxRounds) fail_block("does not end");

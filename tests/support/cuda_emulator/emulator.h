@@ -82,7 +82,8 @@ struct WarpExchange {
 
     template <class Visit>
     void each(const Visit& visit) const {
-        for (unsigned rest = present; rest; rest &= rest - 1) visit(std::countr_zero(rest), values[std::countr_zero(rest)]);
+        for (unsigned rest = present; rest; rest &= rest - 1)
+            visit(std::countr_zero(rest), values[std::countr_zero(rest)]);
     }
 };
 
@@ -144,10 +145,10 @@ const char* launch(void (*kernel)(Parameters...), unsigned blocks, unsigned thre
 }  // namespace emulator
 
 // Makes a kernel callable from outside; launching returns an error message or null.
-#define EXPORT_KERNEL(name)                                                                                        \
-    extern "C" const char* signature_##name() { return emulator::signature(name); }                                \
-    extern "C" const char* launch_##name(unsigned blocks, unsigned threads, int order, void** arguments) {         \
-        return emulator::launch(name, blocks, threads, order, arguments);                                          \
+#define EXPORT_KERNEL(name)                                                                                \
+    extern "C" const char* signature_##name() { return emulator::signature(name); }                        \
+    extern "C" const char* launch_##name(unsigned blocks, unsigned threads, int order, void** arguments) { \
+        return emulator::launch(name, blocks, threads, order, arguments);                                  \
     }
 
 inline void __syncthreads() { emulator::synchronize_block(emulator::Operation::barrier, false); }
@@ -178,8 +179,10 @@ unsigned __match_any_sync(unsigned mask, T value) {
 template <class T>
 T __shfl_sync(unsigned mask, T value, int source) {
     emulator::require_full_warp(mask);
-    const emulator::WarpExchange& exchange = emulator::synchronize_warp(emulator::Operation::shuffle, emulator::to_word(value));
-    if (!(exchange.present >> (source & 31) & 1)) emulator::fail("a shuffle reads from lane %d, which has ended", source);
+    const emulator::WarpExchange& exchange =
+        emulator::synchronize_warp(emulator::Operation::shuffle, emulator::to_word(value));
+    if (!(exchange.present >> (source & 31) & 1))
+        emulator::fail("a shuffle reads from lane %d, which has ended", source);
     return emulator::from_word<T>(exchange.values[source & 31]);
 }
 template <class T>
