@@ -1,0 +1,42 @@
+"""What is not imported by commands that need not wait for it; a process each, since this one has imported it all."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+SLOW = {"torch", "hydra", "matplotlib", "pandas", "scipy", "kornia"}
+CALL = """
+import contextlib, io, sys
+from envgs_bench.cli.main import main
+with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
+    main({arguments})
+print(*sys.modules)
+"""
+TRAIN = """
+import sys
+from envgs_bench.methods.registry import create_method
+from envgs_bench.testing import tiny_scene
+scene = tiny_scene()
+method = create_method("2dgs")
+method.initialize(scene, 2)
+method.training_step(scene.train[0], 1)
+print(*sys.modules)
+"""
+
+
+def imported(code: str) -> set[str]:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.split())
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["report", "--help"]], ids=" ".join)
+def test_help_waits_for_no_large_library(arguments: list[str]) -> None:
+    assert not imported(CALL.format(arguments=arguments)) & SLOW
+
+
+def test_training_steps_wait_neither_for_a_compiler_nor_for_charts() -> None:
+    assert not imported(TRAIN) & {"torch._dynamo", "torch._inductor", "matplotlib", "pandas", "hydra"}
