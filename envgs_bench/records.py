@@ -64,6 +64,7 @@ WarningKind = Literal[
     "budget",  # of memory
     "capped",  # a set is as large as settings let it be
     "run_short",  # before any step: too few for its training views
+    "near_hides",  # the near plane lies behind much of what the views show
     "views_sparse",  # of the scene, before any step: neighboring views are too far apart
     "views_noisy",
     "views_blurred",  # nothing fine is in them

@@ -66,6 +66,16 @@ class Observations:
         maps = (view.image for view in self.views)
         return torch.stack([self._at(index, values).float() / 255 for index, values in enumerate(maps)])
 
+    def hidden_share(self, near: float) -> float:
+        """Share of the points in the median view's picture that are nearer than `near`, world units; 0 of no points."""
+        shares = []
+        for view, pixels in zip(self.views, self.pixels, strict=True):
+            depths = view.camera.project(self.points)[1]
+            size = pixels.new_tensor([view.camera.width, view.camera.height])
+            inside = depths[(depths > 0) & (pixels >= 0).all(dim=1) & (pixels < size).all(dim=1)]
+            shares.append((inside < near).float().mean() if len(inside) else pixels.new_zeros(()))
+        return float(torch.stack(shares).median())
+
     def photo_consistency(self) -> float:
         """How much nearer the points' colors are to what views show there than other points' are: 0 by chance, to 1.
 

@@ -17,6 +17,7 @@ from .thresholds import (
     BLOCKY,
     BLURRED,
     DISAGREEING,
+    HIDDEN,
     MISSING,
     NOISY,
     PASSES,
@@ -27,19 +28,23 @@ from .thresholds import (
 )
 
 
-def scene_warnings(diagnosis: Diagnosis, steps: int, quickness: float = 1.0) -> list[TrainingWarning]:
+def scene_warnings(
+    diagnosis: Diagnosis, steps: int, quickness: float = 1.0, near: float = 0.0
+) -> list[TrainingWarning]:
     """What training views, their poses, points and normals warn of, and few steps for them; each of step 0.
 
     Args:
         diagnosis: of a scene with points; methods refuse others.
         steps: of the training, a view each.
         quickness: learning rates beside the method's own: steps at a third of them count as a third of the steps.
+        near: what is nearer to a camera is not drawn, world units.
     """
     views, taken = len(diagnosis.scene.train), diagnosis.photographs
     support, covered = diagnosis.photo_consistency, diagnosis.coverage
     parallax, in_order = diagnosis.parallax, diagnosis.points_in_order
     aligned, bright = diagnosis.alignment, diagnosis.exposures
     mirrored, disagreement = diagnosis.mirrored, diagnosis.disagreement
+    hidden = diagnosis.observations.hidden_share(near)
     colorless = diagnosis.observations.colorless
     slowly = f", at {quickness:.2g} times the method's own learning rates" if quickness < 1 else ""
     found: list[tuple[WarningKind, bool, str]] = [
@@ -48,6 +53,12 @@ def scene_warnings(diagnosis: Diagnosis, steps: int, quickness: float = 1.0) -> 
             steps * quickness < PASSES * views,
             f"each of {views} training views is learned from {steps / views:.1f} times{slowly}, which is no length to "
             f"judge a method by: take {math.ceil(PASSES * views / quickness)} steps at least",
+        ),
+        (
+            "near_hides",
+            hidden > HIDDEN,
+            f"{hidden:.0%} of the points in a training view are nearer than {near:g} world units, and nothing is drawn "
+            "there: lower method.near, or dataset.free_space where that is larger",
         ),
         (
             "views_sparse",

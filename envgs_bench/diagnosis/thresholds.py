@@ -12,6 +12,7 @@ UNSUPPORTED = 0.04  # photo-consistency of points below which they are where cha
 MISSING = 0.7  # share of a view's textured cells with a point below which pictures show much that no point starts
 FAR_MISSING = 0.01  # share of the views' cells in which points far away must be found to be missed
 MIN_POINTS = 8  # that a set can start from
+HIDDEN = 0.25  # share of the points in a view from which its near plane hides what the view shows
 
 # Photographs
 NOISY = 0.06  # standard deviation of a pixel's noise, of the range of sRGB

@@ -77,7 +77,7 @@ def execute(
     results.steps = method.training_steps(actual.steps)
     diagnosis = Diagnosis(scene, method.device)
     if len(scene.points):  # a method refuses others
-        results.warnings = scene_warnings(diagnosis, results.steps, quickness(method.settings))
+        results.warnings = scene_warnings(diagnosis, results.steps, quickness(method.settings), near_of(method, scene))
         diagnosis, results.repairs = repaired(diagnosis, settings.repair, settings.seed)
         scene = scene_for(method, diagnosis)
     for warning in results.warnings:
@@ -141,6 +141,11 @@ def _load(settings: RunSettings, results: Results, report: EventListener) -> Sce
     if notes:
         report({"stage": "loading", "notes": notes})
     return scene
+
+
+def near_of(method: Method, scene: Scene) -> float:
+    """What the method draws nothing nearer than, world units; 0 where it says nothing of that."""
+    return max(float(getattr(method.settings, "near", 0.0)), scene.free_space)
 
 
 def check_scene(scene: Scene) -> None:

@@ -68,6 +68,14 @@ def test_nothing_is_said_of_a_scene_in_order(room: Scene) -> None:
     assert said(room) == []
 
 
+def test_a_near_plane_behind_what_views_show_is_said(room: Scene) -> None:
+    """At 0.2 none of the room's points is hidden; at its cameras' distance from the middle half of them are."""
+    assert scene_warnings(Diagnosis(room), 300, near=0.2) == []
+    (warning,) = scene_warnings(Diagnosis(room), 300, near=2.5)
+    assert warning.kind == "near_hides"
+    assert "nearer than 2.5 world units" in warning.message
+
+
 @pytest.mark.parametrize(("times", "short"), [(1, True), (3.99, True), (4, False)])
 def test_a_run_is_short_that_hardly_sees_its_views(room: Scene, times: float, short: bool) -> None:
     steps = int(times * len(room.train))
