@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from envgs_bench.methods.storage import compact
 from envgs_bench.records import Cost
 from envgs_bench.run_folder import CHECKPOINT
 from envgs_bench.stages.cost import with_files
+from envgs_bench.stored.layout_losses import layout_losses, require_layouts
 from envgs_bench.stored.reopening import reopen
 from envgs_bench.testing import tiny_scene
 
@@ -133,3 +135,16 @@ COST = Cost(
     skipped_steps=0,
     peak_primitives=1,
 )
+
+
+def test_a_model_whose_world_is_not_its_datas_says_so(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = Path(shutil.copytree(runs / "2dgs", tmp_path / "run"))
+    placement = {"shift": [500123.0, 5600456.0, 312.0], "scale": 0.5}
+    (run / "record.json").write_text(json.dumps(record("tiny", "2dgs", 3, placement=placement)))
+    assert main(["store", str(run), "--layout", "ply", "--out", str(tmp_path / "out")]) == 0
+    assert "a place of the data is (500123, 5600456, 312) + 0.5 · world" in capsys.readouterr().err
+    assert json.loads((tmp_path / "out/placement.json").read_text()) == placement
+    with pytest.raises(ValueError, match=r"was trained where a place of the data is \(500123, .* run it again"):
+        next(layout_losses(run, require_layouts(["ply"]), "cpu"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -96,6 +97,15 @@ def test_the_frames_of_a_transforms_json_are_cameras(tmp_path: Path) -> None:
     scene = tiny_scene()
     write_blender(scene, tmp_path / "written")
     read = read_path(tmp_path / "written" / "transforms_train.json", scene.test[0].camera, Placement())
+    for ours, view in zip(read, scene.train, strict=True):
+        assert_same(ours, view.camera)
+
+
+def test_a_path_in_the_coordinates_of_data_far_away_and_small_is_in_the_scenes_world(tmp_path: Path) -> None:
+    placement = Placement((500123.0, 5600456.0, 312.0), 1 / 128)
+    scene = replace(tiny_scene(), placement=placement)
+    write_blender(scene, tmp_path / "written")
+    read = read_path(tmp_path / "written" / "transforms_train.json", scene.test[0].camera, placement)
     for ours, view in zip(read, scene.train, strict=True):
         assert_same(ours, view.camera)
 
