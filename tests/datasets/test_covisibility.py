@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
-from toy_scenes import BLACK, GRAY, coarse_toys
+from toy_scenes import BLACK, GRAY, rough_toys
 
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.datasets import load_scene
@@ -94,7 +94,7 @@ def test_the_wall_s_own_roughness_in_float_hides_nothing() -> None:
 def load(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Scene]:
     cache = tmp_path_factory.mktemp("cache")
     small = {"kind": "toy", "width": 96, "height": 72, "views": 17, "supersampling": 1}
-    with coarse_toys():
+    with rough_toys():
         yield lambda scene, **settings: load_scene({**small, "scene": scene, **settings}, cache)
 
 

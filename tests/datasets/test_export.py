@@ -17,7 +17,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from PIL import Image
 from plyfile import PlyData
 from scipy.spatial.transform import Rotation
-from toy_scenes import coarse_toys
+from toy_scenes import rough_toys
 
 from envgs_bench.cli.main import main
 from envgs_bench.core import Camera, Scene, View
@@ -37,7 +37,7 @@ Load = Callable[[str], Scene]
 @pytest.fixture(scope="module")
 def load(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Load]:
     cache = tmp_path_factory.mktemp("cache")
-    with coarse_toys():
+    with rough_toys():
         yield lambda name: load_scene({**TINY, "scene": name}, cache)
 
 
@@ -251,7 +251,7 @@ def test_what_is_there_is_not_overwritten(load: Load, tmp_path: Path) -> None:
 @pytest.mark.parametrize("form", FORMATS)
 def test_the_command_says_how_to_read_it(tmp_path: Path, capsys: pytest.CaptureFixture[str], form: str) -> None:
     data = ["dataset=toy/sky_ball", "dataset.width=16", "dataset.height=12", "dataset.views=3"]
-    with coarse_toys():
+    with rough_toys():
         status = main(
             ["export", *data, "--format", form, "--out", str(tmp_path / "data"), f"cache_dir={tmp_path}/cache"]
         )
@@ -268,7 +268,7 @@ def test_the_command_it_prints_names_the_folder_whatever_its_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], folder: str
 ) -> None:
     data = ["dataset=toy/sky_ball", "dataset.width=16", "dataset.height=12", "dataset.views=3"]
-    with coarse_toys():
+    with rough_toys():
         assert main(["export", *data, "--out", str(tmp_path / folder), f"cache_dir={tmp_path}/cache"]) == 0
     line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("read it with: "))
     words = shlex.split(line.removeprefix("read it with: envgs-bench run "))

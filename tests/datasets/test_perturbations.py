@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from skimage.color import rgb2lab
 from skimage.metrics import peak_signal_noise_ratio
-from toy_scenes import coarse_toys
+from toy_scenes import rough_toys
 
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.datasets import DatasetError, load_scene
@@ -30,7 +30,7 @@ Perturb = Callable[..., Scene]
 @pytest.fixture(scope="module")
 def toys(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Scene]:
     cache = tmp_path_factory.mktemp("cache")
-    with coarse_toys():
+    with rough_toys():
         return {name: load_scene({**SMALL, "scene": name}, cache) for name in ("chrome_room", "sky_ball")}
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from toy_scenes import coarse_toys
+from toy_scenes import rough_toys
 
 from envgs_bench.core import Scene, View
 from envgs_bench.datasets import DatasetError, load_scene
@@ -37,7 +37,7 @@ def load(tmp_path_factory: pytest.TempPathFactory) -> Load:
     def load_small(scene: str, **settings: Any) -> Scene:
         return load_scene({**SMALL, "scene": scene, **settings}, cache)
 
-    with coarse_toys():
+    with rough_toys():
         yield load_small
 
 

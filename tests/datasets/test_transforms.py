@@ -218,7 +218,8 @@ def test_masks_and_normals_beside_the_images(root: Path) -> None:
             pixels[:10] = 0 if folder == "masks" else pixels[:10]
             Image.fromarray(pixels).save(root / folder / name)
     view = load(root).train[0]
-    assert view.masks["foreground"][10:].all() and not view.masks["foreground"][:10].any()
+    assert view.masks["foreground"][10:].all()
+    assert not view.masks["foreground"][:10].any()
     np.testing.assert_allclose(view.normal[20, 20], [0, 0, -1], atol=0.01)
 
 

@@ -14,7 +14,7 @@ import pytest
 import torch
 from fakes.methods import MeanColor, Settings
 from torch import Tensor
-from toy_scenes import coarse_toys
+from toy_scenes import rough_toys
 
 from envgs_bench.core import Scene, View
 from envgs_bench.datasets import load_scene
@@ -26,7 +26,7 @@ from envgs_bench.stages.health import Diverged, Health
 from envgs_bench.stages.training import Training
 from envgs_bench.testing import tiny_scene
 
-TOY = {"kind": "toy", "width": 40, "height": 30, "views": 17, "supersampling": 1, "normal_noise": 5.0}
+TOY = {"kind": "toy", "width": 28, "height": 21, "views": 17, "supersampling": 1, "normal_noise": 5.0}
 SMALL = {"env_grid": 6, "env_far_count": 200}
 KINDS: dict[str, dict[str, Any]] = {"2dgs": {}, "3dgs": {}, "envmap": {"envmap_size": 16}, "envgs": SMALL}
 
@@ -74,7 +74,7 @@ def warnings_of(method: Method, scene: Scene, steps: int, folder: Path) -> list[
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    with coarse_toys():
+    with rough_toys():
         return load_scene({**TOY, "scene": "chrome_room"}, tmp_path_factory.mktemp("cache"))
 
 
@@ -212,7 +212,7 @@ def test_a_set_held_back_by_its_cap_is_noticed_once_it_lasts(tmp_path: Path) -> 
 def test_caps_hold_the_sets_that_they_name_back(
     cap: dict[str, int], capped: list[str], room: Scene, tmp_path: Path
 ) -> None:
-    warned = warnings_of(create_method("envgs", {**SMALL, **cap}), room, 300, tmp_path)
+    warned = warnings_of(create_method("envgs", {**SMALL, **cap}), room, 200, tmp_path)
     assert [warning.part for warning in warned if warning.kind == "capped"] == capped
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 
 import numpy as np
 import pytest
@@ -19,15 +19,26 @@ GRAY = np.full((2, 2, 3), 0.5)  # an albedo
 
 
 @contextmanager
-def coarse_toys() -> Iterator[None]:
-    """Within it toy scenes have grainier light and coarser textures and sky: they are made ten times sooner."""
+def coarse_toys(
+    texels: int = 64, rays: int = 16, sky_rows: int = 256, places: float = lighting.TEXEL
+) -> Iterator[None]:
+    """Within it toy scenes have grainier light and coarser textures and sky: they are made sooner.
+
+    By default photographs are still such that what is wrong with them shows. Of textures there are so many texels a
+    meter; light is gathered by so many rays, at places so far apart, world units.
+    """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lighting, "GATHERED_RAYS", 9)
-        patch.setattr(lighting, "TEXEL", 0.25)
-        patch.setattr(textures, "TEXELS_PER_METER", 20)
-        patch.setattr(sky, "ROWS", 64)
-        patch.setattr(sky, "COLUMNS", 128)
+        patch.setattr(lighting, "GATHERED_RAYS", rays)
+        patch.setattr(lighting, "TEXEL", places)
+        patch.setattr(textures, "TEXELS_PER_METER", texels)
+        patch.setattr(sky, "ROWS", sky_rows)
+        patch.setattr(sky, "COLUMNS", 2 * sky_rows)
         yield
+
+
+def rough_toys() -> AbstractContextManager[None]:
+    """As coarse as a scene can be of which only the shapes, regions and files count: made ten times sooner."""
+    return coarse_toys(texels=20, rays=9, sky_rows=64, places=0.25)
 
 
 def worst(scene: Scene, kind: str) -> Scene:
