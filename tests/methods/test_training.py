@@ -118,15 +118,11 @@ def test_counts_and_bytes(trained, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_seed_determines_a_run(scene, kind):
-    first, second, other = make_method(kind, seed=1), make_method(kind, seed=1), make_method(kind, seed=2)
-    losses = [[row["loss"] for row in train(method, scene, 20)] for method in (first, second, other)]
+    first, second = make_method(kind, seed=1), make_method(kind, seed=1)
+    losses = [[row["loss"] for row in train(method, scene, 20)] for method in (first, second)]
     assert losses[0] == losses[1]
-    if kind in (
-        "envgs",
-        "ref_gaussian",
-        "3igs",
-    ):  # environment, materials, network start at random; others draw no number so early
-        assert losses[0] != losses[2]
+    if kind in ("envgs", "ref_gaussian", "3igs"):  # environment, materials, network start at random
+        assert losses[0] != [row["loss"] for row in train(make_method(kind, seed=2), scene, 20)]
     camera = scene.test[0].camera
     assert torch.equal(first.render(camera).color, second.render(camera).color)
 
