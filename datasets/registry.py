@@ -62,7 +62,7 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         check_regions(scene)
     if settings["kind"] not in BUILT_IN:
         scene = placed_scene(scene)  # sources of ours have done so, before anything was float32
-    check_scene(scene)
+    check_scene(scene, str(settings.get("root") or scene.name))
     scene = with_validation(scene) if stated.validation else replace(scene, val=())
     unit = scene.placement.scale
     free_space, bounds = stated.free_space / unit or scene.free_space, stated.bounds / unit or scene.bounds

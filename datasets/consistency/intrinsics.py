@@ -91,7 +91,7 @@ def impossible(camera: Intrinsics, fisheye: bool = False) -> str | None:
     return None
 
 
-def check_views(views: Sequence[View]) -> None:
+def check_views(where: str, views: Sequence[View]) -> None:
     """Refuse views whose cameras cannot have taken their pictures, and note those of odd intrinsics.
 
     Raises:
@@ -103,11 +103,11 @@ def check_views(views: Sequence[View]) -> None:
         found = Intrinsics(k[0][0], k[1][1], k[0][2], k[1][2], camera.width, camera.height)
         wrong = impossible(found)
         if wrong:
-            raise DatasetError(f"view {view.name}: its camera ({found.described}) {wrong}")
+            raise DatasetError(f"{where}: view {view.name}: its camera ({found.described}) {wrong}")
         for oddity in _oddities(found):
             odd.setdefault(oddity, []).append(view.name)
     for oddity, names in odd.items():
-        note(f"{len(names)} of {len(views)} views have {oddity}: {listed(names)}")
+        note(f"{where}: {len(names)} of {len(views)} views have {oddity}: {listed(names)}")
 
 
 def _oddities(camera: Intrinsics) -> list[str]:

@@ -247,11 +247,20 @@ def test_damaged_point_clouds_are_read_or_refused(data: st.DataObject) -> None:
 
 # transforms.json
 
+
+def moved(index: int) -> list[list[float]]:
+    """A pose a step to the right of the one before."""
+    pose = np.eye(4)
+    pose[0, 3] = 0.1 * index
+    return pose.tolist()
+
+
 CONTENT: dict[str, Any] = {
     **{"w": 64, "h": 48, "fl_x": 60.0, "fl_y": 61.0, "cx": 31.0, "cy": 23.0, "k1": 0.01, "k2": 0.0, "p1": 0.0},
     **{"camera_model": "OPENCV", "aabb_scale": 4, "scale": 0.3, "offset": [0.5, 0.5, 0.5]},
     "frames": [
-        {"file_path": f"images/{name}", "transform_matrix": np.eye(4).tolist(), "sharpness": 3.0} for name in NAMES
+        {"file_path": f"images/{name}", "transform_matrix": moved(index), "sharpness": 3.0}
+        for index, name in enumerate(NAMES)
     ],
 }
 
@@ -326,13 +335,13 @@ def test_a_name_is_no_pattern(tmp_path: Path) -> None:
     """Normals beside a blender scene's pictures are looked for by the pictures' names."""
     for split in ("train", "test"):
         (tmp_path / f"data/{split}").mkdir(parents=True)
-        for name in ("**", "[a"):
+        for name in ("**", "[a*"):
             Image.fromarray(gradient()).save(tmp_path / f"data/{split}/{name}.png")
-        listed = [{"file_path": f"{split}/{name}", "transform_matrix": np.eye(4).tolist()} for name in ("**", "[a")]
+        listed = [{"file_path": f"{split}/{name}", "transform_matrix": moved(len(name))} for name in ("**", "[a*")]
         content = {"camera_angle_x": 0.7, "frames": listed}
         (tmp_path / f"data/transforms_{split}.json").write_text(json.dumps(content))
     scene = load_scene({"kind": "blender", "root": str(tmp_path / "data"), "random_points": 10}, tmp_path / "cache")
-    assert [view.name for view in scene.test] == ["test_**", "test_[a"]
+    assert [view.name for view in scene.test] == ["test_**", "test_[a*"]
 
 
 NUMBERS = [0, -1, 5, 3.2, 1e308, 1e15, 1e-300, 10**30, 10**400]

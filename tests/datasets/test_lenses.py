@@ -165,20 +165,20 @@ def view_with(fx: float, fy: float, cx: float, cy: float) -> View:
 )
 def test_odd_intrinsics_of_any_source_are_noted(camera: tuple[float, ...], word: str) -> None:
     with collecting() as notes:
-        check_views([view_with(*camera)])
+        check_views("data", [view_with(*camera)])
     assert len(notes) == 1
     assert word in notes[0]
 
 
 def test_intrinsics_of_a_plug_in_are_refused() -> None:
-    with pytest.raises(DatasetError, match=r"view a: .*pictures of 128×96 pixels"):
-        check_views([view_with(110, 110, 64, 48)])
+    with pytest.raises(DatasetError, match=r"^data: view a: .*pictures of 128×96 pixels"):
+        check_views("data", [view_with(110, 110, 64, 48)])
 
 
 @pytest.mark.parametrize("camera", [(60, 62, 30.5, 25), (500, 500, 30, 22), (30, 30, 36, 20)])
 def test_ordinary_intrinsics_pass_silently(camera: tuple[float, ...]) -> None:
     with collecting() as notes:
-        check_views([view_with(*camera)])
+        check_views("data", [view_with(*camera)])
     assert not notes
 
 

@@ -105,11 +105,11 @@ def test_what_does_not_belong_together_is_refused(spoil: Callable[[pycolmap.Reco
 @settings(max_examples=25, deadline=None)
 @given(
     axis=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1),
-    angle=st.floats(np.radians(3), np.radians(357)),
+    angle=st.floats(np.radians(20), np.radians(340)),
     image=st.integers(0, 7),
 )
 def test_a_pose_that_is_not_its_image_s_is_noted(axis: tuple[float, ...], angle: float, image: int) -> None:
-    """About its own center, by three degrees and more: 2 % of an edge are one."""
+    """About its own center, by twenty degrees and more: 2 % of an edge are one."""
     model = synthetic()
     frame = list(model.frames.values())[image]
     turn = pycolmap.Rotation3d(angle * np.asarray(axis) / np.linalg.norm(axis))
