@@ -14,7 +14,7 @@ from envgs_bench.import_path import load_import_path
 
 from .consistency.scenes import check_scene
 from .errors import DatasetError
-from .formats.pictures import PICTURE_EXTENSIONS
+from .formats.names import PICTURES
 from .placing import placed_scene
 from .regions import check_regions
 from .settings import SceneSettings, SourceSettings, parse_dataset_settings, require_folder
@@ -88,7 +88,7 @@ def check_source(settings: Mapping[str, Any]) -> None:
         return
     if settings.get("root"):
         require_folder(Path(settings["root"]))
-    pictures = [file for file in _read_by(path, settings) if file.suffix.lower() in PICTURE_EXTENSIONS]
+    pictures = [file for file in _read_by(path, settings) if file.suffix.lower() in PICTURES]
     if settings.get("root") and len(pictures) < 2:
         raise DatasetError(f"dataset.root={settings['root']}: {len(pictures)} images, expected at least two, one tests")
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import TypeVar
 
 from envgs_bench.core import Scene, View
@@ -18,25 +18,24 @@ VALIDATION_EVERY, FIRST_VALIDATION = 8, 3  # by the training views' indices: 3, 
 
 
 def split_views(views: list[View], source: str) -> tuple[list[View], list[View]]:
-    """Training and test views: sorted by name, every eighth tests, from the first.
+    """Training and test views: every eighth tests, from the first, in the order given.
 
-    `source` names the data in errors.
+    That is the order of the pictures' paths, as other programs split them: `cam1/9` comes before `cam10/0`, and
+    `cam1_9` would come after `cam10_0`. `source` names the data in errors.
 
     Raises:
         DatasetError: fewer than two views, or two of one name.
     """
-    ordered = sorted(views, key=lambda view: view.name)
-    names = [view.name for view in ordered]
-    twice = sorted({a for a, b in pairwise(names) if a == b})
+    twice = sorted(name for name, count in Counter(view.name for view in views).items() if count > 1)
     if twice:
         raise DatasetError(f"{source}: several images are called {', '.join(twice[:5])}; rename them")
-    if len(ordered) < 2:
+    if len(views) < 2:
         raise DatasetError(
-            f"{source}: {len(ordered)} image{'s' * (len(ordered) != 1)}, expected at least two: "
+            f"{source}: {len(views)} image{'s' * (len(views) != 1)}, expected at least two: "
             f"one view of every {TEST_EVERY} is kept for testing"
         )
-    train = [view for index, view in enumerate(ordered) if index % TEST_EVERY]
-    return train, ordered[::TEST_EVERY]
+    train = [view for index, view in enumerate(views) if index % TEST_EVERY]
+    return train, views[::TEST_EVERY]
 
 
 def validation_of(train: Sequence[Item]) -> list[Item]:

@@ -58,12 +58,12 @@ def _with_normals_or_none(views: list[View]) -> list[View]:
 
 
 def _in_order(scene: Scene) -> list[View]:
-    """All views in the order of their names.
+    """All views in the order of their images' names, as readers sort them.
 
     Raises:
         DatasetError: their split is not what a reader will make of the names.
     """
-    views = sorted([*scene.train, *scene.test], key=lambda view: view.name)
+    views = sorted([*scene.train, *scene.test], key=lambda view: f"{view.name}.png")
     _, test = split_views(views, scene.name)
     if [view.name for view in test] != [view.name for view in scene.test]:
         raise DatasetError(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from ..errors import DatasetError
+from ..formats.names import stem_of
 from ..formats.photograph import Photograph
 from ..photographs.undistortion import Mask, distorted
 from ..registry import own_settings
@@ -47,7 +48,7 @@ def write_masks(settings: Mapping[str, Any], cache_dir: Path, masks: Mapping[str
     for name, mask in masks.items():
         path = folder / f"{name}.png"
         if known:
-            path = folder / PurePosixPath(known[name].name).with_suffix(".png")
+            path = folder / f"{stem_of(known[name].name)}.png"
             mask = distorted(mask, known[name].camera)
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(np.where(mask, 255, 0).astype(np.uint8)).save(path)

@@ -13,6 +13,7 @@ import pycolmap
 
 from ..errors import DatasetError
 from ..formats.colmap_model import Model
+from ..formats.names import stem_of
 from ..photographs.fitting import fit_to_files
 from ..photographs.siblings import with_masks
 from ..photographs.undistortion import undistorted_camera
@@ -50,13 +51,15 @@ def export_photographs(source: Mapping[str, Any], width: int, root: Path, cache_
         raise DatasetError(f"{source['root']}: {widest} pixels wide once undistorted; expected {width} at least")
     views = on_disk(read_views(photographs, widest / width, BLACK))
     sizes = {p.name: (v.camera.width, v.camera.height) for p, v in zip(photographs, views, strict=True)}
-    names = {photograph.name: f"{photograph.view_name}.png" for photograph in photographs}
+    stems = [stem_of(photograph.name) for photograph in photographs]
+    names = {photograph.name: f"{stem}.png" for photograph, stem in zip(photographs, stems, strict=True)}
     part = root.with_name(f".{root.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     try:
         (part / "sparse/0").mkdir(parents=True)
         undistorted(model, sizes, names).write_binary(str(part / "sparse/0"))
-        write_views(part, [ViewFiles(view, f"images/{view.name}", view.name, "") for view in views])
+        files = [ViewFiles(view, f"images/{stem}", stem, "") for view, stem in zip(views, stems, strict=True)]
+        write_views(part, files)
         part.replace(root)
     finally:
         shutil.rmtree(part, ignore_errors=True)

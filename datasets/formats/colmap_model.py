@@ -18,10 +18,9 @@ from envgs_bench.regular_file import require_regular
 from ..errors import DatasetError
 from . import colmap_text
 from .colmap_binary import COUNT, check_sizes, image_names
-from .names import path_below
+from .image_files import ImageFiles
 from .photograph import LONGEST_EDGE, Photograph
 from .point_clouds import PointCloud, point_cloud, read_point_cloud
-from .siblings import Siblings
 
 PARTS = ("cameras", "images", "points3D")
 PLY = ".ply"  # as which some programs leave the points beside cameras and images
@@ -109,11 +108,10 @@ class Model:
         if not registered:
             raise DatasetError(f"{self.folder}: the model has no image with a pose")
         cameras = dict(self.content.cameras)
-        by_stem = Siblings(images)
+        files = ImageFiles(images, self.listed_images(), self.folder)
         found, missing = [], []
         for image in registered:
-            named = path_below(images, image.name, self.folder)
-            path = named if named.is_file() else by_stem.find(image.name)
+            path = files.find(image.name)
             if path is None:
                 missing.append(image.name)
                 continue
@@ -121,6 +119,7 @@ class Model:
             self._check_size(camera, image.name)
             self._check_finite(f"camera {image.camera_id}", camera.params, image.name)
             found.append(Photograph(image.name, path, camera, str(image.camera_id), self._pose(image)))
+        files.note_converted()
         return found, missing
 
     def observations(self) -> dict[str, Observations]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from .names import composed, stem_of
 from .normal_maps import NormalMap
 
 LONGEST_EDGE = 100_000  # pixels of a picture; a camera that has more is a mistake
@@ -31,4 +32,4 @@ class Photograph:
     @property
     def view_name(self) -> str:
         """The name without its extension, in one piece: `left/1.jpg` is the view `left_1`."""
-        return PurePosixPath(self.name).with_suffix("").as_posix().replace("/", "_")
+        return composed(stem_of(self.name)).replace("/", "_")

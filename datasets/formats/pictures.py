@@ -20,7 +20,6 @@ from ..errors import DatasetError
 Bytes = NDArray[np.uint8]
 Color = tuple[float, float, float]
 
-PICTURE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".bmp", ".tif", ".tiff")
 LOSSY = ("JPEG", "WEBP")  # formats whose pixels may be others than those that were saved
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "PPM", "GIF")  # by content; Pillow knows some that start programs
 EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "YCbCr")  # modes of 8 bits a channel or fewer

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from ..errors import DatasetError, listed
 from .mask_file import mask_size
+from .names import EXTENSIONS, composed, stem_of, visible_files
 
 
 class Siblings:
-    """Files of a folder, found by an image's name: the same path below the folder, with any extension."""
+    """Files of a folder, found by an image's name: the same path below the folder, with any extension of theirs."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.files = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.name.startswith(".")]
-        self._paths = {path.relative_to(folder).with_suffix("").as_posix(): path for path in self.files}
+        self.files = [path for path in visible_files(folder) if path.suffix.lower() in EXTENSIONS]
+        self._paths: dict[str, list[Path]] = defaultdict(list)
+        for path in self.files:
+            self._paths[composed(stem_of(path.relative_to(folder).as_posix()))].append(path)
 
-    def find(self, image_name: str) -> Path | None:
-        """The file for image `a/b.jpg`: `a/b.<any>` or, as COLMAP names masks, `a/b.jpg.<any>`; None without one."""
-        stem = PurePosixPath(image_name).with_suffix("").as_posix()
-        return self._paths.get(stem) or self._paths.get(image_name)
+    def candidates(self, image_name: str) -> list[Path]:
+        """The files for image `a/b.jpg`: `a/b.<any>` and, as COLMAP names masks, `a/b.jpg.<any>`."""
+        names = dict.fromkeys((composed(stem_of(image_name)), composed(image_name)))
+        return [path for name in names for path in self._paths.get(name, [])]
 
     def find_all(self, image_names: Iterable[str]) -> list[Path]:
         """The files for these images, in their order.
@@ -29,21 +33,21 @@ class Siblings:
             DatasetError: there is none for some image, and a mean over the few views that happen to have one would be
                 another number; or there are several for one, as a preview beside an array.
         """
-        if len(self._paths) < len(self.files):
-            others = sorted(path.name for path in set(self.files) - set(self._paths.values()))
+        names = list(image_names)
+        found = [self.candidates(name) for name in names]
+        several = sorted({path.name for paths in found if len(paths) > 1 for path in paths})
+        if several:
             raise DatasetError(
-                f"{self.folder}: holds several files of one name, of which one image needs one: {listed(others)}; "
+                f"{self.folder}: holds several files of one name, of which one image needs one: {listed(several)}; "
                 "move away those that are not meant"
             )
-        names = list(image_names)
-        found = [self.find(name) for name in names]
-        missing = [name for name, path in zip(names, found, strict=True) if path is None]
+        missing = [name for name, paths in zip(names, found, strict=True) if not paths]
         if missing:
             raise DatasetError(
                 f"{self.folder}: holds no file for {len(missing)} of {len(names)} images: {listed(missing)}; "
                 "add them, or move the folder away"
             )
-        return [path for path in found if path is not None]
+        return [paths[0] for paths in found]
 
 
 def region_folders(root: Path) -> dict[str, Path]:
@@ -72,7 +76,7 @@ def _is_reduced_copy(folder: Path) -> bool:
             "masks_<region>/"
         )
     copies = Siblings(folder)
-    pairs = [(path, copy) for path in Siblings(whole).files if (copy := copies.find(path.name)) is not None]
+    pairs = [(path, found[0]) for path in Siblings(whole).files if (found := copies.candidates(path.name))]
     reduced = not pairs or mask_size(pairs[0][1]) < mask_size(pairs[0][0])
     if base == "masks" and not reduced:
         raise DatasetError(

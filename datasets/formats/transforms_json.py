@@ -18,9 +18,10 @@ from envgs_bench.regular_file import require_regular
 from ..consistency.frames import check_frame, check_size_stated
 from ..errors import DatasetError, listed
 from ..notes import note
-from .names import clean_name, path_below
+from .image_files import ImageFiles
+from .names import clean_name, path_below, stem_of
 from .photograph import LONGEST_EDGE, Photograph
-from .pictures import PICTURE_EXTENSIONS, read_header
+from .pictures import read_header
 
 FLAT_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 FISHEYE_MODELS = ("OPENCV_FISHEYE", "FISHEYE")
@@ -55,18 +56,21 @@ class FrameFile:
                 leaves the folder.
         """
         found, missing = [], []
-        for index, frame in enumerate(self.frames):
-            name = self._name(frame, index)
-            path = self._find(_in_folder(name, images) if images else name)
+        names = [self._name(frame, index) for index, frame in enumerate(self.frames)]
+        places = [_in_folder(name, images) if images else name for name in names]
+        files = ImageFiles(self.root, places, self.path)
+        for index, (frame, name, place) in enumerate(zip(self.frames, names, places, strict=True)):
+            path = files.find(place)
             if path is None:
                 missing.append(name)
                 continue
             own = any(key in frame for key in INTRINSICS)
             camera_id = f"{self.path.name}, frame {index}" if own else self.path.name
-            name = PurePosixPath(name).with_suffix("").as_posix() if _has_extension(name) else name
+            name = stem_of(name)
             camera, pose = self._camera(frame, path, images), self.pose(frame, name)
             found.append(Photograph(name + path.suffix, path, camera, camera_id, pose, self._masks(frame)))
         self.note_scales()
+        files.note_converted()
         without = [photograph.name for photograph in found if not photograph.masks]
         if 0 < len(without) < len(found):
             raise DatasetError(f"{self.path}: gives a mask_path for some frames only; add one for {listed(without)}")
@@ -166,14 +170,6 @@ class FrameFile:
             raise DatasetError(f"{self.path}: names the mask {path}, which is not there; add it, or drop mask_path")
         return {"foreground": path}
 
-    def _find(self, name: str) -> Path | None:
-        """The image's file: as named, or with an extension added, or with another, as after a conversion."""
-        path = self.root / name
-        candidates = [path, *(path.with_name(path.name + extension) for extension in PICTURE_EXTENSIONS)]
-        if _has_extension(name):
-            candidates += [path.with_suffix(extension) for extension in PICTURE_EXTENSIONS]
-        return next((candidate for candidate in candidates if candidate.is_file()), None)
-
     def _camera(self, frame: dict[str, Any], path: Path, images: str | None) -> pycolmap.Camera:
         width, height = (self.within(edge, frame, 1, LONGEST_EDGE) for edge in ("w", "h"))
         unknown = width is None or height is None
@@ -250,7 +246,3 @@ def without_common_folder(names: Sequence[str]) -> list[str]:
 
 def _in_folder(name: str, images: str) -> str:
     return PurePosixPath(images, *(PurePosixPath(name).parts[1:] or [name])).as_posix()
-
-
-def _has_extension(name: str) -> bool:
-    return PurePosixPath(name).suffix.lower() in PICTURE_EXTENSIONS

@@ -41,4 +41,4 @@ def with_masks(photographs: Sequence[Photograph], root: Path) -> list[Photograph
 def sibling_files(names: Sequence[str], root: Path) -> list[Path]:
     """The files of masks and normals below `root` that belong to the photographs of these names."""
     folders = [Siblings(folder) for folder in (*region_folders(root).values(), root / "normals")]
-    return [path for folder in folders for name in names if (path := folder.find(name)) is not None]
+    return [path for folder in folders for name in names for path in folder.candidates(name)]

@@ -107,7 +107,8 @@ def make_scene(
     exact.
     """
     measured = cloud if isinstance(cloud, PointCloud) else None
-    fitted, placement = placed_photographs(fit_to_files(photographs), measured, source)
+    ordered = sorted(photographs, key=lambda photograph: photograph.name)
+    fitted, placement = placed_photographs(fit_to_files(ordered), measured, source)
     started = placed_cloud(cloud, placement) if isinstance(cloud, PointCloud) else cloud.placed(placement)
     views = on_disk(read_views(fitted, settings.downsample, settings.background, settings.mask_labels))
     train, test = split_views(views, str(source))

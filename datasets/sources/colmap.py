@@ -12,11 +12,10 @@ from ..consistency.tracks import check_tracks
 from ..consistency.twins import check_twins
 from ..errors import DatasetError, listed
 from ..formats.colmap_model import Model
-from ..formats.names import path_below
+from ..formats.image_files import ImageFiles
+from ..formats.names import PICTURES, visible_files
 from ..formats.normal_maps import Frame
 from ..formats.photograph import Photograph
-from ..formats.pictures import PICTURE_EXTENSIONS
-from ..formats.siblings import Siblings
 from ..notes import note
 from ..photographs.exposure import with_equal_exposure
 from ..photographs.siblings import sibling_files, with_siblings
@@ -84,11 +83,8 @@ def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photogr
 
 def _files(choice: ColmapSettings, model: Model) -> list[Path]:
     names, images = model.listed_images(), _images(choice)
-    by_stem = Siblings(images)
-    found = [
-        path if (path := path_below(images, name, model.folder)).is_file() else by_stem.find(name) for name in names
-    ]
-    return [*model.files, *filter(None, found), *sibling_files(names, choice.root)]
+    files = ImageFiles(images, names, model.folder)
+    return [*model.files, *filter(None, map(files.find, names)), *sibling_files(names, choice.root)]
 
 
 def _images(choice: ColmapSettings) -> Path:
@@ -135,8 +131,6 @@ def _note_others(choice: ColmapSettings, taken: Model) -> None:
 def _note_without_pose(images: Path, photographs: list[Photograph]) -> None:
     """Structure from motion leaves out images that it cannot place; that there are some is worth knowing."""
     used = {photograph.path for photograph in photographs}
-    others = [
-        path.name for path in Siblings(images).files if path not in used and path.suffix.lower() in PICTURE_EXTENSIONS
-    ]
+    others = [path.name for path in visible_files(images) if path not in used and path.suffix.lower() in PICTURES]
     if others:
         note(f"{images}: {len(others)} images have no pose in the model and are left out: {listed(others)}")

@@ -12,9 +12,10 @@ from envgs_bench.core import Scene
 
 from ..errors import DatasetError, listed
 from ..formats.colmap_model import Model
+from ..formats.names import PICTURES, visible_files
 from ..formats.normal_maps import Frame
 from ..formats.photograph import Photograph
-from ..formats.pictures import PICTURE_EXTENSIONS, read_picture
+from ..formats.pictures import read_picture
 from ..notes import note
 from ..photographs.exposure import with_equal_exposure
 from ..photographs.reconstruction import MIN_IMAGES, MatcherName, Matching, Reconstructor
@@ -100,12 +101,12 @@ def _images(choice: PhotosSettings) -> tuple[Path, list[str]]:
     folder = root / (choice.images or ("images" if (root / "images").is_dir() else "."))
     if not folder.is_dir():
         raise DatasetError(f"{root}: has no folder {choice.images}/; name the images' folder with dataset.images=…")
-    below = folder.glob("*") if folder.resolve() == root.resolve() else folder.rglob("*")
-    files = sorted(path for path in below if path.suffix.lower() in PICTURE_EXTENSIONS and path.is_file())
+    below = visible_files(folder, deep=folder.resolve() != root.resolve())
+    files = [path for path in below if path.suffix.lower() in PICTURES]
     if len(files) < MIN_IMAGES:
         raise DatasetError(
             f"{folder}: holds {len(files)} images, expected {MIN_IMAGES} at least, and better 20 or more; known are "
-            f"{', '.join(name for name in PICTURE_EXTENSIONS if name.islower())}"
+            f"{', '.join(PICTURES)}"
         )
     return folder, [path.relative_to(folder).as_posix() for path in files]
 

@@ -16,6 +16,7 @@ from torch import Tensor
 from envgs_bench.core import View
 from envgs_bench.datasets import DatasetError
 from envgs_bench.datasets.formats.arrays import open_array
+from envgs_bench.datasets.formats.names import composed, visible_files
 from envgs_bench.datasets.formats.pictures import read_header, read_picture
 from envgs_bench.methods.settings import make_settings
 from envgs_bench.metrics import Protocol
@@ -94,7 +95,7 @@ def match_renders(folder: Path, match: str, views: Sequence[View]) -> dict[str, 
     else:
         found = {}
         for path in files:
-            name = path.relative_to(folder).with_suffix("").as_posix().replace("/", "_")
+            name = composed(path.relative_to(folder).with_suffix("").as_posix().replace("/", "_"))
             if name in found or name not in names:
                 kind = "files of a view that another file is for" if name in found else "files without a view"
                 problems.setdefault(kind, []).append(str(path.relative_to(folder)))
@@ -118,7 +119,7 @@ def match_renders(folder: Path, match: str, views: Sequence[View]) -> dict[str, 
 
 def rendered_files(folder: Path) -> list[Path]:
     """The files below the folder that are taken for renders; whatever else lies there is left alone."""
-    return [path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES]
+    return [path for path in visible_files(folder) if path.suffix.lower() in SUFFIXES]
 
 
 def read_render(path: Path, background: Tensor) -> Tensor:

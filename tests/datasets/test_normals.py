@@ -191,7 +191,9 @@ def test_estimators_that_cannot_be_used(root: Path, path: str, message: str) -> 
 def test_a_preview_beside_an_array_is_ambiguous(root: Path) -> None:
     write_arrays(root)
     Image.fromarray(gradient()).save(root / "normals" / "003.png")
-    with pytest.raises(DatasetError, match=r"normals: holds several files of one name.*: 003\.npy; move away"):
+    with pytest.raises(
+        DatasetError, match=r"normals: holds several files of one name.*: 003\.npy, 003\.png; move away"
+    ):
         load(root)
 
 
