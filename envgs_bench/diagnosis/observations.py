@@ -16,7 +16,10 @@ from torch import Tensor
 from envgs_bench.core import Scene, View
 from envgs_bench.core.vectors import unit
 
+from .coverage import CELLS
+
 POINTS = 4_000  # points that are looked at
+HIDDEN = 1.1  # × the depth of the nearest point in a cell: something may be in front of points that are farther
 LIKELY = 0.25  # quantile of the differences to a point's color over the views, most of which may not see it
 COLORLESS = 0.02  # mean difference of points' colors below which they come without: 3DGS's random points are all gray
 SAME_COLOR = 0.1  # mean difference of sRGB values up to which a view shows a point
@@ -61,10 +64,25 @@ class Observations:
         return cls(scene.train, points, colors, torch.stack(pixels), torch.stack(shown))
 
     @cached_property
+    def unhidden(self) -> Tensor:
+        """Which of the shown points [V, P] are not well behind the nearest in their part of the picture."""
+        return torch.stack([self._in_front(index) for index in range(len(self.views))])
+
+    def _in_front(self, index: int) -> Tensor:
+        shown, camera = self.shown[index], self.views[index].camera
+        depths = self.points @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
+        size = depths.new_tensor([camera.width, camera.height])
+        column, row = torch.where(shown[:, None], self.pixels[index] / size * CELLS, 0.0).long().unbind(dim=1)
+        cell = row * CELLS + column
+        depths = torch.where(shown, depths, torch.inf)
+        nearest = torch.full((CELLS**2,), torch.inf).scatter_reduce(0, cell, depths, "amin")
+        return shown & (depths <= HIDDEN * nearest[cell])
+
+    @cached_property
     def seen_colors(self) -> Tensor:
         """What the views show where the points would be, [V, P, 3] in [0, 1]; NaN outside."""
         maps = (view.image for view in self.views)
-        return torch.stack([self._at(index, values).float() / 255 for index, values in enumerate(maps)])
+        return torch.stack([self.sampled(index, values).float() / 255 for index, values in enumerate(maps)])
 
     def hidden_share(self, near: float) -> float:
         """Share of the points in the median view's picture that are nearer than `near`, world units; 0 of no points."""
@@ -159,10 +177,10 @@ class Observations:
                 found.append(torch.zeros(len(self.points), 3))
                 continue
             same = (self.seen_colors[index] - self.colors).abs().mean(dim=-1) < SAME_COLOR
-            found.append(self._at(index, view.normal).nan_to_num(0.0) * same[:, None])
+            found.append(self.sampled(index, view.normal).nan_to_num(0.0) * same[:, None])
         return torch.stack(found)
 
-    def _at(self, index: int, values: Tensor) -> Tensor:
+    def sampled(self, index: int, values: Tensor) -> Tensor:
         """What a map [H, W, C] of a view holds where the points are, [P, C] as float; NaN outside."""
         shown = self.shown[index]
         columns, rows = torch.where(shown[:, None], self.pixels[index], 0.0).long().unbind(dim=1)

@@ -16,14 +16,12 @@ from torch.nn.utils.rnn import pad_sequence
 
 from envgs_bench.core import View
 
-from .coverage import CELLS
 from .observations import Observations
 
 SIZES = (32, 64, 96)  # pixels along both sides of what a picture is resized to, one after the other
 ROUNDS = 8  # Gauss-Newton steps at each size
 DAMPING = 0.01  # × the diagonal of the normal equations
 POINTS_A_VIEW = 1_500  # at most
-HIDDEN = 1.1  # × the depth of the nearest point in a cell: something may be in front of points that are farther
 FEWEST = 30  # points that a view is judged by
 LEAST_SCALE = 0.01  # of differences of sRGB values: smaller ones all count fully
 
@@ -108,7 +106,7 @@ def _sights(observations: Observations) -> _Sights:
     for index, view in enumerate(observations.views):
         camera = view.camera
         in_camera = observations.points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-        rows = torch.nonzero(_in_front(observations, index, in_camera[:, 2]))[:, 0]
+        rows = torch.nonzero(observations.unhidden[index])[:, 0]
         rows = rows[:: len(rows) // POINTS_A_VIEW + 1]
         points.append(in_camera[rows])
         colors.append(observations.colors[rows])
@@ -119,17 +117,6 @@ def _sights(observations: Observations) -> _Sights:
     points_of_all = pad_sequence(points, batch_first=True, padding_value=1.0)
     colors_of_all = pad_sequence(colors, batch_first=True)
     return _Sights(points_of_all, colors_of_all, known, torch.stack(projections))
-
-
-def _in_front(observations: Observations, index: int, depths: Tensor) -> Tensor:
-    """Which points [P] the view shows, but for those that lie well behind the nearest in their part of the picture."""
-    shown, camera = observations.shown[index], observations.views[index].camera
-    size = depths.new_tensor([camera.width, camera.height])
-    column, row = torch.where(shown[:, None], observations.pixels[index] / size * CELLS, 0.0).long().unbind(dim=1)
-    cell = row * CELLS + column
-    depths = torch.where(shown, depths, torch.inf)
-    nearest = torch.full((CELLS**2,), torch.inf).scatter_reduce(0, cell, depths, "amin")
-    return shown & (depths <= HIDDEN * nearest[cell])
 
 
 def _resized(pictures: Tensor, size: int) -> Tensor:

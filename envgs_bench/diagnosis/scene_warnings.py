@@ -23,7 +23,6 @@ from .thresholds import (
     PASSES,
     POSES_OFF,
     SPARSE,
-    UNEQUAL,
     UNSUPPORTED,
 )
 
@@ -95,7 +94,7 @@ def scene_warnings(
         ),
         (
             "exposures_differ",
-            bright.deviation > UNEQUAL and in_order,
+            bool(bright.factors) and in_order,
             "the training views are not equally bright, or not of one tint: the median view is off by "
             f"{bright.stops:.1f} stops in some channel, which a method without a term for it blends",
         ),

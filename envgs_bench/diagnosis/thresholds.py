@@ -18,7 +18,8 @@ HIDDEN = 0.25  # share of the points in a view from which its near plane hides w
 NOISY = 0.06  # standard deviation of a pixel's noise, of the range of sRGB
 BLURRED = 0.015  # the finest detail's power, as a share of that of detail three times as coarse
 BLOCKY = 0.11  # how much larger steps between JPEG's blocks are than within, as a share of the mean step
-UNEQUAL = 0.19  # how far the median view's linear light is off, as a logarithm
+UNEQUAL = 0.1  # how far the median view's linear light is off, as a logarithm
+HALVES = 0.75  # how differently halves of the points say that, as a share of it: an exposure is the same for all
 
 # Poses: shares of its differences to the points' colors that the median view loses when it is turned
 POSES_OFF = 0.075  # said from here on
