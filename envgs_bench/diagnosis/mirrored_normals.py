@@ -51,7 +51,7 @@ def mirrored_normals(normal: Tensor, view: View) -> Tensor:
 
 def _agreement(observations: Observations) -> tuple[Tensor, Tensor]:
     """Σ of cosines of two views' normals [V, 2, V, 2], as they are and mirrored, and of how many points [V, V]."""
-    normals, views = observations.seen_normals, observations.views
+    normals, views = observations.seen_normals * observations.unhidden[..., None], observations.views
     mirrored = [mirrored_normals(normal, view) for normal, view in zip(normals, views, strict=True)]
     sides, counted = torch.stack([normals, torch.stack(mirrored)], dim=1), normals.any(dim=-1).float()
     count = len(views)
