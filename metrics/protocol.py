@@ -10,6 +10,9 @@
 `inria` follows the metrics.py of 3D Gaussian Splatting, which reads the PNGs that its render.py wrote; `nerfbaselines`
 follows NerfBaselines' protocol "nerf" (its LPIPS of the default protocol is AlexNet's, which is not offered here).
 Neither project masks, so both composite as the EnvGS paper does. FLIP is added to all.
+
+`color_corrected` is `envgs` with three metrics more, `cc_psnr`, `cc_ssim` and `cc_lpips`: of pictures whose colors one
+affine map a view has brought nearest to the photograph (`color_correction.py`), inside regions by the same map.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from torch import Tensor
 
 from envgs_bench.core.ssim import K1, K2, SIGMA, WINDOW
 
+from .color_correction import color_corrected
 from .flip import PIXELS_PER_DEGREE, flip
 from .lpips import load_heads, lpips
 from .psnr import CEILING_DB, psnr
@@ -31,6 +35,7 @@ from .vgg16 import MINIMUM_SIZE, weights_source
 from .weights import TORCHVISION_SHA256, WeightsUnavailable
 
 METRICS = ("psnr", "ssim", "flip", "lpips")
+CORRECTED_METRICS = ("cc_psnr", "cc_ssim", "cc_lpips")  # of color-corrected pictures, where a protocol has them
 
 _IN_WORDS = {
     "none": "float renders, not clamped",
@@ -52,6 +57,12 @@ class Protocol:
     ssim_padding: str  # "zero" or "valid"
     lpips_input: str  # "[0, 1]" or "[-1, 1]"
     masking: str  # "white": composite, then score the whole image; "normalized": average over the mask
+    corrects_color: bool = False  # whether there are CORRECTED_METRICS too
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """What `score` returns of a full image."""
+        return (*METRICS, *CORRECTED_METRICS) if self.corrects_color else METRICS
 
     @property
     def hash(self) -> str:
@@ -63,6 +74,8 @@ class Protocol:
             "flip": ["LDR", round(PIXELS_PER_DEGREE, 3)],
             "lpips": ["VGG-16", TORCHVISION_SHA256[:8], "0.1"],
         }
+        if choices.pop("corrects_color"):  # protocols without it keep their hashes
+            choices |= {"color": ["affine", "least squares a view", "clamped"]}
         return hashlib.sha256(json.dumps(choices, sort_keys=True).encode()).hexdigest()[:8]
 
     @property
@@ -72,7 +85,7 @@ class Protocol:
             f"{_IN_WORDS[self.quantization]}; PSNR the mean of per-image values; SSIM 11×11 Gaussian σ 1.5, "
             f"{_IN_WORDS[self.ssim_padding]}; LDR-FLIP at 67 pixels a degree, of clamped images; "
             f"LPIPS-VGG v0.1 on {self.lpips_input} input; {_IN_WORDS[self.masking]}"
-        )
+        ) + ("; cc_: after one affine map of color a view, fitted to the photograph" if self.corrects_color else "")
 
     @property
     def not_computed(self) -> dict[str, str]:
@@ -81,7 +94,7 @@ class Protocol:
             load_heads()
             weights_source()
         except WeightsUnavailable as error:
-            return {"lpips": str(error)}
+            return {name: str(error) for name in self.metrics if name.endswith("lpips")}
         return {}
 
     @property
@@ -107,7 +120,7 @@ class Protocol:
             mask: [H, W] bool, the region to score; the full image where None. All lie on one device.
 
         Returns:
-            "psnr" (dB), "ssim", "flip", "lpips"; with a mask also "fraction", the mask's share of the pixels. None
+            Of each of `metrics` its value, "psnr" in dB; with a mask also "fraction", the mask's share of the pixels. None
             stands for a metric named in `not_computed`, and for every metric of an empty region (fraction 0).
 
         Raises:
@@ -116,15 +129,20 @@ class Protocol:
         """
         _check(prediction, target, mask)
         prediction = _quantized(prediction, self.quantization)
-        if mask is None:
-            return self._scores(prediction, target, None)
-        if not mask.any():
-            return {**dict.fromkeys(METRICS), "fraction": 0.0}
-        fraction = float(mask.double().mean())
-        if self.masking == "white":
+        if mask is not None and not mask.any():
+            return {**dict.fromkeys(self.metrics), "fraction": 0.0}
+        scores = self._inside(prediction, target, mask)
+        if self.corrects_color:
+            corrected = self._inside(color_corrected(prediction, target), target, mask)
+            scores |= {name: corrected[name.removeprefix("cc_")] for name in CORRECTED_METRICS}
+        return scores if mask is None else {**scores, "fraction": float(mask.double().mean())}
+
+    def _inside(self, prediction: Tensor, target: Tensor, mask: Tensor | None) -> dict[str, float | None]:
+        """METRICS inside the mask, which is not empty, or of the full image."""
+        if mask is not None and self.masking == "white":
             prediction, target = (image.where(mask[..., None], 1.0) for image in (prediction, target))
-            return {**self._scores(prediction, target, None), "fraction": fraction}
-        return {**self._scores(prediction, target, mask), "fraction": fraction}
+            mask = None
+        return self._scores(prediction, target, mask)
 
     def _scores(self, prediction: Tensor, target: Tensor, mask: Tensor | None) -> dict[str, float | None]:
         return {
@@ -136,12 +154,13 @@ class Protocol:
 
 
 PROTOCOLS = {
-    name: Protocol(name, quantization, ssim_padding, lpips_input, masking)
-    for name, quantization, ssim_padding, lpips_input, masking in (
-        ("envgs", "none", "zero", "[0, 1]", "white"),
-        ("strict", "round", "valid", "[-1, 1]", "normalized"),
-        ("inria", "round", "zero", "[0, 1]", "white"),
-        ("nerfbaselines", "truncate", "valid", "[-1, 1]", "white"),
+    protocol.name: protocol
+    for protocol in (
+        Protocol("envgs", "none", "zero", "[0, 1]", "white"),
+        Protocol("strict", "round", "valid", "[-1, 1]", "normalized"),
+        Protocol("inria", "round", "zero", "[0, 1]", "white"),
+        Protocol("nerfbaselines", "truncate", "valid", "[-1, 1]", "white"),
+        Protocol("color_corrected", "none", "zero", "[0, 1]", "white", corrects_color=True),
     )
 }
 

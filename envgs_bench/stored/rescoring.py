@@ -15,7 +15,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from envgs_bench.metrics import METRICS, Protocol
+from envgs_bench.metrics import CORRECTED_METRICS, METRICS, Protocol
 from envgs_bench.records import (
     RENDERS,
     MaskedScores,
@@ -141,7 +141,8 @@ def _pairs(run: Path, record: Record) -> Iterator[Pair]:
 
 def _others(row: ViewScores) -> Scores:
     """The scores that pictures cannot give again, as the angle between normals."""
-    return {name: value for name, value in row.scores.items() if name not in (*METRICS, "fraction")}
+    given = (*METRICS, *CORRECTED_METRICS, "fraction")
+    return {name: value for name, value in row.scores.items() if name not in given}
 
 
 def _picture(path: Path) -> Tensor:

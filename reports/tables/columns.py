@@ -68,6 +68,16 @@ SSIM = Column("ssim", "full", "SSIM", 3, "higher", "SSIM", "structural similarit
 FLIP = Column("flip", "full", "FLIP", 3, "lower", "FLIP", "perceived difference, FLIP")
 LPIPS = Column("lpips", "full", "LPIPS", 3, "lower", "LPIPS", "learned perceptual distance")
 SCORES = (PSNR, SSIM, FLIP, LPIPS)
+CORRECTED_SCORES = tuple(  # of the protocol color_corrected
+    replace(
+        column,
+        metric=f"cc_{column.metric}",
+        title=f"{column.title} cc",
+        axis=f"{column.axis}, color-corrected",
+        explanation=f"{column.explanation}, after one affine map of color a view",
+    )
+    for column in (PSNR, SSIM, LPIPS)
+)
 
 
 def in_region(column: Column, region: str) -> Column:
@@ -111,6 +121,7 @@ REGIONS = ("covisible", "reflective", "near_field", "transmissive", "foreground"
 COSTS = (FRAME_MS, TRAIN_SECONDS, MEGABYTES, PRIMITIVES)  # the axes of the charts
 MAIN_COLUMNS = (
     *SCORES,
+    *CORRECTED_SCORES,
     *(in_region(PSNR, region) for region in REGIONS),
     NORMALS,
     FRAME_MS,
