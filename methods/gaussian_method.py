@@ -24,6 +24,7 @@ from .settings import GaussianSettings, check_words
 from .storage.checkpoint import on_device
 from .training.averaging import ParameterAverage
 from .training.cuda_graphs import on_own_stream
+from .training.exposure import AffineExposure
 from .training.gradients import RememberedGradients, all_finite, largest_magnitudes
 from .training.losses import training_psnr
 from .training.optimizer import step_together
@@ -37,6 +38,7 @@ from .training.training_loss import TrainingLoss, lacking_normals
 WORDS = {  # of settings that choose
     "normal_reference": ("unit", "alpha"),
     "normal_rendered": ("unit", "blended"),
+    "exposure": ("none", "affine"),
     "normals": ("as_given", "agreed"),
     "mono_loss": ("cos", "l1_cos"),
     "mono_rendered": ("blended", "unit"),
@@ -78,6 +80,7 @@ class GaussianMethod(GaussianModel):
         self._views = ResidentViews(self.device, room=0)
         self._steps = StepGraphs(self._learn, self._learn_again)
         self._pilot: SeenThroughOutcome | None = None
+        self._exposure: AffineExposure | None = None
 
     # From start to end
 
@@ -99,6 +102,8 @@ class GaussianMethod(GaussianModel):
         self._start(scene)
         self._average = ParameterAverage()
         self._views = ResidentViews.of(self.device, learned)
+        affine = s.exposure == "affine"
+        self._exposure = AffineExposure([view.name for view in scene.train], self.device) if affine else None
         self._steps = StepGraphs(self._learn, self._learn_again)
 
     def _learned_normals(self, scene: Scene, steps: int) -> LearnedNormals:
@@ -149,6 +154,7 @@ class GaussianMethod(GaussianModel):
             "gradients": self._gradients.training_state(),
             "average": self._average.state(),
             "budget": self._budget.training_state() if self._budget is not None else None,
+            "exposure": self._exposure.training_state() if self._exposure is not None else None,
             "pilot": asdict(self._pilot) if self._pilot is not None else None,
         }
 
@@ -164,6 +170,8 @@ class GaussianMethod(GaussianModel):
         self.skipped_steps = skipped.to(self.device) if isinstance(skipped, Tensor) else skipped
         self._gradients.restore_training(state["gradients"])
         self._average.restore(state["average"], self.device)
+        if self._exposure is not None:
+            self._exposure.restore_training(state["exposure"])
         if self._budget is not None:
             self._budget.restore_training(state["budget"], self.device)
 
@@ -180,7 +188,7 @@ class GaussianMethod(GaussianModel):
         self.forget_prepared()
         self.before_step(step)
         self.set_learning_rates(step)
-        if self._captures():
+        if self._captures() and self._exposure is None:  # a graph would hold one view's map
             holds = tuple(parameter for _, parameter in self._trained())
             numbers = self._steps.take(view, step, self.phase(step), holds)
         else:
@@ -217,7 +225,8 @@ class GaussianMethod(GaussianModel):
         """All of a step that happens on the device. It never waits there, not even to learn whether the step counts."""
         camera, target = view.camera, view.rgb(self.device)
         rendering, statistics = self.draw(camera, step)
-        terms = self.losses(rendering, target, view, step)
+        color, held = self._photographed(rendering.color, view)
+        terms = {**self.losses(replace(rendering, color=color), target, view, step), **held}
         loss = torch.stack(list(terms.values())).sum()
         loss.backward()
 
@@ -232,7 +241,7 @@ class GaussianMethod(GaussianModel):
         for optimizer in self.optimizers():
             optimizer.zero_grad(set_to_none=True)
 
-        shown = {"loss": loss, "psnr": training_psnr(rendering.color, target), **terms}
+        shown = {"loss": loss, "psnr": training_psnr(color, target), **terms}
         losses = torch.stack([value.detach() for value in shown.values()])
         values = torch.cat([losses, magnitudes[1:]])
         names = tuple(name for name, _ in gradients)
@@ -266,6 +275,12 @@ class GaussianMethod(GaussianModel):
         if self._budget is not None:
             given = self.contributions(rendering, step)
             self._budget.measure({name: torch.where(counts, amount, 0.0) for name, amount in given.items()})
+
+    def _photographed(self, color: Tensor, view: View) -> tuple[Tensor, dict[str, Tensor]]:
+        """What was drawn [H, W, 3] as the view's camera shows it, and the loss of that by its name."""
+        if self._exposure is None:
+            return color, {}
+        return self._exposure.applied(view.name, color), {"exposure": self._exposure.loss(view.name)}
 
     def _learn_again(self, view: View, step: int) -> StepNumbers:
         self.skipped_steps -= 1  # the first try
@@ -334,7 +349,8 @@ class GaussianMethod(GaussianModel):
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
         """All optimizers: they step together, or none does where the loss or a gradient is not finite."""
-        return [trained.parameters.optimizer for trained in self.sets.values()]
+        sets = [trained.parameters.optimizer for trained in self.sets.values()]
+        return sets if self._exposure is None else [*sets, self._exposure.optimizer]
 
     def densification_criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
         """The criterion [N] by which primitives of the set `name` are cloned or split, from one step's pass."""

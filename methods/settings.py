@@ -37,6 +37,10 @@ class GaussianSettings:
     rotation_lr: float = 1e-3  # learning rate of the quaternions at the start; log-linear to rotation_lr_final
     rotation_lr_final: float = 1e-3  # learning rate of the quaternions at the end
 
+    exposure: str = (
+        "none"  # none, or affine: a map of color for each training view, learned along; test views have none
+    )
+
     average_from: int = 27_600  # step after which all that is trained is averaged; a run ends with that; 0: never
 
     initial_opacity: float = 0.1  # opacity that all primitives start with

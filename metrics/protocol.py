@@ -120,7 +120,7 @@ class Protocol:
             mask: [H, W] bool, the region to score; the full image where None. All lie on one device.
 
         Returns:
-            Of each of `metrics` its value, "psnr" in dB; with a mask also "fraction", the mask's share of the pixels. None
+            The value of each of `metrics`, "psnr" in dB; with a mask also "fraction", its share of the pixels. None
             stands for a metric named in `not_computed`, and for every metric of an empty region (fraction 0).
 
         Raises:
