@@ -98,6 +98,11 @@ def _count(length: float) -> str:
     return f"{length:,.0f}" if length >= 1000 else f"{length:.3g}"
 
 
+def origin_near(sights: Sights) -> Placement:
+    """The world moved as `placement_of` moves it, in the data's units; nothing is noted."""
+    return Placement(_shift(sights, sights.depths()))
+
+
 def _shift(sights: Sights, depths: tuple[float, float] | None) -> tuple[float, float, float]:
     """What is to be the origin: (0, 0, 0) unless cameras are far from it and float32's spacing there may show."""
     middle, spread = sights.middle, sights.spread
@@ -106,7 +111,7 @@ def _shift(sights: Sights, depths: tuple[float, float] | None) -> tuple[float, f
     if out <= FAR_OUT * spread or _pixels(out, sights, nearest) <= SURE:
         return 0.0, 0.0, 0.0
     step = 2.0 ** math.floor(math.log2(spread or nearest))  # short numbers, to which float64 loses nothing
-    x, y, z = (float(value) for value in np.round(middle / step) * step)
+    x, y, z = (float(value) for value in np.round(middle / step) * step + 0.0)
     return x, y, z
 
 

@@ -15,7 +15,9 @@ LEAST_SEEN = 8  # points that a camera must see, to say how far things are
 NEAREST = 0.05  # quantile of what a camera sees that counts as its nearest
 NEAREST_AT_LEAST = 1 / 32  # of the usual distance: nearer points are few and astray
 CONVERGING = 0.01  # least eigenvalue of the axes' mean I − zzᵀ: below, they are parallel
-NEAREST_SHARE = 0.5  # of the distance to where cameras look, where no points tell
+NEAREST_SHARE = 0.5  # of the usual distance, where no points tell
+TOLD_APART = 1e-12  # of their distance from the origin, by which cameras are apart
+SPREADS = 10.0  # of the cameras: the usual distance where nothing else tells, as of cameras that face one way
 
 
 @dataclass(frozen=True)
@@ -45,8 +47,9 @@ class Sights:
 
     @property
     def spread(self) -> float:
-        """The median distance of the cameras from their middle."""
-        return float(np.median(np.linalg.norm(self.centers - self.middle, axis=1)))
+        """The median distance of the cameras from their middle; 0 where float64 hardly tells them apart."""
+        spread = float(np.median(np.linalg.norm(self.centers - self.middle, axis=1)))
+        return spread if spread > TOLD_APART * np.abs(self.middle).max() else 0.0
 
     @property
     def focal(self) -> float:
@@ -55,7 +58,8 @@ class Sights:
     def depths(self) -> tuple[float, float] | None:
         """How far the nearest things, and usual ones, are from the median camera; None where nothing tells.
 
-        Points in a camera's picture tell; where most cameras see none, the place that all look at does.
+        Points in a camera's picture tell; where most cameras see none, the place that all look at does, or else how
+        far the cameras are apart.
         """
         chosen, centers = _evenly(len(self.poses), MOST_CAMERAS), self.centers
         points = self.points[_evenly(len(self.points), MOST_POINTS)]
@@ -65,17 +69,18 @@ class Sights:
             nearest, usual = (float(depth) for depth in np.median(told, axis=0))
             return max(nearest, NEAREST_AT_LEAST * usual), usual
         around = self.looked_at()
-        return None if around is None else (NEAREST_SHARE * around[1], around[1])
+        usual = SPREADS * self.spread if around is None else around[1]
+        return (NEAREST_SHARE * usual, usual) if usual > 0 else None
 
     def looked_at(self) -> tuple[Array, float] | None:
         """The point [3] nearest to all cameras' axes, and the median camera's distance from it.
 
         It minimizes Σ ‖(I − zzᵀ)(p − c)‖² over centers c and viewing directions z. None where most cameras look away
-        from it, or all the same way.
+        from it, or all the same way, or stand in one place.
         """
         axes, centers = self.poses[:, 2, :3], self.centers - self.middle
         across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-        if np.linalg.eigvalsh(across.mean(0))[0] < CONVERGING:
+        if not self.spread or np.linalg.eigvalsh(across.mean(0))[0] < CONVERGING:
             return None
         point = np.linalg.solve(across.sum(0), (across @ centers[:, :, None]).sum(0))[:, 0]
         ahead = ((point - centers) * axes).sum(1)

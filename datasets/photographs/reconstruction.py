@@ -9,15 +9,18 @@ from itertools import combinations
 from pathlib import Path
 from typing import Literal, Protocol
 
+import numpy as np
 import pycolmap
 
 from ..errors import DatasetError
 from ..formats.colmap_model import Model
 from ..formats.photograph import Photograph
 from ..formats.pictures import read_header
+from ..placing import origin_near
 from ..progress import report
 from .kept_model import kept_model
 from .lightglue import LightGlue
+from .placing import sights_of
 from .sift import Sift
 
 Matching = Literal["exhaustive", "sequential"]
@@ -167,10 +170,14 @@ class Reconstructor:
 
 
 def _triangulate(photographs: Sequence[Photograph], work: Path) -> pycolmap.Reconstruction:
-    """Points for the matches in the database, seen from where the photographs were taken."""
+    """Points for the matches in the database, seen from where the photographs were taken.
+
+    Far from the origin triangulation loses more digits than float64 has: it is done near the origin.
+    """
     model = pycolmap.Reconstruction()
     plain = _plain_names(photograph.name for photograph in photographs)
-    poses = {plain[photograph.name]: photograph.world_to_camera[:3] for photograph in photographs}
+    placement = origin_near(sights_of(photographs))
+    poses = {plain[p.name]: placement.pose_from_data(p.world_to_camera)[:3] for p in photographs}
     with pycolmap.Database.open(work / "database.db") as opened:
         for camera in opened.read_all_cameras():
             model.add_camera_with_trivial_rig(camera)
@@ -187,6 +194,8 @@ def _triangulate(photographs: Sequence[Photograph], work: Path) -> pycolmap.Reco
             f"{photographs[0].path.parent}: {len(photographs)} images share no point that fits their poses; check "
             "these, their axes first"
         )
+    if not placement.unmoved:
+        model.transform(pycolmap.Sim3d(1, pycolmap.Rotation3d(), np.array(placement.shift)))
     return _named(model, list(plain))
 
 

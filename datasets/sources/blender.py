@@ -73,8 +73,9 @@ def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         for file, (_, missing) in zip(files, found, strict=True):
             refuse_missing(choice.missing, len(file.frames), missing, file.path)
         measured = read_point_cloud(root / POINTS) if (root / POINTS).is_file() else None
-        placed, placement = placed_photographs(fit_to_files(photographs), measured, root)
-        cloud = placed_cloud(measured, placement) if measured else _random_points(choice, placed, placement)
+        fitted = fit_to_files(photographs)
+        placed, placement = placed_photographs(fitted, measured, root)
+        cloud = placed_cloud(measured, placement) if measured else _random_points(choice, fitted, placement)
         views = on_disk(read_views(placed, choice.downsample, choice.background, choice.mask_labels))
         train, test = views[: len(learned)], views[len(learned) :]
         val = validation_of(train)
@@ -114,13 +115,15 @@ def _files(choice: BlenderSettings, photographs: Sequence[Photograph]) -> list[P
     return [*(choice.root / name for name in (*TRANSFORMS, POINTS)), *files_of(photographs)]
 
 
-def _random_points(choice: BlenderSettings, placed: Sequence[Photograph], placement: Placement) -> PointCloud:
-    around = None if placement.unmoved else sights_of(placed).looked_at()
-    if choice.random_box is not None or around is None:
-        return RandomPoints(choice.random_points, choice.random_box or BOX).placed(placement)
-    point, distance = around
-    x, y, z = (float(value) for value in point)
-    return RandomPoints(choice.random_points, BOX * distance / CAMERAS_OUT, (x, y, z)).placed(Placement())
+def _random_points(choice: BlenderSettings, photographs: Sequence[Photograph], placement: Placement) -> PointCloud:
+    if choice.random_box is not None:
+        return RandomPoints(choice.random_points, choice.random_box).placed(placement)
+    around = None if placement.unmoved else sights_of(photographs).looked_at()
+    if around is None:
+        return RandomPoints(choice.random_points, BOX).placed(Placement())
+    x, y, z = placement.points_from_data(around[0]).tolist()
+    half = BOX / CAMERAS_OUT * around[1] / placement.scale
+    return RandomPoints(choice.random_points, half, (x, y, z)).placed(Placement())
 
 
 def _with_normal(photograph: Photograph) -> Photograph:

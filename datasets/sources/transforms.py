@@ -26,7 +26,7 @@ from ..store.contents import digest_of
 from .capture import Missing, PhotographSettings, cached_capture, files_of, make_scene, refuse_missing
 
 VERSION = 5  # raise it with every change that alters a scene
-MODEL_VERSION = 1  # and this with every change that alters a model
+MODEL_VERSION = 2  # and this with every change that alters a model
 FEATURE_SIZE = 3200  # pixels along the longer side, for finding features: COLMAP's own
 NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # instant-ngp's defaults; aabb_scale enlarges its box [0, 1]³ around the middle
 NGP_RANGE = 1e-6, 1e6  # of its scales
