@@ -67,7 +67,7 @@ API := build/api
 api: $(TOOLS)
 	$(BIN)/python -m pdoc --docformat google -o $(API) \
 		envgs_bench.core '!envgs_bench.core.' $(addprefix envgs_bench.,parts records settings testing) \
-		$(addprefix envgs_bench.methods.,method gaussian_model gaussian_method reflection)
+		$(addprefix envgs_bench.methods.,method gaussian_method gaussians.model gaussians.policy lighting.reflection)
 
 bench: install
 	$(BIN)/envgs-bench bench core

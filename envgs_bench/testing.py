@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import tempfile
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from envgs_bench.methods.gaussians.budget import Budget
-from envgs_bench.methods.method import Method
+from envgs_bench.methods.method import Budget, Method
 from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.training.step_graphs import GraphWarning
 
 from .core import Camera, Rendering, Scene, View
 from .parts import SETS
@@ -35,7 +36,8 @@ def check_method(kind: str, settings: Mapping[str, Any] | None = None, device: s
     and the same after another `prepare`; what is saved and loaded renders and counts the same, and an empty folder is
     refused; the same seed trains to the same picture (to 1e-3 on a GPU), and so does a training that is interrupted and
     goes on, where the method can. A method that uses the perceptual loss calls
-    it where it is offered and trains without it where it is not. A step on a picture that is not finite is counted in
+    it where it is offered and trains without it where it is not. On a GPU, where steps come from CUDA graphs, these do
+    what the steps launched do, whatever the step's number. A step on a picture that is not finite is counted in
     `skipped_steps` and changes no render. A method that takes a budget of primitives is never above it.
 
     Args:
@@ -50,7 +52,11 @@ def check_method(kind: str, settings: Mapping[str, Any] | None = None, device: s
     scene = tiny_scene()
     method = create_method(kind, settings, device, seed=1)
     _check_settings(method)
-    _train_with_perceptual(method, scene, steps)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always", GraphWarning)
+        _train_with_perceptual(method, scene, steps)
+    found = [str(warning.message) for warning in warned if issubclass(warning.category, GraphWarning)]
+    _expect(not found, "".join(found[:1]))
     camera = scene.test[0].camera.to(device)
     picture = _check_rendering(method.render(camera), camera)
     _expect_equal(picture, method.picture(camera), 1e-4, "picture() is not render()'s color")
@@ -106,7 +112,7 @@ def _train_with_perceptual(method: Method, scene: Scene, steps: int) -> None:
     """The whole training, with a stand-in for the perceptual loss where the method uses one."""
     calls = _offer_perceptual(method)
     _train(method, scene, steps, steps)
-    _expect(bool(calls) or not method.uses_perceptual, "uses_perceptual is true, but no training step calls perceptual")
+    _expect(bool(calls) or not method.needs.perceptual, "needs a perceptual loss, but no training step calls it")
 
 
 def _offer_perceptual(method: Method) -> list[None]:
@@ -117,7 +123,7 @@ def _offer_perceptual(method: Method) -> list[None]:
         calls.append(None)
         return (image - target).abs().mean()
 
-    if method.uses_perceptual:
+    if method.needs.perceptual:
         method.perceptual = perceptual
     return calls
 

@@ -12,11 +12,9 @@
 | envgs | envgs.py | surfels with β, and traced environment surfels for what they reflect |
 | envgs_single_set | single_set.py | surfels with β, traced for what they reflect themselves |
 
-The first two are `gaussian_method.py`, which trains what `gaussian_model.py` draws and stores; gaussian_shader adds a
-map, `learned_map.py`, which it filters as ref_gaussian does, `filtered_map.py`; 3igs is 3dgs with colors of its own, by
-a field and a network; the others are `reflection.py` and differ in where the reflected color comes from: `envmap.py` is
-what the three with a map share, `traced.py` the last two. Another package adds a method by an entry point of group
-`envgs_bench.methods`.
+Each is a `GaussianMethod` (`gaussian_method.py`): sets of Gaussians trained by policies, a reflection where pixels
+reflect, and parts of its own. The contract with the harness is `method.py`. Another package adds a method by an entry
+point of group `envgs_bench.methods`.
 
 | room | what is in it |
 |---|---|

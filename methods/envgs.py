@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from dataclasses import asdict, dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, Rendering, Scene, Statistics
-from envgs_bench.core.vectors import unit
+from envgs_bench.core import Scene
 from envgs_bench.parts import BASE, ENV, MethodCard
 
-from .gaussians.densification import DensificationRule, spatial_criterion
+from .gaussian_method import GaussianMethod, fresh
+from .gaussians.densification import spatial_criterion
 from .gaussians.initialization import quantile_box, random_points_in_grid, random_points_on_sphere
-from .gaussians.parameters import primitive_bytes
-from .traced import TracedReflection, TracedSettings
+from .gaussians.policy import Resets, SetPolicy, Start, regular
+from .lighting.disturbance import Disturbance, reflecting_policy
+from .lighting.reflection import Origin, Reflection, Traced
+from .lighting.settings import TracedSettings, check_reflection, check_traced
 from .training.pilot_run import SHORTEST_RUN
-from .training.reflection_pilot import BOOTSTRAP, PLAIN, TrialOutcome, reflection_trial
-from .training.schedule import DENSIFY_FLOOR, ENV_RESET_FLOOR, RECOVERY
+from .training.reflection_pilot import BOOTSTRAP, PLAIN, ReflectionOutcome, reflection_pilot
+from .training.schedule import ENV_RESET_FLOOR, RECOVERY, Schedule
+
+REFLECTION = "reflection"  # in `found`: what the pilot run on reflections has shown
 
 
 @dataclass(frozen=True)
@@ -41,153 +44,112 @@ class EnvGSSettings(TracedSettings):
     env_densify_until: int = 21_000  # step before which the environment's densification and opacity resets end
     env_opacity_reset_every: int = 6_000  # steps between the environment's opacity resets; 0: never
 
-    reflection_trial: bool = False  # try before the first step what mirrored rays explain; if nothing, train as 2DGS
+    reflection_trial: bool = False  # a pilot run finds out what mirrored rays explain; if nothing, train as 2DGS
 
 
-class EnvGS(TracedReflection):
+class EnvGS(GaussianMethod):
     """EnvGS (Xie et al., CVPR 2025, Sec. 4): surfels, and a second set of them that only reflected rays meet."""
 
     card = MethodCard("envgs", "EnvGS", 40, "#CC0000")
     Settings: ClassVar[type] = EnvGSSettings
     settings: EnvGSSettings
-    traced: ClassVar[str] = ENV
-    captured: ClassVar[bool] = True
+    axes = 2
+    cuda_graph: ClassVar[bool] = True
 
     def __init__(self, settings: EnvGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        self._box = (torch.zeros(3), torch.ones(3))
-        self._trial: TrialOutcome | None = None
+        compose(self, settings)
+
+    def policies(self, schedule: Schedule, scene: Scene | None) -> dict[str, SetPolicy]:
+        base = reflecting_policy(self.settings, schedule, scene)
+        if is_plain(self):
+            return {BASE: replace(base, start=replace(base.start, beta=None))}
+        return {BASE: base, ENV: environment_policy(self.settings, schedule, base)}
 
     def initialize(self, scene: Scene, steps: int) -> None:
-        if self._trial is None and self.settings.reflection_trial and steps >= SHORTEST_RUN:
-            self._trial = self._tried(scene)
-        if self.plain:
-            self.settings = replace(self.settings, **PLAIN)
-            if self._budget is not None:
-                self.limit(self._budget.budget)  # which one set now has for itself
+        if REFLECTION not in self.found and self.settings.reflection_trial and steps >= SHORTEST_RUN:
+            self.found[REFLECTION] = asdict(tried_reflections(self, scene))
+        if is_plain(self):
+            compose(self, replace(self.settings, **PLAIN))
+            if self.model.budget is not None:
+                self.limit(self.model.budget.budget)  # which one set now has for itself
         super().initialize(scene, steps)
-        if self._trial is not None:
-            self.notes.append(self._trial.sentence)
-        self._box = environment_box(self.started_from, self.settings)
+        if REFLECTION in self.found:
+            self.notes.append(ReflectionOutcome(**self.found[REFLECTION]).sentence)
 
-    @property
-    def plain(self) -> bool:
-        """Whether a trial has shown that nothing reflects: there is one set then, without β, trained as 2DGS."""
-        return self._trial is not None and not self._trial.reflects
 
-    def _tried(self, scene: Scene) -> TrialOutcome:
-        # as what tells reflections apart was found: from random primitives alone, eight times as many
-        s = self.settings
-        settings = replace(
-            s, reflection_trial=False, bootstrap=BOOTSTRAP, env_from_points=False, env_grid=2 * s.env_grid
-        )
-        mirrored, control = (self.for_trial(kind, settings) for kind in (EnvGS, AlongNormals))
-        return reflection_trial(scene, mirrored, control)
+def compose(method: EnvGS, settings: EnvGSSettings) -> None:
+    """Make the method's parts for these settings, in place of those that it has."""
+    check_reflection(settings)
+    check_traced(settings)
+    method.settings = method.model.settings = settings
+    method.model.policies = method.policies(method.model.schedule, None)
+    light = Traced(method.model, settings, ENV, Environment(settings, method.generator))
+    method.reflection = Reflection(method.model, settings, light)
+    method.parts = {"reflection": method.reflection, "disturbance": Disturbance(method.model, settings)}
 
-    def start_reflection(self) -> None:
-        """Make the environment: random primitives fill the box (Sec. 4.3), others lie where something is known to be.
 
-        These are on a sphere around the box, the sky, where no point lies, and at the scene's points. If a few of these
-        lie far away, the box is large, and what is near a mirror smaller than its cells.
-        """
-        s, (low, high) = self.settings, self._box
-        inside = random_points_in_grid(low, high, s.env_grid, s.env_per_cell, self.generator)
+def is_plain(method: EnvGS) -> bool:
+    """Whether a pilot run has shown that nothing reflects: there is one set then, without β, trained as 2DGS."""
+    return REFLECTION in method.found and not ReflectionOutcome(**method.found[REFLECTION]).reflects
+
+
+class Environment(Origin):
+    """Where environment primitives start: at random in a box, on a sphere around it, and at the scene's points.
+
+    The sphere is the sky, where no point lies. If a few points lie far away, the box is large, and what is near a
+    mirror smaller than its cells.
+    """
+
+    def __init__(self, settings: EnvGSSettings, generator: torch.Generator) -> None:
+        self._settings, self._generator = settings, generator
+
+    def start(self, scene: Scene) -> None:
+        self._scene, self._box = scene, environment_box(scene, self._settings)
+
+    def points(self) -> tuple[Tensor, Tensor]:
+        s, (low, high) = self._settings, self._box
+        inside = random_points_in_grid(low, high, s.env_grid, s.env_per_cell, self._generator)
         radius = s.env_far * 0.5 * float((high - low).norm())
-        around = random_points_on_sphere((low + high) / 2, radius, s.env_far_count, self.generator)
+        around = random_points_on_sphere((low + high) / 2, radius, s.env_far_count, self._generator)
         points = torch.cat([inside, around])
-        colors = torch.rand(points.shape, generator=self.generator)
+        colors = torch.rand(points.shape, generator=self._generator)
         if s.env_from_points:
-            scene = self.started_from
-            points = torch.cat([points, scene.points.to(points)])
-            colors = torch.cat([colors, scene.point_colors.to(colors)])
-        self.sets[ENV] = self.new_set(ENV, points, colors, s.env_initial_opacity, beta=None, orientation="random")
-
-    def position_rate(self, name: str, step: int) -> float:
-        rate, s = super().position_rate(name, step), self.settings
-        if name == ENV:
-            rate *= s.env_position_scale * self.radius ** (s.env_radius_power - 1)
-        return rate
-
-    def sh_from(self, name: str) -> int:
-        return self.settings.env_sh_from if name == ENV else super().sh_from(name)
-
-    def densification_criterion(self, name: str, statistics: Statistics, camera: Camera) -> Tensor:
-        if name == ENV:
-            return spatial_criterion(statistics)
-        return super().densification_criterion(name, statistics, camera)
-
-    def events(self, step: int) -> set[str]:
-        s, schedule = self.settings, self.schedule
-        happens = super().events(step)
-        resets = {"stop": s.env_densify_until, "interval": s.env_opacity_reset_every, "floor": ENV_RESET_FLOOR}
-        every = schedule.interval(s.env_densify_every, DENSIFY_FLOOR)
-        if (
-            not self._young(step)
-            and not schedule.recovers(step, **resets)
-            and schedule.densifies(step, start=s.bootstrap, stop=s.env_densify_until, every=every)
-        ):
-            happens.add("densify_env")
-        if step > schedule.at(s.bootstrap) and schedule.resets(step, **resets):
-            happens.add("reset_env_opacity")
-        return happens
-
-    def after_step(self, step: int, events: set[str]) -> None:
-        super().after_step(step, events)
-        if "densify_env" in events:
-            self.densify(ENV)
-        if "reset_env_opacity" in events:
-            self.sets[ENV].reset_opacity()
-
-    def densification_rule(self, name: str) -> DensificationRule:
-        rule, s = super().densification_rule(name), self.settings
-        if name == ENV:
-            rule = replace(rule, gradient_threshold=s.env_densify_threshold)
-        return rule
-
-    def initial_beta(self) -> float | None:
-        return None if self.plain else super().initial_beta()
-
-    def primitive_bytes(self) -> dict[str, int]:
-        if self.plain:
-            return super().primitive_bytes()
-        return super().primitive_bytes() | {ENV: primitive_bytes(self.axes, self.settings.sh_degree, has_beta=False)}
-
-    def cap(self, name: str) -> int:
-        return self.settings.env_max_primitives if name == ENV else super().cap(name)
-
-    def own_bound(self, name: str) -> int:
-        return self.cap(ENV) if name == ENV else super().own_bound(name)
-
-    def phase(self, step: int) -> Hashable:
-        return super().phase(step), self._young(step)
-
-    def contributions(self, rendering: Rendering, step: int) -> dict[str, Tensor]:
-        """How much the picture would change without the set: to the base's color alone, or to the background."""
-        if self._young(step):
-            return {}
-        color = rendering.color.detach()
-        without = {BASE: self.background, ENV: rendering.layers[BASE].detach()}
-        return {name: (color - other).abs().sum() for name, other in without.items()}
-
-    def _young(self, step: int) -> bool:
-        """Whether the environment is not there or so new that, as after a reset, nothing yet shows what is needed."""
-        return step <= self.schedule.at(self.settings.bootstrap) + RECOVERY
-
-    def training_state(self) -> dict[str, Any]:
-        return super().training_state() | {"trial": None if self._trial is None else asdict(self._trial)}
-
-    def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
-        self._trial = None if state["trial"] is None else TrialOutcome(**state["trial"])
-        super().resume(scene, steps, state)
+            points = torch.cat([points, self._scene.points.to(points)])
+            colors = torch.cat([colors, self._scene.point_colors.to(colors)])
+        return points, colors
 
 
-class AlongNormals(EnvGS):
-    """The control of a trial: its rays leave along the surface's normals, so that no view changes what they see."""
+def environment_policy(s: EnvGSSettings, schedule: Schedule, base: SetPolicy) -> SetPolicy:
+    """The base's, but for what is the environment's own; it does not grow more slowly while reflections settle."""
+    start = schedule.at(s.bootstrap)
+    return replace(
+        base,
+        name=ENV,
+        start=Start(s.env_initial_opacity, "random"),
+        position_scale=s.env_position_scale,
+        radius_power=s.env_radius_power,
+        sh_from=s.env_sh_from,
+        criterion=spatial_criterion,
+        rule=replace(base.rule, gradient_threshold=s.env_densify_threshold, max_primitives=s.env_max_primitives),
+        interval=regular(schedule, s.env_densify_every),
+        grows_from=s.bootstrap,
+        grows_until=s.env_densify_until,
+        resets=Resets(schedule, s.env_opacity_reset_every, s.env_densify_until, ENV_RESET_FLOOR, start),
+        cap=s.env_max_primitives,
+        oversized="split",
+        young_until=start + RECOVERY,
+    )
 
-    def _reflected_rays(self, base: Rendering, camera: Camera, step: int | None) -> tuple[Tensor, Tensor, Tensor]:
-        origins, mirrored, beta = super()._reflected_rays(base, camera, step)
-        normal = unit(base.normal if self.settings.joint else base.normal.detach())
-        return origins, torch.where(mirrored.any(dim=-1, keepdim=True), normal, 0.0), beta
+
+def tried_reflections(method: EnvGS, scene: Scene) -> ReflectionOutcome:
+    """What a pilot run finds of the scene: from random primitives alone, eight times as many, as it was tuned."""
+    s = method.settings
+    settings = replace(s, reflection_trial=False, bootstrap=BOOTSTRAP, env_from_points=False, env_grid=2 * s.env_grid)
+    mirrored, control = (fresh(method, settings) for _ in range(2))
+    assert control.reflection is not None
+    control.reflection.rays_along = "normal"
+    return reflection_pilot(scene, mirrored, control)
 
 
 def environment_box(scene: Scene, settings: EnvGSSettings) -> tuple[Tensor, Tensor]:

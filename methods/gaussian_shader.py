@@ -17,13 +17,15 @@ from envgs_bench.core.torch.sh import sh_color
 from envgs_bench.core.vectors import unit
 from envgs_bench.parts import BASE, BETA, REFLECTION, MethodCard
 
-from .filtered_map import FilteredMapMethod
-from .gaussians.parameters import LearningRates
-from .learned_map import MapSettings
+from .gaussian_method import GaussianMethod
+from .gaussians.model import GaussianModel
+from .gaussians.policy import SetPolicy
 from .lighting.brdf_table import specular_weight
+from .lighting.light_map import CubeMap, Filtered
+from .lighting.settings import MapSettings, check_map
 from .lighting.shading import colored, mirrored, seen_from
 from .settings import PublishedSettings
-from .training.optimizer import set_rate
+from .training.schedule import Part, Schedule, set_rate
 
 INITIAL_TINT, INITIAL_ROUGHNESS = 0.0, 0.6  # logits
 INITIAL_LIGHT = 0.8
@@ -50,7 +52,7 @@ class GaussianShaderSettings(PublishedSettings, MapSettings):
     envmap_lr: float = 1.6e-2
 
 
-class GaussianShader(FilteredMapMethod):
+class GaussianShader(GaussianMethod):
     """GaussianShader (Jiang et al., CVPR 2024): 3D Gaussians shaded one by one, by a filtered cube map.
 
     Normals are shortest axes plus a residual, one for either side that the camera may be on.
@@ -60,31 +62,42 @@ class GaussianShader(FilteredMapMethod):
     Settings: ClassVar[type] = GaussianShaderSettings
     settings: GaussianShaderSettings
     axes = 3
-    captured: ClassVar[bool] = True
+    cuda_graph: ClassVar[bool] = True
+
+    def __init__(self, settings: GaussianShaderSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
+        super().__init__(settings, device, seed)
+        check_map(settings)
+        self.light = Filtered(CubeMap(self.model, settings))
+        self.model.shade = self._shaded
+        rates = DecayingRates(self.model, settings, self.light.map)
+        self.parts = {"map": self.light.map, "filtered": self.light, "rates": rates}
+
+    def policies(self, schedule: Schedule, scene: Scene | None) -> dict[str, SetPolicy]:
+        base = super().policies(schedule, scene)[BASE]
+        start = replace(base.start, materials=self._materials, material_columns=MATERIALS)
+        rates = replace(base.rates, materials=dict.fromkeys(MATERIALS, self.settings.material_lr))
+        return {BASE: replace(base, start=start, rates=rates)}
+
+    def _materials(self, count: int) -> dict[str, Tensor]:
+        materials = {name: torch.zeros(count, columns, device=self.device) for name, columns in MATERIALS.items()}
+        materials["tint_logits"] += INITIAL_TINT
+        materials["roughness_logits"] += INITIAL_ROUGHNESS
+        return materials
 
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
         size = self.settings.envmap_size
-        self._set_texels(torch.logit(torch.full((6, size, size, 3), INITIAL_LIGHT)))
+        self.light.map.become(torch.logit(torch.full((6, size, size, 3), INITIAL_LIGHT)))
 
-    def set_learning_rates(self, step: int) -> None:
-        super().set_learning_rates(step)
-        s, schedule = self.settings, self.schedule
-        rate = schedule.rate(step, s.material_lr, s.material_lr_final)
-        for name in MATERIALS:
-            self.sets[BASE].parameters.set_learning_rate(name, rate * schedule.rate_scale)
-        set_rate(self._texel_optimizer.param_groups[0], schedule.rate(step, s.envmap_lr, s.material_lr_final))
-
-    def base_seen_from(self, camera: Camera, step: int | None) -> GaussianSet:
+    def _shaded(self, gaussians: GaussianSet, camera: Camera, step: int | None) -> GaussianSet:
         """The shaded Gaussians; their extras are tint, normal's residual, normal [3] and reflected color [3]."""
-        gaussians = self.gaussians(BASE, step)
-        tensors = self.sets[BASE].parameters.tensors
+        tensors = self.model.sets[BASE].parameters.tensors
         tint, roughness = tensors["tint_logits"].sigmoid(), tensors["roughness_logits"][:, 0].sigmoid()
         directions, axes, turned = seen_from(gaussians, camera.center)
         residual = torch.where(turned, tensors["inner_residuals"], tensors["outer_residuals"])
         normals = unit(axes + residual)
         outgoing, cosine = mirrored(directions, normals)
-        light = self.light(step)
+        light = self.light.at(step)
         specular = light.specular(outgoing, roughness) * specular_weight(tint, cosine, roughness)
         reflected = specular + (1 - tint) * light.irradiance(normals)
         colors = sh_color(gaussians.sh, directions) + reflected.clamp_min(0)
@@ -93,7 +106,7 @@ class GaussianShader(FilteredMapMethod):
         return replace(colored(gaussians, colors), extras=extras)
 
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
-        base = self.rasterize_base(camera, step)
+        base = self.model.rasterize(camera, step)
         tint, _, normal, reflected = base.extras.split([1, 1, 3, 3], dim=-1)
         layers = {BASE: base.color - reflected, REFLECTION: reflected, BETA: tint}
         return replace(base, normal=normal, layers=layers), {BASE: base.statistics}
@@ -107,14 +120,16 @@ class GaussianShader(FilteredMapMethod):
         terms["residual"] = s.residual_weight * (rendering.alpha.detach() * rendering.extras[..., 1]).mean()
         return terms
 
-    def initial_materials(self, name: str, count: int) -> dict[str, Tensor]:
-        materials = {name: torch.zeros(count, columns, device=self.device) for name, columns in MATERIALS.items()}
-        materials["tint_logits"] += INITIAL_TINT
-        materials["roughness_logits"] += INITIAL_ROUGHNESS
-        return materials
 
-    def initial_learning_rates(self) -> LearningRates:
-        return replace(super().initial_learning_rates(), materials=dict.fromkeys(MATERIALS, self.settings.material_lr))
+class DecayingRates(Part):
+    """The rates of the materials and of the map, which fall log-linearly over a run."""
 
-    def primitive_bytes(self) -> dict[str, int]:
-        return {name: size + 4 * sum(MATERIALS.values()) for name, size in super().primitive_bytes().items()}
+    def __init__(self, model: GaussianModel, settings: GaussianShaderSettings, light: CubeMap) -> None:
+        self._model, self._settings, self._light = model, settings, light
+
+    def begin_step(self, step: int) -> None:
+        s, schedule = self._settings, self._model.schedule
+        rate = schedule.rate(step, s.material_lr, s.material_lr_final)
+        for name in MATERIALS:
+            self._model.sets[BASE].parameters.set_learning_rate(name, rate * schedule.rate_scale)
+        set_rate(self._light.optimizer.param_groups[0], schedule.rate(step, s.envmap_lr, s.material_lr_final))

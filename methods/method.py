@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,7 +14,77 @@ from torch import Tensor
 from envgs_bench.core import Camera, Rendering, Scene, View
 from envgs_bench.parts import MethodCard
 
-from .gaussians.budget import Budget
+
+@dataclass(frozen=True)
+class Budget:
+    """The most that a model may have; None where there is no such limit.
+
+    Attributes:
+        primitives: of all sets together.
+        mb: 10⁶ bytes of all that is trained, as float32.
+    """
+
+    primitives: int | None = None
+    mb: float | None = None
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What a method asks of the harness before `initialize`.
+
+    Attributes:
+        perceptual: which perceptual loss it trains with, a key of `envgs_bench.metrics.PERCEPTUAL_LOSSES`; None: none.
+        agreed_normals: whether it learns from normals in agreement: the harness then gives `Scene.normals`.
+    """
+
+    perceptual: str | None = None
+    agreed_normals: bool = False
+
+
+class Monitor:
+    """What the harness may look at while a method trains, now and then; each says nothing unless overridden."""
+
+    def last_maps(self) -> Mapping[str, Tensor]:
+        """What the last training step drew that shows whether the model is sound, [H, W] by name, without gradients.
+
+        `envgs_bench.parts.ALPHA` and, of a method that blends reflections, BETA.
+        """
+        return {}
+
+    def degenerate(self) -> Mapping[str, float | Tensor]:
+        """The share of each set's primitives, in [0, 1] by the set's name, that are elongated without bound."""
+        return {}
+
+    def at_size_limit(self) -> Mapping[str, int]:
+        """The sets that are about as large as the method's settings let them be, and how large that is.
+
+        Not what a budget asks for, nor what the method finds a scene to need.
+        """
+        return {}
+
+    def non_finite_gradients(self) -> list[str]:
+        """Parameters whose gradients were not finite in any of the last steps, by name, each call's since the last.
+
+        The harness asks where steps were skipped.
+        """
+        return []
+
+    def prunes(self, step: int) -> bool:
+        """Whether the method removes, right after this training step, what its pictures were found to do without.
+
+        A set may then lose most of itself, and the harness does not warn of it.
+        """
+        return False
+
+    def reflected(self, origins: Tensor, directions: Tensor) -> Tensor | None:
+        """What reflected rays would see, [N, 3] sRGB without gradients, once the method is prepared.
+
+        The harness compares two seeds' models by it. None of a method that traces no rays of its own.
+
+        Args:
+            origins, directions: [N, 3] in the world frame, on the method's device; directions have unit length.
+        """
+        return None
 
 
 class Method(ABC):
@@ -30,9 +101,9 @@ class Method(ABC):
         card: what reports show of it; None where they are to find a name and a color themselves.
         skipped_steps: training steps that were not applied because a loss or gradient was not finite; a number, or a
             tensor of one.
-        perceptual: the `perceptual_loss` of two [H, W, 3] images in [0, 1], (image, target) -> scalar, differentiable
-            in the first. The harness sets it before `initialize` where `uses_perceptual` is true and the network's
-            weights can be had; None otherwise, and the method then trains without it.
+        perceptual: the perceptual loss of two [H, W, 3] images in [0, 1], (image, target) -> scalar, differentiable
+            in the first. The harness sets it before `initialize` where `needs` names one and the network's weights
+            can be had; None otherwise, and the method then trains without it.
         dropped_losses: a loss that the settings ask for and that cannot be computed here -> why, a loss of
             `envgs_bench.parts.LOSSES` under its key there; complete once `initialize` is done. The harness adds the
             perceptual loss where it has none to offer, the method what the scene lacks.
@@ -42,34 +113,29 @@ class Method(ABC):
 
     Settings: ClassVar[type]
     card: ClassVar[MethodCard | None] = None
+    skipped_steps: int | Tensor = 0
 
     def __init__(self, settings: Any, device: torch.device | str = "cpu", seed: int = 0) -> None:
         self.settings = settings
         self.device = torch.device(device)
         self.generator = torch.Generator().manual_seed(seed)  # on the CPU: the same numbers for every device
-        self.skipped_steps: int | Tensor = 0
         self.perceptual: Callable[[Tensor, Tensor], Tensor] | None = None
         self.dropped_losses: dict[str, str] = {}
         self.notes: list[str] = []
-
-    @property
-    def uses_perceptual(self) -> bool:
-        """Whether these settings train with the perceptual loss; most methods do not."""
-        return False
 
     def training_steps(self, steps: int) -> int:
         """How many steps a run that is given `steps` trains; the harness asks before `initialize`, most take all."""
         return steps
 
     @property
-    def uses_agreed_normals(self) -> bool:
-        """Whether these settings learn from normals in agreement: the harness then gives `Scene.normals`."""
-        return False
+    def needs(self) -> Needs:
+        """What these settings need of the harness; most methods need nothing."""
+        return Needs()
 
     @property
-    def perceptual_loss(self) -> str:
-        """Which one `perceptual` is to be, a key of `envgs_bench.metrics.PERCEPTUAL_LOSSES`."""
-        return "features"
+    def monitor(self) -> Monitor | None:
+        """What the harness may look at between steps; None of a method that shows nothing of itself."""
+        return None
 
     def limit(self, budget: Budget) -> None:
         """Be within `budget` from now on, at every step and picture: called once, before `initialize`, or never.
@@ -94,35 +160,6 @@ class Method(ABC):
     def settle(self) -> None:  # noqa: B027 (most methods leave nothing under way)
         """Finish what the last steps left under way; the harness calls it before it reads what they returned."""
 
-    def last_maps(self) -> Mapping[str, Tensor]:
-        """What the last training step drew that shows whether the model is sound, [H, W] by name, without gradients.
-
-        `envgs_bench.parts.ALPHA` and, of a method that blends reflections, BETA; the harness looks at them now and
-        then. Empty for a method that does not say.
-        """
-        return {}
-
-    def needles(self) -> Mapping[str, float | Tensor]:
-        """The share of each set's primitives, in [0, 1] by the set's name, that have run away along one axis.
-
-        The harness looks now and then. Empty for a method that has no such primitives.
-        """
-        return {}
-
-    def capped(self) -> Mapping[str, int]:
-        """The sets that are about as large as the method's settings let them be, and how large that is.
-
-        The harness looks now and then. Not what a budget asks for, nor what the method finds a scene to need.
-        """
-        return {}
-
-    def non_finite_gradients(self) -> list[str]:
-        """Parameters whose gradients were not finite in any of the last steps, by name, each call's since the last.
-
-        The harness asks where steps were skipped. Empty for a method that does not know.
-        """
-        return []
-
     @abstractmethod
     def render(self, camera: Camera) -> Rendering:
         """The scene as `camera` sees it, [H, W, …] float32 without gradients.
@@ -136,25 +173,8 @@ class Method(ABC):
         """`render`'s color [H, W, 3] alone, to rounding: what is timed. Overridden where less does for it."""
         return self.render(camera).color
 
-    def reflected(self, origins: Tensor, directions: Tensor) -> Tensor | None:
-        """What reflected rays would see, [N, 3] sRGB without gradients, once the method is prepared.
-
-        The harness compares two seeds' models by it. None of a method that traces no rays of its own.
-
-        Args:
-            origins, directions: [N, 3] in the world frame, on the method's device; directions have unit length.
-        """
-        return None
-
     def prepare(self) -> None:  # noqa: B027 (many methods need nothing)
         """Make what rendering needs once, such as acceleration structures. Timed apart from frames."""
-
-    def prunes(self, step: int) -> bool:
-        """Whether the method removes, right after this training step, what its pictures were found to do without.
-
-        A set may then lose most of itself, and the harness does not warn of it.
-        """
-        return False
 
     @abstractmethod
     def primitives(self) -> dict[str, int]:
@@ -168,7 +188,7 @@ class Method(ABC):
         """All that the next training step depends on, after any step; None of a method that cannot go on from it.
 
         Tensors, numbers, strings, None, and lists and dictionaries of them: parameters, the optimizers' moments,
-        `generator`, `skipped_steps`, and what `non_finite_gradients` has not told yet. What `initialize` makes of the
+        `generator`, `skipped_steps`, and what the monitor has not told yet. What `initialize` makes of the
         same scene and settings need not be in it.
         """
         return None

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from torch import Tensor
+import torch
 
-from envgs_bench.core import Statistics
+from envgs_bench.core import Scene
 from envgs_bench.parts import BASE, MethodCard
 
-from .traced import TracedReflection
+from .gaussian_method import GaussianMethod
+from .gaussians.policy import SetPolicy
+from .lighting.disturbance import Disturbance, reflecting_policy
+from .lighting.reflection import Reflection, Traced
+from .lighting.settings import TracedSettings, check_reflection, check_traced
+from .training.schedule import Schedule
 
 
-class SingleSet(TracedReflection):
+class SingleSet(GaussianMethod):
     """EnvGS without environment Gaussians: reflected rays are traced through the base set (paper, App. B.3).
 
     A wrong reflected ray then pulls at the scene's own geometry, which sends it elsewhere; the paper reports that this
@@ -20,13 +25,17 @@ class SingleSet(TracedReflection):
     """
 
     card = MethodCard("envgs_single_set", "EnvGS, one set", 50, "#66001A")
-    traced: ClassVar[str] = BASE
-    captured: ClassVar[bool] = True
+    Settings: ClassVar[type] = TracedSettings
+    settings: TracedSettings
+    axes = 2
+    cuda_graph: ClassVar[bool] = True
 
-    def start_reflection(self) -> None:
-        pass
+    def __init__(self, settings: TracedSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
+        super().__init__(settings, device, seed)
+        check_reflection(settings)
+        check_traced(settings)
+        self.reflection = Reflection(self.model, settings, Traced(self.model, settings, BASE))
+        self.parts = {"reflection": self.reflection, "disturbance": Disturbance(self.model, settings)}
 
-    def reflected_color(
-        self, origins: Tensor, directions: Tensor, step: int | None
-    ) -> tuple[Tensor, dict[str, Statistics]]:
-        return super().reflected_color(origins, directions, step)[0], {}
+    def policies(self, schedule: Schedule, scene: Scene | None) -> dict[str, SetPolicy]:
+        return {BASE: reflecting_policy(self.settings, schedule, scene)}

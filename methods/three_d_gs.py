@@ -30,4 +30,4 @@ class ThreeDGS(GaussianMethod):
     card = MethodCard("3dgs", "3DGS", 10, "#336666", reflects=False)
     Settings: ClassVar[type] = ThreeDGSSettings
     axes = 3
-    captured: ClassVar[bool] = True
+    cuda_graph: ClassVar[bool] = True

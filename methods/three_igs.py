@@ -8,7 +8,7 @@ network that sees the viewing direction ω blurred by the Gaussian's roughness. 
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -20,14 +20,18 @@ from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics
 from envgs_bench.core.vectors import unit
 from envgs_bench.parts import BASE, ENV, REFLECTION, MethodCard
 
+from .gaussian_method import GaussianMethod
 from .gaussians.initialization import quantile_box
-from .gaussians.parameters import SH_DC, LearningRates
+from .gaussians.model import GaussianModel
+from .gaussians.parameters import SH_DC
+from .gaussians.policy import SetPolicy
 from .lighting import directional_encoding
 from .lighting.directional_encoding import encoded
 from .lighting.shading import colored
 from .lighting.tensor_field import field_components
-from .three_d_gs import ThreeDGS, ThreeDGSSettings
-from .training.optimizer import adam, optimizer_state, restore_optimizer
+from .three_d_gs import ThreeDGSSettings
+from .training.optimizer import adam, detached, optimizer_state, restore_optimizer
+from .training.schedule import Part, Schedule
 
 COMPONENTS = 48  # of each mode of the field
 FEATURES = 48  # of the field at a place, and of a Gaussian's BRDF: as many as 3DGS has spherical harmonics
@@ -52,47 +56,72 @@ class ThreeIGSSettings(ThreeDGSSettings):
     network_lr: float = 1e-3  # learning rate of what mixes the field's components, and of the network
 
 
-class ThreeIGS(ThreeDGS):
-    """3iGS (Tang and Cham, ECCV 2024): 3D Gaussians with features of their BRDF, in a factorized illumination field.
+class ThreeIGS(GaussianMethod):
+    """3iGS (Tang and Cham, ECCV 2024): 3D Gaussians with features of their BRDF, in a factorized illumination field."""
+
+    card = MethodCard("3igs", "3iGS", 70, "#FFCCFF")
+    Settings: ClassVar[type] = ThreeIGSSettings
+    settings: ThreeIGSSettings
+    axes = 3
+    cuda_graph: ClassVar[bool] = True
+
+    def __init__(self, settings: ThreeIGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
+        super().__init__(settings, device, seed)
+        if settings.field_size < 2:
+            raise ValueError(f"field_size is {settings.field_size}, expected at least 2")
+        self.field = IlluminationField(self.model, settings)
+        self.model.shade = self.field.shaded
+        self.parts = {"field": self.field}
+
+    def policies(self, schedule: Schedule, scene: Scene | None) -> dict[str, SetPolicy]:
+        base = super().policies(schedule, scene)[BASE]
+        start = replace(base.start, materials=self._materials, material_columns=MATERIALS)
+        rate = self.settings.brdf_lr * schedule.rate_scale
+        return {BASE: replace(base, start=start, rates=replace(base.rates, materials=dict.fromkeys(MATERIALS, rate)))}
+
+    def _materials(self, count: int) -> dict[str, Tensor]:
+        roughness = torch.rand(count, 1, generator=self.generator)
+        return {"brdf_logits": torch.zeros(count, FEATURES, device=self.device), "roughness": roughness.to(self.device)}
+
+    def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
+        base = self.model.rasterize(camera, step)
+        if step is None and self.field.shines:
+            base = replace(base, layers={BASE: base.color - base.extras, REFLECTION: base.extras})
+        return base, {BASE: base.statistics}
+
+
+class IlluminationField(Part):
+    """The field and the network, which make specular color of Gaussians' features.
 
     Attributes:
         shines: whether there is specular color, which follows the training of the diffuse color.
         weights: the field and the network, by name; see `weight_shapes`.
     """
 
-    card = MethodCard("3igs", "3iGS", 70, "#FFCCFF")
-    Settings: ClassVar[type] = ThreeIGSSettings
-    settings: ThreeIGSSettings
-
-    def __init__(self, settings: ThreeIGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
-        super().__init__(settings, device, seed)
-        if settings.field_size < 2:
-            raise ValueError(f"field_size is {settings.field_size}, expected at least 2")
+    def __init__(self, model: GaussianModel, settings: ThreeIGSSettings) -> None:
         self.shines = False
+        self._model, self._settings = model, settings
         self._box = (-torch.ones(3), torch.ones(3))
-        self._set_weights({name: torch.zeros(shape) for name, shape in weight_shapes(settings.field_size).items()})
+        self._become({name: torch.zeros(shape) for name, shape in weight_shapes(settings.field_size).items()})
 
-    def initialize(self, scene: Scene, steps: int) -> None:
-        super().initialize(scene, steps)
+    def start(self, scene: Scene) -> None:
         self.shines = False
         low, high = quantile_box(scene.points.float(), BOX_QUANTILE)
-        self._box = (low.to(self.device), high.to(self.device))
-        self._set_weights(initial_weights(self.settings.field_size, self.generator))
-        parameters = self.sets[BASE].parameters  # features begin as the color and nothing else
+        self._box = (low.to(self._model.device), high.to(self._model.device))
+        self._become(initial_weights(self._settings.field_size, self._model.generator))
+        parameters = self._model.sets[BASE].parameters  # features begin as the color and nothing else
         features = torch.zeros_like(parameters.tensors["brdf_logits"].detach())
         features[:, :3] = parameters.tensors["sh_dc"].detach()[:, 0]
         parameters.replace("brdf_logits", features)
 
-    def before_step(self, step: int) -> None:
-        super().before_step(step)
-        self.shines = step > self.schedule.at(self.settings.diffuse_until)
+    def begin_step(self, step: int) -> None:
+        self.shines = step > self._model.schedule.at(self._settings.diffuse_until)
 
     def phase(self, step: int) -> Hashable:
-        return super().phase(step), self.shines
+        return self.shines
 
-    def base_seen_from(self, camera: Camera, step: int | None) -> GaussianSet:
+    def shaded(self, gaussians: GaussianSet, camera: Camera, step: int | None) -> GaussianSet:
         """The shaded Gaussians; those of an image have what their color is more than diffuse as extras, [N, 3]."""
-        gaussians = self.gaussians(BASE, step)
         if not self.shines:
             return gaussians
         diffuse = 0.5 + SH_DC * gaussians.sh[:, 0]
@@ -103,7 +132,7 @@ class ThreeIGS(ThreeDGS):
 
     def _specular(self, means: Tensor, directions: Tensor) -> Tensor:
         """The network's colors [N, 3] in [−1, 1] of Gaussians at `means` [N, 3], seen along `directions` [N, 3]."""
-        tensors, w = self.sets[BASE].parameters.tensors, self.weights
+        tensors, w = self._model.sets[BASE].parameters.tensors, self.weights
         low, high = self._box
         places = (means - low) / (high - low) * 2 - 1
         light = functional.linear(field_components(w["planes"], w["lines"], places), w["light_weight"], w["light_bias"])
@@ -113,63 +142,42 @@ class ThreeIGS(ThreeDGS):
             seen = functional.linear(seen, w[f"{layer}_weight"], w[f"{layer}_bias"]).relu()
         return functional.linear(seen, w["color_weight"]).tanh()
 
-    def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
-        base = self.rasterize_base(camera, step)
-        if step is None and self.shines:
-            base = replace(base, layers={BASE: base.color - base.extras, REFLECTION: base.extras})
-        return base, {BASE: base.statistics}
+    def optimizers(self) -> Sequence[torch.optim.Optimizer]:
+        return (self._optimizer,)
 
-    def optimizers(self) -> list[torch.optim.Optimizer]:
-        return [*super().optimizers(), self._weight_optimizer]
-
-    def initial_materials(self, name: str, count: int) -> dict[str, Tensor]:
-        roughness = torch.rand(count, 1, generator=self.generator)
-        return {"brdf_logits": torch.zeros(count, FEATURES, device=self.device), "roughness": roughness.to(self.device)}
-
-    def initial_learning_rates(self) -> LearningRates:
-        rate = self.settings.brdf_lr * self.schedule.rate_scale
-        return replace(super().initial_learning_rates(), materials=dict.fromkeys(MATERIALS, rate))
-
-    def primitive_bytes(self) -> dict[str, int]:
-        return {name: size + 4 * sum(MATERIALS.values()) for name, size in super().primitive_bytes().items()}
-
-    def other_bytes(self) -> int:
-        return 4 * sum(map(math.prod, weight_shapes(self.settings.field_size).values()))
+    def most_bytes(self) -> int:
+        return 4 * sum(map(math.prod, weight_shapes(self._settings.field_size).values()))
 
     def model_bytes(self) -> dict[str, int]:
-        return super().model_bytes() | {ENV: self.other_bytes()}
+        return {ENV: self.most_bytes()}
 
     def training_state(self) -> dict[str, Any]:
-        weights = {name: weight.detach() for name, weight in self.weights.items()}
-        moments = optimizer_state(self._weight_optimizer, self.weights)
-        return super().training_state() | {"weights": weights, "weight_moments": moments, "shines": self.shines}
+        moments = optimizer_state(self._optimizer, self.weights)
+        return {"weights": detached(self.weights), "moments": moments, "shines": self.shines}
 
-    def resume(self, scene: Scene, steps: int, state: dict[str, Any]) -> None:
-        super().resume(scene, steps, state)
-        self._set_weights(state["weights"])
-        restore_optimizer(self._weight_optimizer, self.weights, state["weight_moments"])
+    def restore_training(self, state: Mapping[str, Any]) -> None:
+        self._become(state["weights"])
+        restore_optimizer(self._optimizer, self.weights, state["moments"])
         self.shines = state["shines"]
 
-    def state(self) -> dict:
+    def state(self) -> dict[str, Any]:
         low, high = self._box
-        weights = {name: weight.detach() for name, weight in self.weights.items()}
-        return super().state() | weights | {"shines": self.shines, "field_box": {"low": low, "high": high}}
+        return detached(self.weights) | {"shines": self.shines, "field_box": {"low": low, "high": high}}
 
-    def restore(self, state: dict) -> None:
-        super().restore(state)
+    def restore(self, state: Mapping[str, Any]) -> None:
         size = state["lines"].shape[1]
-        if size != self.settings.field_size:
+        if size != self._settings.field_size:
             raise ValueError(
-                f"the checkpoint's field has {size} samples along an axis, field_size is {self.settings.field_size}"
+                f"the checkpoint's field has {size} samples along an axis, field_size is {self._settings.field_size}"
             )
-        self._set_weights({name: state[name] for name in weight_shapes(size)})
+        self._become({name: state[name] for name in weight_shapes(size)})
         self.shines = state["shines"]
         self._box = (state["field_box"]["low"], state["field_box"]["high"])
 
-    def _set_weights(self, weights: dict[str, Tensor]) -> None:
-        s = self.settings
-        self.weights = {name: values.detach().to(self.device).requires_grad_() for name, values in weights.items()}
-        self._weight_optimizer = adam(
+    def _become(self, weights: Mapping[str, Tensor]) -> None:
+        s, device = self._settings, self._model.device
+        self.weights = {name: values.detach().to(device).requires_grad_() for name, values in weights.items()}
+        self._optimizer = adam(
             [
                 {"params": [weight], "name": name, "lr": s.field_lr if name in GRIDS else s.network_lr, **ADAM}
                 for name, weight in self.weights.items()

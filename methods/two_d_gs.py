@@ -31,4 +31,4 @@ class TwoDGS(GaussianMethod):
     card = MethodCard("2dgs", "2DGS", 20, "#80E6B3", reflects=False)
     Settings: ClassVar[type] = TwoDGSSettings
     axes = 2
-    captured: ClassVar[bool] = True
+    cuda_graph: ClassVar[bool] = True

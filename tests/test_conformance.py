@@ -48,7 +48,7 @@ def test_the_built_in_methods_pass(kind: str, settings: dict[str, Any]) -> None:
         ("breaches:AnnouncesSkips", "skipped_steps is 8 though every loss was finite"),
         ("breaches:AppliesNaN", "a step whose loss is not finite was applied"),
         ("breaches:CountsNoSkips", "skipped_steps is 0 after a step whose loss was not finite, expected 1"),
-        ("breaches:IgnoresItsPerceptualLoss", "uses_perceptual is true, but no training step calls perceptual"),
+        ("breaches:IgnoresItsPerceptualLoss", "needs a perceptual loss, but no training step calls it"),
         ("breaches:NeedsPreparing", "another prepare() changes the picture"),
         ("breaches:RendersGradients", "color carries gradients"),
         ("breaches:RendersHalf", "depth has shape (12, 16), expected (24, 32)"),

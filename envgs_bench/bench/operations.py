@@ -174,7 +174,7 @@ def _similarity(image: Tensor, target: Tensor, backend: str) -> list[Tensor]:
 def _moving(workload: Workload) -> Work:
     """Adam's step on all parameters of the workload's model, whose gradients are random, as a training takes it."""
     method = workload.model().method
-    optimizers = method.optimizers()
+    optimizers = method.model.optimizers()
     for parameter in (p for optimizer in optimizers for group in optimizer.param_groups for p in group["params"]):
         parameter.grad = torch.randn_like(parameter)
     finite = torch.zeros((), device=method.device)
@@ -201,7 +201,7 @@ def _training(workload: Workload) -> Work:
     alphas = []
     for view in model.views:
         method.training_step(view, model.step)
-        alphas.append(method.last_maps()[ALPHA])
+        alphas.append(method.runner.maps[ALPHA])
     calls = [partial(method.training_step, view, model.step) for view in model.views]
     return Work(calls, sum(method.primitives().values()), alpha=_mean(alphas))
 

@@ -11,7 +11,7 @@ from torch.nn.functional import normalize
 
 from envgs_bench.core import GaussianSet, Scene, View
 from envgs_bench.methods.gaussian_method import GaussianMethod
-from envgs_bench.methods.learned_map import MapMethod, MapSettings
+from envgs_bench.methods.lighting.settings import MapSettings
 from envgs_bench.methods.registry import create_method
 from envgs_bench.parts import BASE, ENV
 
@@ -74,7 +74,7 @@ class RoomWorkload(Workload):
 
     def _state(self, method: GaussianMethod) -> dict:
         """What the method's `restore` takes: of EnvGS with BASE_SHARE times as many surfels in the base."""
-        count, has_beta = self._case.primitives, method.initial_beta() is not None
+        count, has_beta = self._case.primitives, method.model.policies[BASE].start.beta is not None
         if self._kind == "envgs":
             sets = {BASE: _parameters(BASE_SHARE * count, 2, BETA), ENV: _parameters(count, 2, None)}
         else:
@@ -84,11 +84,11 @@ class RoomWorkload(Workload):
                 name: {field: x.to(self._device) for field, x in tensors.items()} for name, tensors in sets.items()
             },
             "radius": float((EYE - TARGET).norm()),
-            "near": method.near,
+            "near": method.model.near,
             "background": torch.zeros(3, device=self._device),
             "reflects": True,
         }
-        if isinstance(method, MapMethod):
+        if isinstance(method.settings, MapSettings):
             state["texels"] = _texels(method.settings.envmap_size).to(self._device)
         return state
 

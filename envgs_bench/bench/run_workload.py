@@ -11,9 +11,9 @@ from torch import Tensor
 
 from envgs_bench.core import GaussianSet, Scene, View, reflect
 from envgs_bench.methods.gaussian_method import GaussianMethod
-from envgs_bench.methods.learned_map import MapMethod
-from envgs_bench.methods.reflection import ReflectiveMethod
-from envgs_bench.methods.traced import TracedReflection
+from envgs_bench.methods.lighting.light_map import CubeMap, Filtered
+from envgs_bench.methods.lighting.reflection import Traced
+from envgs_bench.methods.lighting.settings import ReflectionSettings
 from envgs_bench.methods.training.resident_views import ResidentViews
 from envgs_bench.parts import BASE
 from envgs_bench.settings import RunSettings
@@ -84,14 +84,23 @@ def _counts(method: GaussianMethod, name: str) -> dict[str, int]:
     if method.axes == 2:
         counts |= dict.fromkeys(("trace", "trace_color", "build", "refit"), method.primitives()[_traced_set(method)])
     counts |= {"adam": everything, **dict.fromkeys(WITHOUT_SET, 0), name: everything}
-    if not isinstance(method, MapMethod):
+    if map_of(method) is None:
         counts = {op: count for op, count in counts.items() if op not in LOOKUPS}
     return counts
 
 
 def _traced_set(method: GaussianMethod) -> str:
     """The set that reflected rays are traced through; of methods that trace none, what they would meet: the base."""
-    return method.traced if isinstance(method, TracedReflection) and method.traced in method.sets else BASE
+    light = method.reflection.light if method.reflection is not None else None
+    return light.name if isinstance(light, Traced) and light.name in method.model.sets else BASE
+
+
+def map_of(method: GaussianMethod) -> CubeMap | None:
+    """The cube map that the method learns; None of a method without."""
+    lights = [part.map for part in method.parts.values() if isinstance(part, Filtered)]
+    if method.reflection is not None:
+        lights.append(method.reflection.light)
+    return next((light for light in lights if isinstance(light, CubeMap)), None)
 
 
 class RunWorkload(Workload):
@@ -101,44 +110,45 @@ class RunWorkload(Workload):
         method = reopen(run.folder, device.type)[1]
         assert isinstance(method, GaussianMethod)
         self._run, self._method = run, method
-        self.near = method.near
+        self.near = method.model.near
         self._resident = ResidentViews(device, room=0)
         self.views = list(map(self._resident.on_device, run.views))
 
     @torch.no_grad()
     def rasterized(self, view: View) -> GaussianSet:
         self._method.prepare()
-        return self._method.base_seen_from(view.camera, None)
+        return self._method.model.base(view.camera, None)
 
     @torch.no_grad()
     def traced(self) -> GaussianSet:
         self._method.prepare()
-        return self._method.prepared[_traced_set(self._method)]
+        return self._method.model.prepared[_traced_set(self._method)]
 
     @torch.no_grad()
     def rays(self, view: View) -> tuple[Tensor, Tensor]:
         """Those of an image, where β is above the method's threshold; of a method without β, of every surface."""
         method = self._method
         method.prepare()
-        base, offset, beta_min = method.rasterize_base(view.camera, None), RAY_OFFSET, 0.0
-        if isinstance(method, ReflectiveMethod):
+        base, offset, beta_min = method.model.rasterize(view.camera, None), RAY_OFFSET, 0.0
+        if isinstance(method.settings, ReflectionSettings):
             offset, beta_min = method.settings.ray_offset, method.settings.beta_threshold
         else:
             base = replace(base, extras=torch.ones_like(base.alpha)[..., None])
         backend = method.settings.backend
         origins, directions, _ = reflect(
-            base, view.camera, offset=offset * method.radius, beta_min=beta_min, backend=backend
+            base, view.camera, offset=offset * method.model.radius, beta_min=beta_min, backend=backend
         )
         return origins, directions
 
     def texels(self) -> Tensor:
-        assert isinstance(self._method, MapMethod)
-        return self._method.texels.detach()
+        light = map_of(self._method)
+        assert light is not None
+        return light.texels.detach()
 
     def model(self) -> Model:
         method, steps = self._method, self._method.training_steps(self._run.settings.steps)
         state = method.state()
         method.initialize(self._run.scene, steps)
         method.restore(state)
-        step = next(step for step in range(steps, 0, -1) if not method.events(step))
+        step = next(step for step in range(steps, 0, -1) if not any(event.due(step) for event in method.runner.events))
         return Model(method, list(map(self._resident.on_device, self._run.training_views)), step)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from envgs_bench.methods.gaussians.budget import Budget
-from envgs_bench.methods.method import Method
+from envgs_bench.methods.method import Budget, Method
 from envgs_bench.methods.registry import create_method
 from envgs_bench.records import RENDERS
 from envgs_bench.settings import RunSettings, SettingsError

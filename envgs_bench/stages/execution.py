@@ -165,9 +165,9 @@ def check_scene(scene: Scene) -> None:
 
 def offer_perceptual_loss(method: Method) -> None:
     """Methods must not import metrics: those that use the perceptual loss are given it, if it can be had."""
-    if method.uses_perceptual:
+    if name := method.needs.perceptual:
         try:
-            method.perceptual = make_perceptual_loss(method.perceptual_loss, method.device)
+            method.perceptual = make_perceptual_loss(name, method.device)
         except WeightsUnavailable as error:
             method.dropped_losses[PERCEPTUAL] = str(error)
             print(f"training without the perceptual loss: {error}", file=sys.stderr)
@@ -175,7 +175,7 @@ def offer_perceptual_loss(method: Method) -> None:
 
 def scene_for(method: Method, diagnosis: Diagnosis) -> Scene:
     """The scene as the method is given it: with what its normals are worth, where it learns from agreed ones."""
-    return with_agreed_normals(diagnosis) if method.uses_agreed_normals else diagnosis.scene
+    return with_agreed_normals(diagnosis) if method.needs.agreed_normals else diagnosis.scene
 
 
 def _seed(seed: int) -> None:

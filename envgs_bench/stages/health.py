@@ -17,8 +17,8 @@ from torch import Tensor
 
 from envgs_bench.core import View
 from envgs_bench.memory import machine_memory, process_memory
-from envgs_bench.methods.gaussians.parameters import NEEDLE
-from envgs_bench.methods.method import Method
+from envgs_bench.methods.gaussians.parameters import DEGENERATE
+from envgs_bench.methods.method import Method, Monitor
 from envgs_bench.parts import ALPHA, BASE, BETA, ENV, REFLECTIVE
 from envgs_bench.records import TrainingWarning, WarningKind
 
@@ -35,7 +35,7 @@ SATURATED, ABSENT = 0.8, 0.005  # mean β where nothing reflects that is too muc
 # The share of a set that must outlive a step. An environment starts as primitives at random: the first densification
 # prunes more than half of them.
 KEPT = {BASE: 0.5, ENV: 0.1}
-NEEDLES = 0.01  # share of a set's primitives that is too many: sound sets have a tenth of it at most
+DEGENERATES = 0.01  # share of a set's primitives that is too many: sound sets have a tenth of it at most
 MIN_SET = 100  # primitives of a set below which its changes say nothing
 MEMORY_SHARE = 0.95  # of the machine's memory that a run may take before it ends by itself
 
@@ -54,6 +54,7 @@ class Health:
     def __init__(self, method: Method, steps: int) -> None:
         self.warnings: list[TrainingWarning] = []
         self._method, self._steps = method, steps
+        self._monitor = method.monitor or Monitor()
         self._enough = max(3, min(LASTING, steps // (2 * LOOK_EVERY)))
         self._counts: dict[str, int] = {}
         self._non_finite = self._skipped = self._skipped_in_row = 0
@@ -74,7 +75,7 @@ class Health:
             earlier = before.get(name, 0)
             if count == earlier or earlier < MIN_SET:
                 continue
-            if count < KEPT.get(name, KEPT[BASE]) * earlier and not self._method.prunes(step):
+            if count < KEPT.get(name, KEPT[BASE]) * earlier and not self._monitor.prunes(step):
                 self._warn("set_shrinks", step, name, f"from {earlier:,} to {count:,} primitives in one step")
             if count > 2 * earlier:
                 self._warn("set_doubles", step, name, f"from {earlier:,} to {count:,} primitives in one step")
@@ -110,7 +111,7 @@ class Health:
         skipped = int(self._method.skipped_steps)
         new, self._skipped = skipped - self._skipped, skipped
         self._skipped_in_row = self._skipped_in_row + new if new >= steps else 0
-        for part in self._method.non_finite_gradients() if new else ():
+        for part in self._monitor.non_finite_gradients() if new else ():
             self._warn("non_finite", step, part, f"a gradient of {part} was not finite, and the step skipped")
         if self._skipped_in_row >= NON_FINITE_STEPS:
             raise Diverged(f"{self._skipped_in_row} steps in a row were skipped, up to step {step}")
@@ -151,13 +152,13 @@ class Health:
             MemoryError: hardly any memory is left.
         """
         self._look_at_psnr(step, view)
-        maps = self._method.last_maps()
+        maps = self._monitor.last_maps()
         if ALPHA in maps:
             self._look_at_alpha(step, float(maps[ALPHA].float().mean()))
         if BETA in maps:
             self._look_at_beta(step, maps[BETA], view)
         self._look_at_sizes(step)
-        self._look_at_needles(step)
+        self._look_at_shapes(step)
         self._look_at_memory(step)
 
     def _look_at_psnr(self, step: int, view: View) -> None:
@@ -189,15 +190,15 @@ class Health:
             self._lasts("beta_vanishes", mean < ABSENT, step, f"a mean β of {mean:.4f} on what reflects")
 
     def _look_at_sizes(self, step: int) -> None:
-        caps = self._method.capped()
+        caps = self._monitor.at_size_limit()
         for name in self._method.primitives():
             text = f"settings let it have {caps.get(name, 0):,} primitives and it has no fewer"
             self._lasts("capped", name in caps, step, text, part=name)
 
-    def _look_at_needles(self, step: int) -> None:
-        for name, share in self._method.needles().items():
-            text = f"{float(share):.1%} of the primitives are needles, {NEEDLE:g} times as long as wide and more"
-            self._lasts("needles", float(share) > NEEDLES, step, text, part=name)
+    def _look_at_shapes(self, step: int) -> None:
+        for name, share in self._monitor.degenerate().items():
+            text = f"{float(share):.1%} of the primitives are degenerate, {DEGENERATE:g} times as long as wide and more"
+            self._lasts("needles", float(share) > DEGENERATES, step, text, part=name)
 
     def _look_at_memory(self, step: int) -> None:
         used = process_memory()

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from envgs_bench.core import Scene, View
-from envgs_bench.methods.method import Method
+from envgs_bench.methods.method import Method, Monitor
 from envgs_bench.parts import REFLECTIVE
 from envgs_bench.probe import Probe
 
@@ -38,7 +38,8 @@ def probe(method: Method, scene: Scene, views: Sequence[View]) -> Probe:
     few = _some(len(origins), REFLECTED)
     reflected = None
     if len(few):
-        reflected = method.reflected(origins[few].to(method.device), directions[few].to(method.device))
+        monitor = method.monitor or Monitor()
+        reflected = monitor.reflected(origins[few].to(method.device), directions[few].to(method.device))
     return Probe(
         radius=scene.radius,
         depth=torch.cat(depths).numpy(),

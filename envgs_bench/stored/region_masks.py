@@ -15,6 +15,7 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Placement, Scene, build_bvh
 from envgs_bench.datasets.export.masks import write_masks
+from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.gaussians.initialization import quantile_box
 from envgs_bench.methods.gaussians.regions import (
     Ball,
@@ -24,7 +25,6 @@ from envgs_bench.methods.gaussians.regions import (
     reflecting,
     reflective_mask,
 )
-from envgs_bench.methods.reflection import ReflectiveMethod
 from envgs_bench.parts import BASE
 from envgs_bench.records import write_atomically
 from envgs_bench.runs.draft import now
@@ -60,11 +60,11 @@ def make_masks(run: Path, choice: MaskChoice, out: Path, device: str = "auto") -
     if folder.exists() and not origin.is_file():
         raise ValueError(f"{folder}: is there already, and was not made by this command; move it away to replace it")
     settings, method = reopen(run, device)
-    if not isinstance(method, ReflectiveMethod):
+    if not (isinstance(method, GaussianMethod) and "beta_logits" in method.model.sets[BASE].parameters.tensors):
         raise ValueError(f"{run}: method {settings.method.name} knows no β; take a run of method=envgs")
     scene = reopen_scene(run, settings)
     views = sorted([*scene.train, *scene.val, *scene.test], key=lambda view: view.name)
-    base = method.sets[BASE].parameters.gaussians().map(Tensor.detach)
+    base = method.model.sets[BASE].parameters.gaussians().map(Tensor.detach)
     if choice.foreground:
         ball = _ball(choice.foreground, scene.placement)
     else:
@@ -77,7 +77,7 @@ def make_masks(run: Path, choice: MaskChoice, out: Path, device: str = "auto") -
             f"({', '.join(f'{value:.10g}' for value in center)}); lower --beta, or give the foreground as --foreground "
             "X Y Z RADIUS"
         )
-    drawing = _Drawing(choice.region, base, kept, scene, method.radius, method.near)
+    drawing = _Drawing(choice.region, base, kept, scene, method.model.radius, method.model.near)
     masks: dict[str, NDArray[np.bool_]] = {}
     for number, view in enumerate(views, start=1):
         masks[view.name] = drawing.mask(view.camera.to(method.device)).cpu().numpy()

@@ -3,30 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from torch import Tensor
 
 from envgs_bench.parts import BASE
 
+from ..method import Budget
+
 LEAST_PRIMITIVES = 100  # of a model with a budget
 LEAST_SHARE = 0.05  # of the budget, for each set, whatever it contributes
 FIRST_SHARE = 0.15  # of each set but the base, until it can be measured what it contributes
 MEGA = 1_000_000
-
-
-@dataclass(frozen=True)
-class Budget:
-    """The most that a model may have; None where there is no such limit.
-
-    Attributes:
-        primitives: of all sets together.
-        mb: 10⁶ bytes of all that is trained, as float32.
-    """
-
-    primitives: int | None = None
-    mb: float | None = None
 
 
 class SharedBudget:

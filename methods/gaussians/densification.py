@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -37,6 +37,10 @@ class DensificationRule:
     max_growth: float = 0.1  # most that either way of growing adds at once, × the set; 0: no limit, at the cap neither
     clone_below: float = 0.01  # largest scale up to which a primitive is cloned; above it is split
     oversized_above: float = 0.1  # largest scale above which a primitive is split in five or pruned
+
+    def of_at_most(self, primitives: int) -> DensificationRule:
+        """The rule for a set that may have at most so many; 0: as many as grow."""
+        return replace(self, max_primitives=primitives)
 
 
 class DensificationRecord:
@@ -103,7 +107,7 @@ def screen_criterion(statistics: Statistics, camera: Camera) -> Tensor:
     return torch.hypot(*(x * by_x + y * by_y + z * by_z for by_x, by_y, by_z in rows))
 
 
-def spatial_criterion(statistics: Statistics) -> Tensor:
+def spatial_criterion(statistics: Statistics, camera: Camera) -> Tensor:
     """The traced set's criterion, [N]: the norm of ½·t·∂L/∂mean summed over hits (EnvGS paper, Sec. 5.1)."""
     assert statistics.position_gradients is not None
     return 0.5 * statistics.position_gradients.norm(dim=1)

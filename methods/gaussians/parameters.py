@@ -12,10 +12,11 @@ from torch import Tensor
 
 from envgs_bench.core import GaussianSet
 
-from ..training.optimizer import adam, optimizer_state, restore_optimizer, set_rate
+from ..training.optimizer import adam, optimizer_state, restore_optimizer
+from ..training.schedule import set_rate
 
 COMMON_FIELDS = frozenset({"means", "quaternions", "log_scales", "opacity_logits", "sh_dc", "sh_rest", "beta_logits"})
-NEEDLE = 1000.0  # times as long as wide, from which a primitive has run away along one axis
+DEGENERATE = 1000.0  # times as long as wide, from which a primitive is degenerate
 SH_DC = 0.28209479177387814  # the constant spherical harmonic, 1 / (2·√π)
 
 
@@ -128,10 +129,10 @@ class GaussianParameters:
             extras=t["beta_logits"].sigmoid() if "beta_logits" in t else None,
         )
 
-    def needles(self) -> Tensor:
-        """The share of the primitives that are more than NEEDLE times as long as wide, by their two longest axes."""
+    def degenerate(self) -> Tensor:
+        """The share of the primitives that are DEGENERATE times as long as wide and more, by their two longest axes."""
         longest, second = self.tensors["log_scales"].detach().topk(2, dim=1).values.unbind(dim=1)
-        return (longest - second > math.log(NEEDLE)).float().mean()
+        return (longest - second > math.log(DEGENERATE)).float().mean()
 
     def set_learning_rate(self, name: str, rate: float) -> None:
         set_rate(self._group(name), rate)

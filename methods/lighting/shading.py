@@ -9,9 +9,13 @@ from torch import Tensor
 
 from envgs_bench.core import GaussianSet
 from envgs_bench.core.torch.rotation import rotation_matrices
+from envgs_bench.core.torch.sh import sh_basis
 from envgs_bench.core.vectors import unit
 
 from ..gaussians.parameters import SH_DC
+
+DIELECTRIC = 0.04  # what a surface that is no metal reflects head-on
+INDIRECT_DEGREE = 3  # of the indirect light's spherical harmonics
 
 
 def seen_from(gaussians: GaussianSet, center: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -40,3 +44,15 @@ def mirrored(directions: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:
 def colored(gaussians: GaussianSet, colors: Tensor) -> GaussianSet:
     """The set with one color [N, 3] ≥ 0 each, the same from everywhere."""
     return replace(gaussians, sh=((colors - 0.5) / SH_DC)[:, None])
+
+
+def reflectance_of(albedo: Tensor, metallic: Tensor) -> Tensor:
+    """F₀ [..., 3] of albedo [..., 3] and metallic share [..., 1]."""
+    return torch.lerp(torch.full_like(albedo, DIELECTRIC), albedo, metallic)
+
+
+def from_sides(directions: Tensor, constant: Tensor, rest: Tensor) -> Tensor:
+    """The light [N, 3] along `directions` [N, 3] of spherical harmonics [N, 3] and [N, 45]."""
+    coefficients = torch.cat([constant, rest], dim=1)
+    basis = sh_basis(directions, INDIRECT_DEGREE)[..., None]
+    return (basis * coefficients.reshape(len(directions), -1, 3)).sum(1).clamp_min(0)

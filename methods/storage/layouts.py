@@ -6,16 +6,25 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any, Protocol
 
 from torch import Tensor
 
-from ..gaussian_method import GaussianMethod
+from ..gaussians.model import GaussianModel
 from ..gaussians.parameters import material_fields
 from .compact import State, read_compact, write_compact
 from .ply import read_ply, write_ply
 from .splats import SPLAT_LAYOUTS, decode_splats, encode_splats
 
 OWN_PLACE = ("background",)  # the state's tensors that a data set knows, so that a file of Gaussians need not
+
+
+class Stored(Protocol):
+    """A method whose model can be stored: its sets, and all that is stored of it."""
+
+    model: GaussianModel
+
+    def state(self) -> dict[str, Any]: ...
 
 
 @dataclass(frozen=True)
@@ -26,53 +35,53 @@ class Layout:
         what: it, in words.
         write: writes a method's model into a folder, made where missing, and returns the files. What `lacks` names is
             left out. Raises ValueError where the model cannot be stored.
-        read: the state, as of `GaussianMethod.state`, that files written by `write` hold; what of it is no Gaussian's
+        read: the state, as of `Stored.state`, that files written by `write` hold; what of it is no Gaussian's
             comes from the method's own, where the layout has no place for it.
         lacks: what of a method's model the layout has no place for, in words.
     """
 
     what: str
-    write: Callable[[GaussianMethod, Path], list[Path]]
-    read: Callable[[GaussianMethod, Path], State]
-    lacks: Callable[[GaussianMethod], list[str]]
+    write: Callable[[Stored, Path], list[Path]]
+    read: Callable[[Stored, Path], State]
+    lacks: Callable[[Stored], list[str]]
 
 
-def _nothing(method: GaussianMethod) -> list[str]:
+def _nothing(method: Stored) -> list[str]:
     return []
 
 
-def _maps(method: GaussianMethod) -> list[str]:
+def _maps(method: Stored) -> list[str]:
     """The state's tensors that are no set's: a cube map's texels."""
     return [name for name, value in method.state().items() if isinstance(value, Tensor) and name not in OWN_PLACE]
 
 
-def _beta_and_maps(method: GaussianMethod) -> list[str]:
+def _beta_and_maps(method: Stored) -> list[str]:
     """And a method's own fields of its primitives."""
     fields = {name for tensors in _sets(method).values() for name in tensors}
     beta = ["β"] if "beta_logits" in fields else []
     return [*beta, *material_fields(dict.fromkeys(fields)), *_maps(method)]
 
 
-def _write_compact(method: GaussianMethod, folder: Path) -> list[Path]:
+def _write_compact(method: Stored, folder: Path) -> list[Path]:
     return [write_compact(folder, type(method).__name__, method.state())]
 
 
-def _read_compact(method: GaussianMethod, folder: Path) -> State:
+def _read_compact(method: Stored, folder: Path) -> State:
     return read_compact(folder, type(method).__name__)
 
 
-def _write_ply(two_scales: bool, method: GaussianMethod, folder: Path) -> list[Path]:
-    paths = {name: folder / f"{name}.ply" for name in method.sets}
+def _write_ply(two_scales: bool, method: Stored, folder: Path) -> list[Path]:
+    paths = {name: folder / f"{name}.ply" for name in method.model.sets}
     for name, tensors in _sets(method).items():
         write_ply(paths[name], tensors, two_scales)
     return list(paths.values())
 
 
-def _read_ply(method: GaussianMethod, folder: Path) -> State:
-    return method.state() | {"sets": {name: read_ply(folder / f"{name}.ply") for name in method.sets}}
+def _read_ply(method: Stored, folder: Path) -> State:
+    return method.state() | {"sets": {name: read_ply(folder / f"{name}.ply") for name in method.model.sets}}
 
 
-def _write_splats(layout: str, method: GaussianMethod, folder: Path) -> list[Path]:
+def _write_splats(layout: str, method: Stored, folder: Path) -> list[Path]:
     contents = {name: encode_splats(layout, tensors) for name, tensors in _sets(method).items()}
     folder.mkdir(parents=True, exist_ok=True)
     paths = {name: folder / f"{name}.{SPLAT_LAYOUTS[layout]}" for name in contents}
@@ -81,15 +90,15 @@ def _write_splats(layout: str, method: GaussianMethod, folder: Path) -> list[Pat
     return list(paths.values())
 
 
-def _read_splats(layout: str, method: GaussianMethod, folder: Path) -> State:
+def _read_splats(layout: str, method: Stored, folder: Path) -> State:
     def tensors(name: str) -> dict[str, Tensor]:
-        return decode_splats(layout, (folder / f"{name}.{SPLAT_LAYOUTS[layout]}").read_bytes(), method.axes)
+        return decode_splats(layout, (folder / f"{name}.{SPLAT_LAYOUTS[layout]}").read_bytes(), method.model.axes)
 
-    return method.state() | {"sets": {name: tensors(name) for name in method.sets}}
+    return method.state() | {"sets": {name: tensors(name) for name in method.model.sets}}
 
 
-def _sets(method: GaussianMethod) -> dict[str, dict[str, Tensor]]:
-    return {name: trained.parameters.detached() for name, trained in method.sets.items()}
+def _sets(method: Stored) -> dict[str, dict[str, Tensor]]:
+    return {name: trained.parameters.detached() for name, trained in method.model.sets.items()}
 
 
 def _ply(what: str, two_scales: bool) -> Layout:

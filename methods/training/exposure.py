@@ -14,12 +14,13 @@ import torch
 from torch import Tensor
 
 from .optimizer import adam, optimizer_state, restore_optimizer
+from .schedule import Part
 
 RATE = 1e-3  # of Adam
 WEIGHT = 0.01  # of the squared difference to the identity, the mean over a view's twelve numbers
 
 
-class AffineExposure:
+class AffineExposure(Part):
     """An affine map of color for each of the views named.
 
     Attributes:
@@ -41,6 +42,9 @@ class AffineExposure:
     def loss(self, view: str) -> Tensor:
         """What holds the view's map to the identity, a scalar."""
         return WEIGHT * (self.maps[self._rows[view]] - self._identity).square().mean()
+
+    def optimizers(self) -> Sequence[torch.optim.Optimizer]:
+        return (self.optimizer,)
 
     def training_state(self) -> dict[str, Any]:
         maps = self.maps.detach()

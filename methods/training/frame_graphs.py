@@ -69,6 +69,36 @@ class FrameGraphs(Generic[Drawn]):
             return self.drawing.draw(camera.to(self._device))
 
 
+class Pictures:
+    """A method's images, from CUDA graphs where it `uses_graphs`: whole renderings, or their color alone."""
+
+    def __init__(
+        self,
+        draw: Callable[[Camera], Rendering],
+        draw_color: Callable[[Camera], Tensor],
+        device: torch.device,
+        uses_graphs: bool,
+    ) -> None:
+        self.uses_graphs = uses_graphs
+        self._device = device
+        self._renderings = FrameGraphs(rendering_drawing(draw), device)
+        self._colors = FrameGraphs(color_drawing(draw_color), device)
+
+    def forget(self) -> None:
+        """What is drawn has changed."""
+        self._renderings.forget()
+        self._colors.forget()
+
+    def rendering(self, camera: Camera) -> Rendering:
+        return self._drawn(self._renderings, camera)
+
+    def color(self, camera: Camera) -> Tensor:
+        return self._drawn(self._colors, camera)
+
+    def _drawn(self, frames: FrameGraphs[Drawn], camera: Camera) -> Drawn:
+        return frames.draw(camera) if self.uses_graphs else frames.drawing.draw(camera.to(self._device))
+
+
 class _Graph(Generic[Drawn]):
     """One recording of a drawing, with its own copy of a camera to read."""
 

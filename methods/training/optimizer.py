@@ -10,6 +10,8 @@ from torch import Tensor
 
 from envgs_bench.core import cuda
 
+from .schedule import set_rate
+
 EPSILON = 1e-15  # as 3DGS: gradients of a mean over pixels are tiny
 
 
@@ -40,7 +42,7 @@ class HostAdam(torch.optim.Adam):
 class KernelAdam(torch.optim.Adam):
     """Adam by the CUDA backend's kernel, a launch a parameter; torch's takes three, of too few threads to fill a GPU.
 
-    Rates and counts of steps lie on the device, where a captured step reads them. `found_inf` skips a step, as torch's.
+    Rates and counts of steps lie on the device, where a CUDA graph reads them. `found_inf` skips a step, as torch's.
     What it remembers is there before the first step: a recording that made it would make it anew at every replay.
     """
 
@@ -83,23 +85,6 @@ class KernelAdam(torch.optim.Adam):
             )
 
 
-def step_together(optimizers: Sequence[torch.optim.Optimizer], counts: Tensor) -> Tensor:
-    """Step all of them where `counts`, a truth on the device, is true, and none where it is not; 1 where none did."""
-    skipped = (~counts).float()
-    for optimizer in optimizers:
-        optimizer.found_inf = skipped  # type: ignore[attr-defined]  # torch's way to skip a fused step
-        optimizer.step()
-    return skipped
-
-
-def set_rate(group: dict[str, Any], rate: float) -> None:
-    """Give a group of `adam` another learning rate."""
-    if isinstance(group["lr"], Tensor):
-        group["lr"].fill_(rate)
-    else:
-        group["lr"] = rate
-
-
 def optimizer_state(optimizer: torch.optim.Optimizer, parameters: Mapping[str, Tensor]) -> dict[str, Any]:
     """What Adam remembers of each parameter, nothing of some that it has not moved, and its rate, by the names."""
     rates = {id(parameter): group["lr"] for group in optimizer.param_groups for parameter in group["params"]}
@@ -123,3 +108,7 @@ def restore_optimizer(
             optimizer.forget(parameter)
         else:
             optimizer.state.pop(parameter, None)
+
+
+def detached(parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {name: values.detach() for name, values in parameters.items()}

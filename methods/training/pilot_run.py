@@ -1,4 +1,4 @@
-"""Trials: two methods trained for a moment, to ask a scene before a run what no look at its photographs tells.
+"""Pilot runs: two methods trained for a moment, to ask a scene before a run what no look at its photographs tells.
 
 Each is trained from the start, for as many steps whatever the run's length, on the run's training views made small.
 """
@@ -16,10 +16,10 @@ from envgs_bench.core.vectors import unit
 
 from ..method import Method
 
-SCHEDULE = 600  # steps of the run whose beginning a trial is
+SCHEDULE = 600  # steps of the run whose beginning a pilot run is
 STEPS = 200  # that it takes
 PIXELS = 7_000  # of a view, at most
-SHORTEST_RUN = 2_000  # steps of a run that can afford a trial
+SHORTEST_RUN = 2_000  # steps of a run that can afford a pilot run
 
 
 def smaller(view: View) -> View:
@@ -39,7 +39,7 @@ def smaller(view: View) -> View:
 
 
 def train_briefly(method: Method, scene: Scene) -> None:
-    """Train the new method on the scene for a trial's steps; it can draw then."""
+    """Train the new method on the scene for a pilot run's steps; it can draw then."""
     method.initialize(scene, SCHEDULE)
     order = torch.Generator().manual_seed(0)
     rows: list[int] = []

@@ -1,4 +1,4 @@
-"""A trial of reflections: what a method that traces mirrored rays gains by their direction, and not by their number.
+"""A pilot run on reflections: what tracing mirrored rays gains by their direction, and not by their number.
 
 A second set of primitives makes any picture better, as texture, whether or not anything reflects: without one,
 `diffuse_room` is worse too. So what reflections earn is measured against a control that has as many primitives, as many
@@ -35,14 +35,14 @@ PLAIN: dict[str, Any] = {  # of a base set that reflects nothing: what `2dgs_tun
     "prune_from": 14_000,  # `2dgs_lean`'s
 }
 
-BOOTSTRAP = 3_000  # steps of a run of 30,000 with the base set alone: 60 of a trial
+BOOTSTRAP = 3_000  # steps of a run of 30,000 with the base set alone: 60 of a pilot run
 LEAST_WEIGHT = 0.85  # scenes of the tuning suite have 0.95 and more, `diffuse_room` 0.75
 LEAST_GAIN = 0.8  # dB; `diffuse_room` has up to 0.3
 TINY = 1e-12
 
 
 @dataclass(frozen=True)
-class TrialOutcome:
+class ReflectionOutcome:
     """What mirrored rays did, against the control's.
 
     Attributes:
@@ -64,10 +64,10 @@ class TrialOutcome:
             f"mirrored rays have {self.weight:.2f} times the weight of rays along the normals and {self.gain:+.2f} dB"
         )
         least = f"something reflects from {LEAST_WEIGHT} or {LEAST_GAIN:+} dB on"
-        return f"trial before the first step: {found}; {least}" + ("" if self.reflects else ": trained as 2DGS")
+        return f"pilot run before the first step: {found}; {least}" + ("" if self.reflects else ": trained as 2DGS")
 
 
-def reflection_trial(scene: Scene, mirrored: Method, control: Method) -> TrialOutcome:
+def reflection_pilot(scene: Scene, mirrored: Method, control: Method) -> ReflectionOutcome:
     """Train both methods, and compare how they draw the scene's training views.
 
     The gain is 10·log₁₀(Σ w e' / Σ w e) over all pixels of the views, with the squared errors e of `mirrored` and e' of
@@ -89,4 +89,4 @@ def reflection_trial(scene: Scene, mirrored: Method, control: Method) -> TrialOu
             error = (picture.color.clamp(0, 1) - target).square().mean(dim=-1)
             sums[row] += torch.stack([picture.layers[BETA].mean(), (more * error).sum()]).double().cpu()
     (weight, error), (of_control, error_of_control) = sums.clamp_min(TINY).tolist()
-    return TrialOutcome(weight / of_control, 10 * math.log10(error_of_control / error))
+    return ReflectionOutcome(weight / of_control, 10 * math.log10(error_of_control / error))

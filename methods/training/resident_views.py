@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import torch
@@ -39,6 +39,10 @@ class ResidentViews:
         """With room for SHARE_OF_MEMORY."""
         memory = torch.cuda.mem_get_info(device)[1] if device.type == "cuda" else machine_memory()
         return cls(device, int(SHARE_OF_MEMORY * memory), learned)
+
+    def all_of(self, views: Sequence[View]) -> Callable[[], Iterable[View]]:
+        """Those views there, one after the other at each call."""
+        return lambda: map(self.on_device, views)
 
     def on_device(self, view: View) -> View:
         """The view there, without masks and depth."""

@@ -1,4 +1,4 @@
-"""Schedule: what happens at which step, in a run of any length.
+"""Schedule: what happens at which step, in a run of any length, and to which parts of a method.
 
 The settings give steps of a run of 30,000, the length that 3DGS, 2DGS and EnvGS are tuned for. A run of another length
 stretches them: `at` maps a point of the reference run to this run, `interval` maps an interval. An interval never falls
@@ -20,9 +20,16 @@ reference run coincide in every run, and those that do not keep their distance.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from envgs_bench.core import Scene
 
 REFERENCE_STEPS = 30_000
 DENSIFY_FLOOR = 30
@@ -80,16 +87,10 @@ class Schedule:
         """
         return min(max(1.0, math.sqrt(REFERENCE_STEPS / self.steps)), 10.0)
 
-    def densifies(self, step: int, *, start: int, stop: int, every: Fraction) -> bool:
-        """Whether a densification `every` so many steps of this run, between `start` and `stop` (reference), is due."""
-        return self.at(start) < step < self.at(stop) and _falls_on(step, every)
-
-    def resets(self, step: int, *, stop: int, interval: int, floor: int = RESET_FLOOR) -> bool:
-        """Whether an opacity reset, every `interval` until before `stop` (reference), falls on `step`."""
-        return step < self.at(stop) and _falls_on(step, self.interval(interval, floor))
-
     def recovers(self, step: int, *, stop: int, interval: int, floor: int = RESET_FLOOR) -> bool:
-        """Whether `step` is within 100 steps after such a reset, when opacities do not yet show what is needed.
+        """Whether `step` is within 100 steps after an opacity reset, every `interval` until before `stop` (reference).
+
+        Opacities do not yet show then what is needed.
 
         A reference run resets every 3,000 steps and densifies every 100, so it never prunes in this time either.
         """
@@ -129,7 +130,89 @@ def _disturbances(schedule: Schedule, start: int, stop: int, interval: int, rese
     return frozenset(steps)
 
 
-def _falls_on(step: int, interval: Fraction) -> bool:
+@dataclass(frozen=True)
+class Every:
+    """Something that befalls a model again and again, right after Adam's step.
+
+    Attributes:
+        name: what tests and logs call it.
+        action: what is done, given the step.
+        interval: steps of this run between two times, as of a step; 0: never.
+        start, stop: it happens after the one step and before the other, of this run.
+        unless: steps at which it is left out.
+        also: steps at which it happens besides, whatever the interval.
+    """
+
+    name: str
+    action: Callable[[int], object]
+    interval: Callable[[int], Fraction] = lambda step: Fraction(0)
+    start: int = 0
+    stop: int = 0
+    unless: Callable[[int], bool] = lambda step: False
+    also: Callable[[int], bool] = lambda step: False
+
+    def due(self, step: int) -> bool:
+        """Whether it happens after this step."""
+        regular = self.start < step < self.stop and falls_on(step, self.interval(step)) and not self.unless(step)
+        return regular or self.also(step)
+
+
+class Part:
+    """A part of a method that learns, remembers or changes something; each hook does nothing unless overridden."""
+
+    def start(self, scene: Scene) -> None:
+        """Become as before the first step of a training, whose sets have just been made."""
+
+    def begin_step(self, step: int) -> None:
+        """Get ready for a training step, before anything is drawn: another phase, another resolution, other rates."""
+
+    def phase(self, step: int) -> Hashable:
+        """What the host decides in a step: steps of equal phases launch the same kernels."""
+        return ()
+
+    def optimizers(self) -> Sequence[torch.optim.Optimizer]:
+        """What moves its parameters; of the tensors that a CUDA graph holds."""
+        return ()
+
+    def events(self) -> Sequence[Every]:
+        """What it does between steps, in this order."""
+        return ()
+
+    def prepare(self) -> None:
+        """Make what images need once; the sets are prepared."""
+
+    def model_bytes(self) -> dict[str, int]:
+        """Bytes of its parameters as float32, by the set that they are counted as; see `Method.model_bytes`."""
+        return {}
+
+    def most_bytes(self) -> int:
+        """Bytes of its parameters as float32, the most of them at any step."""
+        return 0
+
+    def training_state(self) -> dict[str, Any]:
+        """All that later steps depend on."""
+        return {}
+
+    def restore_training(self, state: dict[str, Any]) -> None:
+        """Become what `training_state` returned, tensors on the CPU."""
+
+    def state(self) -> dict[str, Any]:
+        """What a checkpoint holds of it, under keys that no other part has."""
+        return {}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Become what `state` returned, among other parts' keys; tensors on the method's device."""
+
+
+def set_rate(group: dict[str, Any], rate: float) -> None:
+    """Give an optimizer's group another learning rate, on the device where it is read there."""
+    if isinstance(group["lr"], Tensor):
+        group["lr"].fill_(rate)
+    else:
+        group["lr"] = rate
+
+
+def falls_on(step: int, interval: Fraction) -> bool:
     """Whether a multiple of the interval is rounded to `step`; never where the interval is 0."""
     n, d = interval.as_integer_ratio()
     if n == 0:

@@ -8,8 +8,8 @@ pilot run of some steps tells them apart, on views that it has not seen.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -18,8 +18,9 @@ from envgs_bench.core import Scene, View
 from envgs_bench.core.normal_prior import NormalPrior, normals_outside, pixels_in, share_of
 
 from ..method import Method
-from .pilot_run import smaller, train_briefly
+from .pilot_run import SHORTEST_RUN, smaller, train_briefly
 
+NORMALS = "normals"  # in what pilot runs have found
 HELD_OUT = 8  # every eighth training view, the fourth first, is drawn and not trained on
 LEAST_GAIN = 0.5  # dB; what lies behind has 1.2 and more, curved mirrors have 0.25 at most
 
@@ -91,6 +92,26 @@ class LearnedNormals:
         if view.normal is not None and view.name in self.left_out:
             view = replace(view, normal=normals_outside(view.normal, self.left_out[view.name]))
         return view
+
+
+def learned_normals(
+    scene: Scene, steps: int, agreed: bool, found: dict[str, dict[str, float]], fresh: Callable[[], Method]
+) -> LearnedNormals:
+    """None of what lies behind them: by a pilot run where there may be much and the run is long enough for one.
+
+    Args:
+        agreed: whether the method learns from normals in agreement.
+        found: what pilot runs have found so far, by name; this one is added.
+        fresh: makes a new method that takes normals as they are given.
+    """
+    prior = scene.normals if agreed else None
+    if prior is None:
+        return LearnedNormals()
+    if not prior.maybe_seen_through or steps < SHORTEST_RUN:
+        return LearnedNormals.of(prior, len(scene.train))
+    if NORMALS not in found:
+        found[NORMALS] = asdict(seen_through_pilot(scene, prior, fresh(), fresh()))
+    return LearnedNormals.by(prior, SeenThroughOutcome(**found[NORMALS]))
 
 
 def seen_through_pilot(scene: Scene, prior: NormalPrior, held: Method, free: Method) -> SeenThroughOutcome:

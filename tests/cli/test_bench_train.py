@@ -76,7 +76,7 @@ def test_a_course_trains_what_a_run_does(tmp_path: Path) -> None:
     for _ in course(trainee, scene, steps, 0, "cpu", Stops([3])):
         mean_psnr(trainee.picture, scene.test, "cpu")
     Training(methods[1], scene, steps, 0).run(tmp_path / "curve.csv", lambda event: None)
-    ours, theirs = (method.sets["base"].parameters.tensors for method in methods)
+    ours, theirs = (method.model.sets["base"].parameters.tensors for method in methods)
     assert all(torch.equal(ours[name], theirs[name]) for name in theirs)
 
 

@@ -13,6 +13,7 @@ import yaml
 from fakes.runs import CONF, only_folder, set_environment
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
+from schedules import begin, due
 from tuned_baselines import TUNED_2DGS, TUNED_3DGS
 
 from envgs_bench.cli import composition
@@ -23,7 +24,6 @@ from envgs_bench.methods.envgs import EnvGS
 from envgs_bench.methods.reflection import ReflectionSettings
 from envgs_bench.methods.registry import BUILT_IN, create_method, method_class
 from envgs_bench.methods.settings import LEARNING_RATES, make_settings, quickness, setting_comments
-from envgs_bench.methods.training.schedule import Schedule
 from envgs_bench.settings import read_settings
 from envgs_bench.testing import tiny_scene
 
@@ -159,10 +159,10 @@ def test_ref_gaussian_on_captures_does_everything_at_the_released_steps() -> Non
     method.initialize(tiny_scene(), 20_000)
     stages = []
     for step in (3_000, 3_001, 10_000, 10_001):
-        method.before_step(step)
-        stages.append((method.reflects, method.deferred, method.indirect))
+        begin(method, step)
+        stages.append((method.reflection.begun, method.surfaces.deferred, method.surfaces.occluders.traced))
     assert stages == [(False, False, False), (True, True, False), (True, True, False), (True, True, True)]
-    events = {step: method.events(step) for step in (600, 3_000, 4_000, 17_000, 19_500)}
+    events = {step: due(method, step) for step in (600, 3_000, 4_000, 17_000, 19_500)}
     assert "densify_base" in events[600]
     assert "densify_base" in events[19_500]
     assert {"reset_base_opacity", "reset_beta"} <= events[3_000]
@@ -249,10 +249,10 @@ def events(scene: str, steps: int) -> dict[str, list[int]]:
     """For each event the steps of a run of EnvGS as released in which it happens."""
     method = create_method("envgs", run_on(scene, "envgs_released"))
     assert isinstance(method, EnvGS)
-    method.schedule = Schedule(steps, method.settings.stretches)
+    method.initialize(tiny_scene(), steps)
     found: dict[str, list[int]] = {}
     for step in range(1, steps + 1):
-        for event in method.events(step):
+        for event in due(method, step):
             found.setdefault(event, []).append(step)
     return found
 

@@ -381,7 +381,7 @@ def test_a_trained_run_is_timed_on_its_own_views(tmp_path, capsys):
     assert rows["rasterize_2d", "forward"]["primitives"] == counts["base"]
     assert rows["trace", "forward"]["primitives"] == rows["build", "forward"]["primitives"] == counts["env"]
     assert rows["envgs", "forward_backward"]["primitives"] == sum(counts.values())
-    drawn = method.rasterize_base(view.camera, None)
+    drawn = method.model.rasterize(view.camera, None)
     assert rows["rasterize_2d", "forward"]["hits_per_ray"] == pytest.approx(drawn.hits.double().mean().item())
     assert rows["envgs", "forward"]["alpha"] == pytest.approx(drawn.alpha.mean().item())
     assert (rows["trace", "forward"]["width"], rows["trace", "forward"]["height"]) == (

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 import torch
+from schedules import trained_by
 from small_methods import SMALL
 from torch import Tensor
 
@@ -11,6 +14,7 @@ from envgs_bench.cli.composition import composed
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.settings import GaussianSettings
 from envgs_bench.methods.training.averaging import ParameterAverage
+from envgs_bench.methods.training.schedule import Every
 from envgs_bench.testing import tiny_scene
 
 STEPS = 40
@@ -21,13 +25,14 @@ def trained(kind: str, average_from: int, reset_at: int = 0) -> list[dict[str, T
     """All that a method trains, after each step of its run, with reflections from step 5 on where it has any."""
     settings = {**SMALL[kind], "backend": "cpu", "average_from": average_from}
     method = create_method(kind, settings | ({"bootstrap": 3_000} if kind.startswith("env") else {}))
-    usual, scene = method.events, tiny_scene()
-    method.events = lambda step: {"reset_base_opacity"} if step == reset_at else usual(step)  # type: ignore[method-assign]
+    scene = tiny_scene()
     method.initialize(scene, STEPS)
+    reset = Every("reset", partial(method.model.reset_opacity, "base"), also=lambda step: step == reset_at)
+    method.runner.events = [*method.runner.events, reset]
     after = []
     for step in range(1, STEPS + 1):
         method.training_step(scene.train[step % len(scene.train)], step)
-        after.append({name: values.detach().clone() for name, values in method._trained()})
+        after.append({name: values.detach().clone() for name, values in trained_by(method).items()})
     return after
 
 

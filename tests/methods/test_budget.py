@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from envgs_bench.core import Rendering, Statistics
 from envgs_bench.methods.gaussian_method import GaussianMethod
-from envgs_bench.methods.gaussians.budget import FIRST_SHARE, LEAST_PRIMITIVES, LEAST_SHARE, Budget, SharedBudget
+from envgs_bench.methods.gaussians.budget import FIRST_SHARE, LEAST_PRIMITIVES, LEAST_SHARE, SharedBudget
 from envgs_bench.methods.gaussians.initialization import evenly_thinned
 from envgs_bench.methods.gaussians.parameters import GaussianParameters
+from envgs_bench.methods.method import Budget
 from envgs_bench.methods.registry import create_method
 from envgs_bench.testing import tiny_scene
 
@@ -52,7 +53,7 @@ class Largest:
         patch.setattr(GaussianParameters, "_swap", watched)
 
     def look(self) -> None:
-        fields = [[len(value) for value in s.parameters.tensors.values()] for s in self.method.sets.values()]
+        fields = [[len(value) for value in s.parameters.tensors.values()] for s in self.method.model.sets.values()]
         self.primitives = max(self.primitives, sum(max(lengths) for lengths in fields))
         self.bytes = max(self.bytes, sum(self.method.model_bytes().values()))
         self.changes += 1
@@ -165,10 +166,10 @@ def test_a_set_contributes_what_the_picture_would_lose_without_it(beta: float) -
         statistics=Statistics(weights=torch.ones(1)),
         layers={"base": gray},
     )
-    given = method.contributions(rendering, 500)
+    given = method.model.contributions(rendering, 500)
     assert float(given["env"]) / 36 == pytest.approx(beta / 2)
     assert float(given["base"]) / 36 == pytest.approx((1 + beta) / 2)
-    assert method.contributions(rendering, 105) == {}  # reflections start at 10: too early to say
+    assert method.model.contributions(rendering, 105) == {}  # reflections start at 10: too early to say
 
 
 def test_the_environment_gives_way_where_it_contributes_nothing() -> None:
@@ -200,15 +201,19 @@ def test_an_interrupted_training_shares_the_budget_as_it_would_have() -> None:
             method.training_step(scene.train[step % len(scene.train)], step)
     assert whole.primitives() == second.primitives()
     for name in ("base", "env"):
-        for field, values in whole.sets[name].parameters.tensors.items():
-            assert torch.equal(values, second.sets[name].parameters.tensors[field])
+        for field, values in whole.model.sets[name].parameters.tensors.items():
+            assert torch.equal(values, second.model.sets[name].parameters.tensors[field])
 
 
 def test_without_a_budget_nothing_is_thinned_or_measured() -> None:
     method = create_method("envgs", METHODS["envgs"])
     assert isinstance(method, GaussianMethod)
     method.initialize(tiny_scene(), STEPS)
-    assert (method.primitives()["base"], method.bound("base"), method.bound("env")) == (200, 1_800_000, 630_000)
+    assert (method.primitives()["base"], method.model.bound("base"), method.model.bound("env")) == (
+        200,
+        1_800_000,
+        630_000,
+    )
 
 
 @pytest.mark.parametrize(

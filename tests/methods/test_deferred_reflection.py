@@ -7,12 +7,13 @@ import math
 import pytest
 import torch
 from mirror_ball import facing_angle, mirror_ball
-from schedules import steps_of_events
+from schedules import befall, begin, optimizers_of, steps_of_events
 from torch.nn import functional
 
 from envgs_bench.core import Scene, View
 from envgs_bench.methods.deferred_reflection import DeferredReflection
 from envgs_bench.methods.lighting.cubemap import layout_of, sample_cubemap
+from envgs_bench.methods.lighting.disturbance import beta_of
 from envgs_bench.methods.registry import create_method
 from envgs_bench.testing import tiny_scene
 
@@ -41,19 +42,20 @@ def test_events_fall_on_the_released_steps() -> None:
 def test_its_rules_are_the_released_ones() -> None:
     """Learning rates and thresholds of the authors' code; those of 3DGS that it shares are tested with 3DGS."""
     method = initialized()
-    method.before_step(3_001)
-    method.set_learning_rates(3_001)
-    groups = [group for optimizer in method.optimizers() for group in optimizer.param_groups]
+    begin(method, 3_001)
+    groups = [group for optimizer in optimizers_of(method) for group in optimizer.param_groups]
     rates = {group["name"]: group["lr"] for group in groups}
     assert rates["beta_logits"] == pytest.approx(0.006)
     assert rates["texels"] == pytest.approx(0.05)
     assert rates["sh_dc"] == pytest.approx(0.0025)
     assert rates["quaternions"] == pytest.approx(0.001)
-    rule = method.densification_rule("base")
+    rule = method.model.policies["base"].rule
     assert (rule.gradient_threshold, rule.min_opacity, rule.max_primitives) == (2e-4, 0.005, 0)
     assert (rule.min_coverage, rule.min_views, rule.max_growth) == (0, 0, 0)
-    torch.testing.assert_close(method.beta(), torch.full((200,), 1e-3))
-    degrees = [method.gaussians("base", step).sh_degree for step in (10_000, 10_999, 11_000, 12_000, 13_000, 20_000)]
+    torch.testing.assert_close(beta_of(method.model), torch.full((200,), 1e-3))
+    degrees = [
+        method.model.gaussians("base", step).sh_degree for step in (10_000, 10_999, 11_000, 12_000, 13_000, 20_000)
+    ]
     assert degrees == [0, 0, 1, 2, 3, 3]
     assert method.training_steps(100_000) == RUN
 
@@ -61,12 +63,12 @@ def test_its_rules_are_the_released_ones() -> None:
 def test_normals_propagate_along_the_surface() -> None:
     """What reflects grows by a half, but not along its shortest axis."""
     method = initialized()
-    parameters = method.sets["base"].parameters
+    parameters = method.model.sets["base"].parameters
     log_scales = torch.tensor([0.1, 0.01, 0.2]).log().repeat(200, 1)
     parameters.replace("log_scales", log_scales)
     beta = torch.cat([torch.full((100, 1), 0.01), torch.full((100, 1), 0.03)])
     parameters.replace("beta_logits", beta.logit())
-    method.after_step(4_000, {"propagate"})
+    befall(method, 4_000, {"propagate"})
     growth = (parameters.tensors["log_scales"].detach() - log_scales).exp()
     torch.testing.assert_close(growth[:100], torch.ones(100, 3))
     torch.testing.assert_close(growth[100:], torch.tensor([1.5, 1.0, 1.5]).expand(100, 3))
@@ -74,27 +76,27 @@ def test_normals_propagate_along_the_surface() -> None:
 
 def test_resets_raise_the_reflection_strength_to_its_start() -> None:
     method = initialized(initial_beta=0.1)
-    method.sets["base"].parameters.replace("beta_logits", torch.tensor([0.01, 0.5]).logit().repeat(100)[:, None])
-    method.after_step(3_000, {"reset_beta"})
-    torch.testing.assert_close(method.beta(), torch.tensor([0.1, 0.5]).repeat(100))
+    method.model.sets["base"].parameters.replace("beta_logits", torch.tensor([0.01, 0.5]).logit().repeat(100)[:, None])
+    befall(method, 3_000, {"reset_beta"})
+    torch.testing.assert_close(beta_of(method.model), torch.tensor([0.1, 0.5]).repeat(100))
 
 
 def test_only_the_ball_that_the_cameras_look_at_may_reflect() -> None:
     """The cameras of the tiny scene stand 4 from the origin: at half of that, points within 2 of it may."""
     method = initialized(scope_radius=0.5, bootstrap=0)
-    parameters = method.sets["base"].parameters
+    parameters = method.model.sets["base"].parameters
     inside = tiny_scene().points.norm(dim=1) <= 2
     assert 20 < inside.sum() < 180
-    assert torch.equal(method.may_reflect(), inside)
+    assert torch.equal(method.parts["disturbance"].may_reflect(), inside)
 
     before = {name: value.clone() for name, value in parameters.detached().items()}
     parameters.replace("beta_logits", torch.full((200, 1), 0.03).logit())
     for event in ("sabotage", "propagate", "reset_beta"):
-        method.after_step(4_000, {event})
+        befall(method, 4_000, {event})
     now = parameters.detached()
     assert torch.equal((now["opacity_logits"] != before["opacity_logits"]), inside)
     assert torch.equal((now["log_scales"] != before["log_scales"]).any(1), inside)
-    method.before_step(1)
+    begin(method, 1)
     terms = method.losses(method.draw(CAMERA, 1)[0], torch.zeros(24, 32, 3), tiny_scene().test[0], 1)
     assert float(terms["scope"].detach()) == pytest.approx(0.4 * 0.03, rel=1e-5)
     terms["scope"].backward()
@@ -103,15 +105,19 @@ def test_only_the_ball_that_the_cameras_look_at_may_reflect() -> None:
 
 def test_a_pixel_is_the_blend_of_its_own_color_and_the_maps() -> None:
     method = initialized(bootstrap=0)
-    method.before_step(1)
-    assert method.texels.shape == (6, 8, 8, 3)
-    method._set_texels(torch.randn(6, 8, 8, 3))
-    method.sets["base"].parameters.replace("beta_logits", torch.zeros(200, 1))
+    begin(method, 1)
+    assert method.reflection.light.texels.shape == (6, 8, 8, 3)
+    method.reflection.light.become(torch.randn(6, 8, 8, 3))
+    method.model.sets["base"].parameters.replace("beta_logits", torch.zeros(200, 1))
     shown = method.render(CAMERA)
-    base = method.rasterize_base(CAMERA, None)
+    base = method.model.rasterize(CAMERA, None)
     rays, normal = (functional.normalize(v, dim=-1) for v in (CAMERA.rays()[1], base.normal))
     mirrored = rays - 2 * (rays * normal).sum(-1, keepdim=True) * normal
-    color = sample_cubemap(method.texels.detach(), mirrored.reshape(-1, 3), layout_of(8)).sigmoid().reshape(24, 32, 3)
+    color = (
+        sample_cubemap(method.reflection.light.texels.detach(), mirrored.reshape(-1, 3), layout_of(8))
+        .sigmoid()
+        .reshape(24, 32, 3)
+    )
     strength = base.extras
     expected = (1 - strength) * base.color + strength * color
     solid = (base.alpha > 0.05) & (base.normal.norm(dim=-1) > 0.02)
@@ -127,7 +133,7 @@ def test_reflections_alone_teach_normals_of_a_mirror() -> None:
     method = create_method("3dgs_dr", settings | {"densify_until": 0, "disturb_every": 0, "opacity_reset_every": 0})
     steps = 400
     method.initialize(scene, steps)
-    parameters = method.sets["base"].parameters
+    parameters = method.model.sets["base"].parameters
     generator = torch.Generator().manual_seed(0)
     quaternions = parameters.tensors["quaternions"].detach()
     parameters.replace("quaternions", quaternions + 0.1 * torch.randn(quaternions.shape, generator=generator))

@@ -69,9 +69,9 @@ def test_the_first_step_is_that_without_and_pictures_show_the_scene_itself(kind:
     }
     method.prepare()
     before = method.render(scene.test[0].camera).color
-    assert method._exposure is not None
+    assert method.runner.exposure is not None
     with torch.no_grad():
-        method._exposure.maps.zero_()
+        method.runner.exposure.maps.zero_()
     assert torch.equal(method.render(scene.test[0].camera).color, before)
 
 
@@ -80,8 +80,8 @@ def test_a_view_that_is_darker_becomes_so_by_its_map() -> None:
     method.initialize(scene, 60)
     for step in range(1, 61):
         method.training_step(scene.train[step % len(scene.train)], step)
-    assert method._exposure is not None
-    gains = method._exposure.maps.detach()[:, :, :3].diagonal(dim1=1, dim2=2).mean(dim=1)
+    assert method.runner.exposure is not None
+    gains = method.runner.exposure.maps.detach()[:, :, :3].diagonal(dim1=1, dim2=2).mean(dim=1)
     assert gains.argmin() == 2
 
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 from finite_differences import assert_gradients_are_differences
 from mirror_ball import gain_of_training, mirror_ball
+from schedules import begin, optimizers_of
 from torch.nn import functional
 
 from envgs_bench.core import Scene
@@ -30,10 +31,10 @@ def initialized(scene: Scene, steps: int = 30_000, **settings) -> GaussianShader
 def drawn_at_random(scene: Scene, **settings) -> GaussianShader:
     method = initialized(scene, **settings)
     generator = torch.Generator().manual_seed(2)
-    parameters = method.sets["base"].parameters
+    parameters = method.model.sets["base"].parameters
     for name in MATERIALS:
         parameters.replace(name, 0.3 * torch.randn(parameters.tensors[name].shape, generator=generator))
-    method._set_texels(torch.randn(6, 8, 8, 3, generator=generator))
+    method.light.map.become(torch.randn(6, 8, 8, 3, generator=generator))
     return method
 
 
@@ -43,14 +44,14 @@ def test_a_gaussian_is_shaded_by_the_residual_of_its_side(side: float, field: st
     scene = tiny_scene()
     lone = Scene("lone", scene.train, scene.test, torch.zeros(1, 3), torch.tensor([[0.3, 0.5, 0.7]]))
     method = drawn_at_random(lone)
-    parameters = method.sets["base"].parameters
+    parameters = method.model.sets["base"].parameters
     toward = functional.normalize(CAMERA.center, dim=0)  # along z
     parameters.replace("quaternions", torch.tensor([[1.0, 0, 0, 0]] if side > 0 else [[0.0, 1, 0, 0]]))
     parameters.replace("log_scales", torch.tensor([[0.5, 0.5, 0.01]]).log())
     tensors = parameters.detached()
     normal = functional.normalize(toward + tensors[field][0], dim=0)
     outgoing = 2 * (normal @ toward) * normal - toward
-    light = rough_map(method.texels.detach().sigmoid(), prefilter_of(8))
+    light = rough_map(method.light.map.texels.detach().sigmoid(), prefilter_of(8))
     tint, roughness = tensors["tint_logits"].sigmoid(), tensors["roughness_logits"][:, 0].sigmoid()
     weight = specular_weight(tint, (normal @ toward)[None], roughness)
     reflected = light.specular(outgoing[None], roughness) * weight + (1 - tint) * light.irradiance(normal[None])
@@ -75,21 +76,23 @@ def test_its_own_losses_are_those_of_the_paper() -> None:
     length = drawn.extras[..., 1].detach()
     assert float(terms["residual"].detach()) == pytest.approx(1e-3 * float((drawn.alpha.detach() * length).mean()))
     terms["normal"].backward()  # normals follow the depth map, which stays: no center moves through its depth
-    assert method.sets["base"].parameters.tensors["outer_residuals"].grad.abs().max() > 0
+    assert method.model.sets["base"].parameters.tensors["outer_residuals"].grad.abs().max() > 0
 
 
 def test_materials_and_map_slow_down_to_a_tenth() -> None:
     method = initialized(tiny_scene())
     for step, rate in ((0, 1.6e-2), (15_000, 1.6e-2 * math.sqrt(0.1)), (30_000, 1.6e-3)):
-        method.set_learning_rates(step)
-        groups = [group for optimizer in method.optimizers() for group in optimizer.param_groups]
+        begin(method, step)
+        groups = [group for optimizer in optimizers_of(method) for group in optimizer.param_groups]
         rates = {group["name"]: group["lr"] for group in groups}
         assert [rates[name] for name in (*MATERIALS, "texels")] == pytest.approx([rate] * 5)
 
 
 def test_gradients_are_those_of_finite_differences() -> None:
     method = drawn_at_random(tiny_scene())
-    inputs = {"texels": method.texels} | {name: method.sets["base"].parameters.tensors[name] for name in MATERIALS}
+    inputs = {"texels": method.light.map.texels} | {
+        name: method.model.sets["base"].parameters.tensors[name] for name in MATERIALS
+    }
     # A small step: the map is bilinear, with kinks at its texels.
     assert_gradients_are_differences(method, CAMERA, inputs, step=2e-3)
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import pytest
 import torch
 from core_scenes import plain_camera, random_rays, random_set
+from schedules import befall, due
 from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Rendering, View, rasterize, trace
@@ -85,18 +86,18 @@ def trained(kind: str, steps: int, **settings: float) -> GaussianMethod:
 
 
 def squared_error(method: GaussianMethod) -> float:
-    method.prepared.clear()
+    method.model.prepared.clear()
     return sum(float((method.render(v.camera).color - v.rgb("cpu")).square().sum()) for v in tiny_scene().train)
 
 
 @pytest.mark.parametrize("kind", ["2dgs", "3dgs", "envgs"])
 def test_a_pruning_leaves_what_the_pictures_need(kind: str) -> None:
     method = trained(kind, 29, prune_error=0.02, prune_from=10_000, densify_until=0)
-    assert [step for step in range(1, 61) if "prune" in method.events(step)] == [30]
+    assert [step for step in range(1, 61) if "prune" in due(method, step)] == [30]
     before, count = squared_error(method), sum(method.primitives().values())
     with torch.no_grad():
-        method.after_step(30, {"prune"})
+        befall(method, 30, {"prune"})
     assert sum(method.primitives().values()) < count
     assert squared_error(method) <= 1.02 * before * (1 + 1e-3)
-    assert all(len(s.record.weights) == len(s.parameters) for s in method.sets.values())
+    assert all(len(s.record.weights) == len(s.parameters) for s in method.model.sets.values())
     method.training_step(tiny_scene().train[0], 30)

@@ -15,7 +15,7 @@ TILTED = torch.tensor([0.0, math.sin(0.5), -math.cos(0.5)])  # what the view's o
 
 @pytest.fixture(autouse=True)
 def _no_photometric_loss(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("envgs_bench.methods.training.training_loss.photometric_loss", lambda *_, **__: torch.zeros(()))
+    monkeypatch.setattr("envgs_bench.methods.training.losses.photometric_loss", lambda *_, **__: torch.zeros(()))
 
 
 def shown() -> Rendering:
@@ -32,7 +32,7 @@ def terms(step: int = 100, **settings) -> dict[str, float]:
     image = torch.zeros(HEIGHT, WIDTH, 3, dtype=torch.uint8)
     view = View("view", make_camera(), image, normal=TILTED.expand(HEIGHT, WIDTH, 3).clone())
     method.initialize(Scene("plane", [view], [], torch.rand(8, 3), torch.rand(8, 3)), 100)
-    assert method.schedule.rate_scale == 10
+    assert method.model.schedule.rate_scale == 10
     return {name: float(value) for name, value in method.losses(shown(), torch.zeros(1), view, step).items()}
 
 
@@ -58,7 +58,7 @@ def fog_gradient(opacity: float, **settings: str) -> float:
     view = View("white", camera, torch.full((HEIGHT, WIDTH, 3), 255, dtype=torch.uint8))
     white = torch.ones(3)
     method.initialize(Scene("fog", [view], [], torch.tensor([[0.0, 0, 5]]), white[None], background=white), 100)
-    surfel = method.sets["base"].parameters
+    surfel = method.model.sets["base"].parameters
     surfel.replace("opacity_logits", torch.logit(torch.tensor([opacity])))
     surfel.replace("log_scales", torch.full((1, 2), 5.0))
     rendering, _ = method.draw(camera, 1)

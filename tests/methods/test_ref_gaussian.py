@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 import torch
 from mirror_ball import gain_of_training, mirror_ball
-from schedules import steps_of_events
+from schedules import begin, steps_of_events
 from torch import Tensor
 from torch.nn import functional
 
 from envgs_bench.core import Scene
 from envgs_bench.core.torch.sh import sh_basis
 from envgs_bench.methods.lighting.brdf_table import specular_weight
+from envgs_bench.methods.lighting.disturbance import beta_of
 from envgs_bench.methods.lighting.prefiltered_cubemap import prefilter_of, rough_map
 from envgs_bench.methods.ref_gaussian import MATERIALS, RefGaussian
 from envgs_bench.methods.registry import create_method
@@ -36,12 +37,12 @@ def initialized(scene: Scene | None = None, steps: int = RUN, **settings) -> Ref
 def at_step(step: int, **settings) -> RefGaussian:
     """A method before a step of a run of 50,000, whatever else it learned drawn at random."""
     method = initialized(**settings)
-    method.before_step(step)
+    begin(method, step)
     generator = torch.Generator().manual_seed(2)
-    parameters = method.sets["base"].parameters
+    parameters = method.model.sets["base"].parameters
     for name in ("beta_logits", *MATERIALS):
         parameters.replace(name, torch.randn(parameters.tensors[name].shape, generator=generator))
-    method._set_texels(torch.randn(6, 8, 8, 3, generator=generator))
+    method.reflection.light.become(torch.randn(6, 8, 8, 3, generator=generator))
     return method
 
 
@@ -49,8 +50,8 @@ def test_surfels_are_shaded_before_pixels_and_light_each_other_last() -> None:
     method = initialized()
     stages = []
     for step in (1, 18_000, 18_001, 20_000, 20_001):
-        method.before_step(step)
-        stages.append((method.reflects, method.deferred, method.indirect))
+        begin(method, step)
+        stages.append((method.reflection.begun, method.surfaces.deferred, method.surfaces.occluders.traced))
     assert stages == [
         (True, False, False),
         (True, False, False),
@@ -62,14 +63,14 @@ def test_surfels_are_shaded_before_pixels_and_light_each_other_last() -> None:
 
 def test_materials_start_anew_when_pixels_are_shaded() -> None:
     method = at_step(1)
-    parameters = method.sets["base"].parameters
+    parameters = method.model.sets["base"].parameters
     indirect = parameters.tensors["indirect_rest"].detach().clone()
-    method.before_step(18_001)
+    begin(method, 18_001)
     values = {name: parameters.tensors[name].detach().sigmoid() for name in ("roughness_logits", "albedo_logits")}
-    torch.testing.assert_close(method.beta(), torch.full((200,), 0.01))
+    torch.testing.assert_close(beta_of(method.model), torch.full((200,), 0.01))
     torch.testing.assert_close(values["roughness_logits"], torch.full((200, 1), 0.1))
     assert (values["albedo_logits"] - 0.5).abs().max() <= 0.025 + 1e-6
-    assert (method.texels == 0).all()
+    assert (method.reflection.light.texels == 0).all()
     assert torch.equal(parameters.tensors["indirect_rest"], indirect)
 
 
@@ -84,24 +85,24 @@ def test_events_fall_on_the_released_steps() -> None:
 
 def test_smooth_metal_grows_and_only_what_pixels_shade_is_sabotaged() -> None:
     method = at_step(1)
-    parameters = method.sets["base"].parameters
+    parameters = method.model.sets["base"].parameters
     parameters.replace("beta_logits", torch.tensor([0.01, 0.03, 0.03, 0.01]).logit().repeat(50)[:, None])
     parameters.replace("roughness_logits", torch.tensor([0.005, 0.005, 0.02, 0.02]).logit().repeat(50)[:, None])
-    assert method.spreads().tolist() == [False, True, False, False] * 50
-    assert not method.is_sabotaged().any()
-    method.deferred = True
-    assert method.is_sabotaged().tolist() == [True, False, False, True] * 50
+    assert method.surfaces.spreads().tolist() == [False, True, False, False] * 50
+    assert not method.surfaces.is_sabotaged().any()
+    method.surfaces.deferred = True
+    assert method.surfaces.is_sabotaged().tolist() == [True, False, False, True] * 50
 
 
 def test_a_pixel_follows_the_split_sum() -> None:
     """Direct light only, against the equation written out with the maps that the core draws."""
     method = at_step(18_001)
-    shown, drawn = method.render(CAMERA), method.rasterize_base(CAMERA, None)
+    shown, drawn = method.render(CAMERA), method.model.rasterize(CAMERA, None)
     metallic, roughness, albedo, _ = drawn.extras.split([1, 1, 3, 3], dim=-1)
     rays, normal = (functional.normalize(v, dim=-1) for v in (CAMERA.rays()[1], drawn.normal))
     cosine = -(rays * normal).sum(-1)
     outgoing = rays + 2 * cosine[..., None] * normal
-    light = rough_map(method.texels.detach().sigmoid(), prefilter_of(8))
+    light = rough_map(method.reflection.light.texels.detach().sigmoid(), prefilter_of(8))
     seen = light.specular(outgoing.reshape(-1, 3), roughness.reshape(-1)).reshape(24, 32, 3)
     reflectance = 0.04 * (1 - metallic) + albedo * metallic
     weight = specular_weight(reflectance, cosine, roughness[..., 0])
@@ -120,8 +121,8 @@ def test_what_hides_the_map_lights_in_its_place() -> None:
     colors = {}
     for where in (6.0, 9.0):
         method = initialized(lone, bootstrap=0, shade_until=0, indirect_from=0)
-        method.before_step(1)
-        parameters = method.sets["base"].parameters
+        begin(method, 1)
+        parameters = method.model.sets["base"].parameters
         behind = toward * where  # the camera, which is at 4: on the mirrored ray
         facing = torch.linalg.cross(torch.tensor([0.0, 0, 1]), toward)
         quaternion = functional.normalize(torch.cat([1 + toward[2:], facing]), dim=0)
@@ -134,7 +135,7 @@ def test_what_hides_the_map_lights_in_its_place() -> None:
         parameters.replace("roughness_logits", torch.full((2, 1), -9.0))
         indirect = torch.tensor([[0.2, 0.0, 0.6]]) / float(sh_basis(toward, 0)[0])
         parameters.replace("indirect_dc", indirect.repeat(2, 1))
-        method._set_texels(torch.full((6, 8, 8, 3), 9.0))
+        method.reflection.light.become(torch.full((6, 8, 8, 3), 9.0))
         shown = method.render(scene.test[0].camera)
         row, column = divmod(int(shown.alpha.argmax()), CAMERA.width)
         colors[where] = (shown.color / shown.alpha[..., None].square())[row, column]
@@ -153,8 +154,8 @@ def test_gradients_are_those_of_finite_differences(step: int) -> None:
         return (method.draw(camera, step)[0].color * weights).mean()
 
     loss().backward()
-    tensors = method.sets["base"].parameters.tensors
-    inputs = {"texels": method.texels} | {name: tensors[name] for name in ("beta_logits", *MATERIALS)}
+    tensors = method.model.sets["base"].parameters.tensors
+    inputs = {"texels": method.reflection.light.texels} | {name: tensors[name] for name in ("beta_logits", *MATERIALS)}
     for name, values in inputs.items():
         gradient = values.grad
         if name in ("indirect_dc", "indirect_rest") and step < 20_001:
@@ -211,4 +212,4 @@ def test_a_mirror_ball_is_learned() -> None:
         **{"densify_until": 0, "disturb_every": 0, "opacity_reset_every": 0, "shade_until": 6_000},
     )
     assert gain_of_training(method, scene, steps) > 2
-    assert method.deferred
+    assert method.surfaces.deferred

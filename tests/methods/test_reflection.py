@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from reflection_scenes import HEIGHT, WIDTH, make_camera, make_rendering, mirror
+from schedules import befall, begin, due
 
 from envgs_bench.core import Scene, View
 from envgs_bench.methods.envmap import EnvMap, EnvMapSettings
@@ -18,7 +19,7 @@ def test_joint_optimization_lets_gradients_through(joint):
     rendering.depth.requires_grad_()
     rendering.normal = rendering.normal.clone().requires_grad_()
     method = EnvMap(EnvMapSettings(envmap_size=4, joint=joint))
-    origins, directions, _ = method._reflected_rays(rendering, camera, 1)
+    origins, directions, _ = method.reflection.rays(rendering, camera, 1)
     assert origins.requires_grad == directions.requires_grad == joint
     if joint:
         depth, normal = rendering.depth, rendering.normal
@@ -36,7 +37,7 @@ def test_pixels_of_little_alpha_do_not_reflect_late_in_training_and_in_images(st
     shown = mirror(camera, torch.tensor([0.0, 0.0, -1.0]), -4.0)
     shown.alpha[0], shown.alpha[1], shown.alpha[2] = 0.74, 0.76, 0.009
     method, _ = initialized(100, reflect_alpha=0.75, reflect_alpha_from=15_000)
-    _, directions, beta = method._reflected_rays(shown, camera, step)
+    _, directions, beta = method.reflection.rays(shown, camera, step)
     expected = torch.ones(HEIGHT, WIDTH, dtype=torch.bool)
     expected[0], expected[2] = not filtered, False
     assert torch.equal(directions.any(-1), expected)
@@ -52,9 +53,9 @@ def test_base_and_reflection_are_blended_by_beta(monkeypatch):
     alpha[3] = 0
     rendering = make_rendering(shown.depth, shown.normal, alpha, beta)
     method = EnvMap(EnvMapSettings(envmap_size=4, beta_threshold=0.2))
-    method._set_texels(torch.logit(torch.tensor([0.9, 0.5, 0.2])).expand(6, 4, 4, 3).clone())
-    method.reflects = True
-    monkeypatch.setattr(method, "rasterize_base", lambda camera, step: rendering)
+    method.reflection.light.become(torch.logit(torch.tensor([0.9, 0.5, 0.2])).expand(6, 4, 4, 3).clone())
+    method.reflection.begun = True
+    monkeypatch.setattr(method.model, "rasterize", lambda camera, step: rendering)
     image = method.draw(camera, None)[0]
 
     expected = (1 - beta[..., None]) * 0.25 + beta[..., None] * torch.tensor([0.9, 0.5, 0.2])
@@ -72,8 +73,8 @@ def test_the_filter_traces_the_pixels_of_the_greatest_beta(monkeypatch, share, t
     shown = mirror(make_camera(), torch.tensor([0.0, 0.0, -1.0]), -4.0)
     rendering = make_rendering(shown.depth, shown.normal, shown.alpha, beta)
     method = EnvMap(EnvMapSettings(envmap_size=4, beta_threshold=0.199, beta_filter=share))
-    method.reflects = True
-    monkeypatch.setattr(method, "rasterize_base", lambda camera, step: rendering)
+    method.reflection.begun = True
+    monkeypatch.setattr(method.model, "rasterize", lambda camera, step: rendering)
     image = method.draw(make_camera(), None)[0]
     seen = image.layers["reflection"].sum(-1).reshape(-1) > 0
     assert seen.sum() == traced
@@ -93,9 +94,9 @@ def test_the_default_threshold_moves_no_pixel_visibly(monkeypatch):
         "all": EnvMapSettings(envmap_size=4, beta_threshold=0.0),
     }.items():
         method = EnvMap(settings)
-        method._set_texels(20 * torch.randn(6, 4, 4, 3, generator=torch.Generator().manual_seed(3)))
-        method.reflects = True
-        monkeypatch.setattr(method, "rasterize_base", lambda camera, step: rendering)
+        method.reflection.light.become(20 * torch.randn(6, 4, 4, 3, generator=torch.Generator().manual_seed(3)))
+        method.reflection.begun = True
+        monkeypatch.setattr(method.model, "rasterize", lambda camera, step: rendering)
         images[name] = method.draw(make_camera(), None)[0]
     traced = [(image.layers["reflection"].sum(-1) > 0).float().mean() for image in images.values()]
     assert traced[0] < 0.6 < 0.9 < traced[1]
@@ -110,14 +111,16 @@ def test_envgs_and_envmap_differ_in_the_reflected_color_only():
     assert {name: getattr(envgs.settings, name) for name in shared} == {
         name: getattr(envmap.settings, name) for name in shared
     }
-    for name in ("draw", "losses", "rasterize_base", "training_step", "_sabotage", "_propagate", "_reset_beta"):
+    for name in ("draw", "losses", "phase", "training_step"):
         assert getattr(type(envgs), name) is getattr(type(envmap), name), name
+    assert type(envgs.reflection) is type(envmap.reflection)
+    assert type(envgs.parts["disturbance"]) is type(envmap.parts["disturbance"])
 
 
 def test_the_environment_grows_by_the_bases_rule_but_for_its_threshold_and_its_cap():
     settings = {"min_coverage": 2.0, "min_views": 4.0, "env_densify_threshold": 0.5, "env_max_primitives": 7}
     method = create_method("envgs", settings)
-    base, env = method.densification_rule("base"), method.densification_rule("env")
+    base, env = method.model.policies["base"].rule, method.model.policies["env"].rule
     assert env == replace(base, gradient_threshold=0.5, max_primitives=7)
     assert (env.min_coverage, env.min_views) == (2.0, 4.0)
 
@@ -127,9 +130,9 @@ def test_the_views_own_normals_count_where_something_reflects():
     beta[0, :4] = torch.tensor([0.001, 0.05, 0.1, 0.7])
     shown = mirror(make_camera(), torch.tensor([0.0, 0.0, -1.0]), -4.0)
     rendering = make_rendering(shown.depth, shown.normal, shown.alpha, beta)
-    weights = EnvMap(EnvMapSettings(envmap_size=4, initial_beta=0.1, mono_floor=0.2)).mono_weights(rendering)
+    weights = EnvMap(EnvMapSettings(envmap_size=4, initial_beta=0.1, mono_floor=0.2)).reflection.mono_weights(rendering)
     torch.testing.assert_close(weights[0, :5], torch.tensor([0.2, 0.5, 1.0, 1.0, 0.2]))
-    assert EnvMap(EnvMapSettings(envmap_size=4, mono_floor=1.0)).mono_weights(rendering) is None
+    assert EnvMap(EnvMapSettings(envmap_size=4, mono_floor=1.0)).reflection.mono_weights(rendering) is None
 
 
 def initialized(steps: int, **settings) -> tuple[EnvMap, View]:
@@ -142,16 +145,16 @@ def initialized(steps: int, **settings) -> tuple[EnvMap, View]:
 
 def trained_base(**settings) -> EnvMap:
     """A method in a run of 3,000 steps, its three primitives with β 0.01, 0.03 and 0.2."""
-    method, _ = initialized(3000, **{"envmap_size": 4, **settings})
-    method.sets["base"].parameters.replace("beta_logits", torch.logit(torch.tensor([[0.01], [0.03], [0.2]])))
+    method, _ = initialized(3000, **{"envmap_size": 4, "disturb_every": 1000, **settings})
+    method.model.sets["base"].parameters.replace("beta_logits", torch.logit(torch.tensor([[0.01], [0.03], [0.2]])))
     return method
 
 
 def test_sabotage_disturbs_what_does_not_reflect():
     method = trained_base()
-    before = method.sets["base"].parameters.tensors["sh_dc"].detach().clone()
-    method.after_step(1, {"sabotage"})
-    change = (method.sets["base"].parameters.tensors["sh_dc"].detach() - before).abs().amax(dim=(1, 2))
+    before = method.model.sets["base"].parameters.tensors["sh_dc"].detach().clone()
+    befall(method, 1, {"sabotage"})
+    change = (method.model.sets["base"].parameters.tensors["sh_dc"].detach() - before).abs().amax(dim=(1, 2))
     assert (change[:2] > 0).all()
     assert change.max() <= 0.4
     assert change[2] == 0
@@ -159,15 +162,15 @@ def test_sabotage_disturbs_what_does_not_reflect():
 
 def test_propagation_grows_what_reflects_and_holds_opacities():
     method = trained_base()
-    parameters = method.sets["base"].parameters
+    parameters = method.model.sets["base"].parameters
     before = parameters.tensors["log_scales"].detach().exp().clone()
-    method.after_step(100, {"propagate"})
+    befall(method, 100, {"propagate"})
     growth = parameters.tensors["log_scales"].detach().exp() / before
     torch.testing.assert_close(growth, torch.tensor([[1.0, 1.0], [1.5, 1.5], [1.5, 1.5]]))
     torch.testing.assert_close(parameters.tensors["opacity_logits"].sigmoid().detach(), torch.full((3,), 0.9))
     rates = []
     for step in (101, 120, 121):  # 200 of 30,000 steps are 20 of 3,000
-        method.set_learning_rates(step)
+        begin(method, step)
         rates.append({g["name"]: g["lr"] for g in parameters.optimizer.param_groups}["opacity_logits"])
     assert rates == [0.0, 0.0, 0.05]
 
@@ -178,16 +181,16 @@ def test_propagation_grows_what_reflects_and_holds_opacities():
 def test_beta_resets(first, expected):
     method = trained_base(beta_reset_from=first, initial_beta=0.02)
     step = 600  # 6,000 of 30,000
-    method.after_step(step, method.events(step) & {"reset_beta"})
-    found = method.sets["base"].parameters.tensors["beta_logits"].detach().sigmoid()[:, 0]
+    befall(method, step, due(method, step) & {"reset_beta"})
+    found = method.model.sets["base"].parameters.tensors["beta_logits"].detach().sigmoid()[:, 0]
     torch.testing.assert_close(found, torch.tensor(expected))
 
 
 def test_the_opacity_reset_leaves_what_is_below():
     method = trained_base()
-    parameters = method.sets["base"].parameters
+    parameters = method.model.sets["base"].parameters
     parameters.replace("opacity_logits", torch.logit(torch.tensor([0.005, 0.01, 0.8])))
-    method.after_step(1, {"reset_base_opacity"})
+    befall(method, 1, {"reset_base_opacity"})
     torch.testing.assert_close(
         parameters.tensors["opacity_logits"].detach().sigmoid(), torch.tensor([0.005, 0.01, 0.01])
     )
@@ -198,15 +201,15 @@ def test_the_environment_map_doubles_three_times_and_keeps_what_it_showed():
     directions = torch.nn.functional.normalize(torch.randn(500, 3), dim=-1)
     sizes = {}
     for step in range(1, 3001):
-        before = method.texels.shape[1], method.reflected_color(None, directions, step)[0]
-        method.before_step(step)
-        size = method.texels.shape[1]
+        before = method.reflection.light.texels.shape[1], method.reflection.light.color(None, directions, step)[0]
+        begin(method, step)
+        size = method.reflection.light.texels.shape[1]
         if size != before[0]:
             sizes[step] = size
             if step > 301:
-                after = method.reflected_color(None, directions, step)[0]
+                after = method.reflection.light.color(None, directions, step)[0]
                 assert (after - before[1]).abs().mean() < 0.6 * (before[1] - before[1].mean(0)).abs().mean()
-            method._set_texels(torch.randn(6, size, size, 3))
+            method.reflection.light.become(torch.randn(6, size, size, 3))
     assert sizes == {301: 4, 750: 8, 1350: 16, 2100: 32}
 
 
@@ -217,18 +220,18 @@ def test_the_shortest_run_ends_with_a_whole_map(steps, tmp_path):
         method.training_step(view, step)
     method.save(tmp_path)
     create_method("envmap", {"envmap_size": 16}).load(tmp_path)
-    assert method.texels.shape[1] == 16
+    assert method.reflection.light.texels.shape[1] == 16
 
 
 @pytest.mark.parametrize("stop", [305, 800, 2_500])
 def test_what_an_interrupted_training_left_is_read_while_its_map_is_small(stop, tmp_path):
     method = trained_base(envmap_size=32)
     for step in (301, stop):
-        method.before_step(step)
+        begin(method, step)
     method.save(tmp_path)
     read = create_method("envmap", {"envmap_size": 32})
     read.load(tmp_path)
-    assert read.texels.shape[1] == {305: 4, 800: 8, 2_500: 32}[stop]
-    torch.testing.assert_close(read.texels, method.texels)
+    assert read.reflection.light.texels.shape[1] == {305: 4, 800: 8, 2_500: 32}[stop]
+    torch.testing.assert_close(read.reflection.light.texels, method.reflection.light.texels)
     with pytest.raises(ValueError, match="expected 64: envmap_size is 64"):
         create_method("envmap", {"envmap_size": 64, "envmap_doublings": 0}).load(tmp_path)

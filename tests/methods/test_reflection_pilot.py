@@ -1,4 +1,4 @@
-"""A trial of reflections: it tells a mirror from paint, leaves a run that it keeps alone, and makes the others 2DGS."""
+"""A pilot run on reflections: it tells a mirror from paint, leaves alone what it keeps, and makes others 2DGS."""
 
 from __future__ import annotations
 
@@ -16,17 +16,24 @@ from tuned_baselines import TUNED_2DGS
 
 from envgs_bench.core import Scene, View
 from envgs_bench.methods import envgs
-from envgs_bench.methods.envgs import AlongNormals, EnvGS, EnvGSSettings
+from envgs_bench.methods.envgs import EnvGS, EnvGSSettings
 from envgs_bench.methods.gaussian_method import GaussianMethod
-from envgs_bench.methods.gaussians.budget import Budget
+from envgs_bench.methods.method import Budget
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.training import pilot_run, reflection_pilot
 from envgs_bench.methods.training.pilot_run import SHORTEST_RUN
-from envgs_bench.methods.training.reflection_pilot import LEAST_GAIN, LEAST_WEIGHT, PLAIN, TrialOutcome
+from envgs_bench.methods.training.reflection_pilot import LEAST_GAIN, LEAST_WEIGHT, PLAIN, ReflectionOutcome
 from envgs_bench.testing import tiny_scene
 
 SMALL = {"env_grid": 3, "env_far_count": 50, "reflection_trial": True}
 STEPS = 90  # densified every 30; from step 9 on reflections
+
+
+def along_normals(settings: EnvGSSettings) -> EnvGS:
+    """The control of a pilot run."""
+    method = EnvGS(settings)
+    method.reflection.rays_along = "normal"
+    return method
 
 
 def painted(scene: Scene) -> Scene:
@@ -44,7 +51,7 @@ def painted(scene: Scene) -> Scene:
 def test_a_mirror_is_told_from_paint(paints: bool) -> None:
     scene = painted(mirror_ball()) if paints else mirror_ball()
     settings = EnvGSSettings(env_grid=6, env_far_count=300)
-    found = reflection_pilot.reflection_trial(scene, EnvGS(settings), AlongNormals(settings))
+    found = reflection_pilot.reflection_pilot(scene, EnvGS(settings), along_normals(settings))
     if paints:
         assert found.weight < LEAST_WEIGHT / 1.5
         assert found.gain < LEAST_GAIN - 0.5
@@ -59,7 +66,7 @@ def test_a_mirror_is_told_from_paint(paints: bool) -> None:
     [(0.84, 0.79, False), (0.86, -1.0, True), (0.5, 0.81, True), (math.nan, math.nan, True)],
 )
 def test_either_of_both_numbers_shows_a_reflection(weight: float, gain: float, reflects: bool) -> None:
-    found = TrialOutcome(weight, gain)
+    found = ReflectionOutcome(weight, gain)
     assert found.reflects is reflects
     assert f"{weight:.2f} times" in found.sentence
     assert f"{gain:+.2f} dB" in found.sentence
@@ -79,11 +86,11 @@ def finds_nothing(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
     """Trials find from now on that nothing reflects; the scenes that they are made on."""
     tried = []
 
-    def found(scene: Scene, *_: Any) -> TrialOutcome:
+    def found(scene: Scene, *_: Any) -> ReflectionOutcome:
         tried.append(scene)
-        return TrialOutcome(0.5, -1.0)
+        return ReflectionOutcome(0.5, -1.0)
 
-    monkeypatch.setattr(envgs, "reflection_trial", found)
+    monkeypatch.setattr(envgs, "reflection_pilot", found)
     return tried
 
 
@@ -100,9 +107,9 @@ def trained(kind: str, budget: Budget | None = None, **settings: Any) -> Gaussia
 
 
 def assert_same_sets(a: GaussianMethod, b: GaussianMethod) -> None:
-    assert a.sets.keys() == b.sets.keys()
-    for name in a.sets:
-        tensors, others = (method.sets[name].parameters.tensors for method in (a, b))
+    assert a.model.sets.keys() == b.model.sets.keys()
+    for name in a.model.sets:
+        tensors, others = (method.model.sets[name].parameters.tensors for method in (a, b))
         assert tensors.keys() == others.keys()
         for field, values in tensors.items():
             assert torch.equal(values, others[field])
@@ -114,7 +121,7 @@ def test_a_run_that_keeps_its_reflections_is_to_the_last_bit_what_it_is_without_
     short_runs.setattr(reflection_pilot, "LEAST_WEIGHT", 0.0)
     kept, untried = (trained("envgs", **SMALL | {"reflection_trial": tries}) for tries in (True, False))
     assert_same_sets(kept, untried)
-    assert set(kept.sets) == {"base", "env"}
+    assert set(kept.model.sets) == {"base", "env"}
     assert torch.equal(kept.generator.get_state(), untried.generator.get_state())
     assert (len(kept.notes), len(untried.notes)) == (1, 0)
 
@@ -154,7 +161,7 @@ def test_an_interrupted_run_is_tried_once(short_runs: pytest.MonkeyPatch) -> Non
     first.initialize(scene, STEPS)
     second.resume(scene, STEPS, first.training_state())
     assert len(tried) == 1
-    assert second.plain
+    assert envgs.is_plain(second)
     assert second.notes == first.notes
     for step in (1, 2):
         for method in (first, second):
@@ -174,12 +181,12 @@ def test_short_runs_and_those_that_are_told_not_to_have_no_trial(
 def test_control_rays_are_as_many_and_leave_along_the_normals() -> None:
     scene, rays = tiny_scene(), {}
     camera = scene.test[0].camera
-    for kind in (EnvGS, AlongNormals):
+    for kind in (EnvGS, along_normals):
         method = kind(EnvGSSettings(**SMALL))
         method.initialize(scene, STEPS)
         with torch.no_grad():
-            base = method.rasterize_base(camera, 1)
-            rays[kind] = method._reflected_rays(base, camera, 1)
+            base = method.model.rasterize(camera, 1)
+            rays[kind] = method.reflection.rays(base, camera, 1)
     (origins, mirrored, beta), (others, directions, weights) = rays.values()
     torch.testing.assert_close(others, origins)
     torch.testing.assert_close(weights, beta)

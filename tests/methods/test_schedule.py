@@ -5,10 +5,10 @@ from itertools import pairwise
 
 import pytest
 import torch
+from schedules import due
 
 from envgs_bench.core import Camera, Scene, View
-from envgs_bench.methods.gaussians.growth import BaseGrowth
-from envgs_bench.methods.reflection import HOLD_FLOOR, PROPAGATE_HOLD
+from envgs_bench.methods.lighting.disturbance import HOLD_FLOOR, PROPAGATE_HOLD
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.training.schedule import RECOVERY, Schedule, _disturbances
 
@@ -22,10 +22,9 @@ def events(kind: str, steps: int, on_white: bool = False, **settings) -> dict[st
     """For each event the steps of a run in which it happens, over a white background or not."""
     method = create_method(kind, settings)
     method.initialize(dataclasses.replace(SCENE, background=torch.full((3,), float(on_white))), steps)
-    method.schedule = Schedule(steps)
     found: dict[str, list[int]] = {}
     for step in range(1, steps + 1):
-        for name in method.events(step):
+        for name in due(method, step):
             found.setdefault(name, []).append(step)
     return found
 
@@ -67,12 +66,11 @@ def test_over_white_the_baselines_reset_opacities_where_they_begin_to_grow(kind)
 
 @pytest.mark.parametrize(("steps", "first"), [(30_000, 3000), (6000, 600), (800, 600)])
 def test_the_baselines_prune_what_is_oversized_from_the_first_reset_on(steps, first):
-    growth = BaseGrowth(create_method("3dgs").settings, Schedule(steps), on_white=False)
-    kept = [step for step in range(1, steps + 1) if growth.oversized(step) == "keep"]
+    prunes, splits = (create_method(kind).policies(Schedule(steps), SCENE)["base"] for kind in ("3dgs", "envgs"))
+    kept = [step for step in range(1, steps + 1) if prunes.oversized_at(step) == "keep"]
     assert kept == list(range(1, first + 1))
-    assert growth.oversized(steps) == ("prune" if steps > first else "keep")
-    split = BaseGrowth(create_method("envgs").settings, Schedule(steps), on_white=False)
-    assert {split.oversized(step) for step in (1, steps)} == {"split"}
+    assert prunes.oversized_at(steps) == ("prune" if steps > first else "keep")
+    assert {splits.oversized_at(step) for step in (1, steps)} == {"split"}
 
 
 def test_twice_the_steps_stretch_the_schedule():
@@ -141,8 +139,8 @@ def test_rotation_rates_of_reflective_methods_decay_to_a_tenth():
     for kind in ("2dgs", "envgs"):
         method = create_method(kind)
         method.initialize(SCENE, 30_000)
-        method.set_learning_rates(30_000)
-        groups = method.sets["base"].parameters.optimizer.param_groups
+        method.model.set_learning_rates(30_000)
+        groups = method.model.sets["base"].parameters.optimizer.param_groups
         rates[kind] = next(group["lr"] for group in groups if group["name"] == "quaternions")
     assert rates == {"2dgs": pytest.approx(1e-3), "envgs": pytest.approx(1e-4)}
 
@@ -160,23 +158,19 @@ def test_a_run_without_steps_is_refused():
 def check_recovery(steps: int) -> set[str]:
     """Walk through what a run of this length does around its resets; returns the names of all that happens then."""
     method = create_method("envgs", {"beta_reset_from": 6000, "disturb_every": 1000})
-    schedule = method.schedule = Schedule(steps)
-    s = method.settings
-    resets = [step for step in range(1, schedule.at(s.densify_until)) if resets_base(schedule, step)]
-    disturbed = [step for step in around(resets, steps) if "propagate" in method.events(step)]
+    method.initialize(SCENE, steps)
+    schedule = method.model.schedule
+    resets = [step for step in range(1, steps + 1) if "reset_base_opacity" in due(method, step)]
+    disturbed = [step for step in around(resets, steps) if "propagate" in due(method, step)]
     hold = round(schedule.interval(PROPAGATE_HOLD, HOLD_FLOOR))
     happened = set()
     for reset in resets:
-        happened |= method.events(reset)
-        assert not {"propagate", "sabotage"} & method.events(reset)
+        happened |= due(method, reset)
+        assert not {"propagate", "sabotage"} & due(method, reset)
         assert not any(step < reset <= step + hold for step in disturbed), f"opacities rest when {reset} resets them"
         for step in range(reset + 1, min(reset + RECOVERY, steps)):
-            assert "densify_base" not in method.events(step), f"{step} prunes what {reset} has just made transparent"
-    return happened.union(*(method.events(step) for step in disturbed))
-
-
-def resets_base(schedule: Schedule, step: int) -> bool:
-    return schedule.resets(step, stop=18_000, interval=3000)
+            assert "densify_base" not in due(method, step), f"{step} prunes what {reset} has just made transparent"
+    return happened.union(*(due(method, step) for step in disturbed))
 
 
 def around(resets: list[int], steps: int) -> list[int]:
@@ -212,12 +206,6 @@ def test_every_length_is_disturbed_between_its_resets(steps):
 
 
 def test_a_run_that_does_not_stretch_is_the_reference_run_and_more():
-    method = create_method("envgs", {"beta_reset_from": 6000, "disturb_every": 1000})
-    reference = events("envgs", 30_000, beta_reset_from=6000, disturb_every=1000)
-    method.schedule = Schedule(40_000, stretches=False)
-    found: dict[str, list[int]] = {}
-    for step in range(1, 40_001):
-        for name in method.events(step):
-            found.setdefault(name, []).append(step)
-    assert found == reference
-    assert method.schedule.rate(35_000, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-6)
+    happens = {"beta_reset_from": 6000, "disturb_every": 1000}
+    assert events("envgs", 40_000, stretches=False, **happens) == events("envgs", 30_000, **happens)
+    assert Schedule(40_000, stretches=False).rate(35_000, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-6)

@@ -19,7 +19,7 @@ from envgs_bench.diagnosis.coverage import CELLS
 from envgs_bench.diagnosis.diagnosis import Diagnosis
 from envgs_bench.methods import gaussian_method
 from envgs_bench.methods.gaussian_method import GaussianMethod
-from envgs_bench.methods.gaussians.budget import Budget
+from envgs_bench.methods.method import Budget
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.training.pilot_run import SHORTEST_RUN
 from envgs_bench.methods.training.resident_views import as_given
@@ -117,7 +117,7 @@ def tells(monkeypatch: pytest.MonkeyPatch, gain: float) -> list[tuple[GaussianMe
 
 def learned(method: GaussianMethod) -> Tensor:
     """Which pixels' normals the first training view is learned with."""
-    normal = method._views.on_device(tiny_scene().train[0]).normal
+    normal = method.runner.views.on_device(tiny_scene().train[0]).normal
     assert normal is not None
     return normal.any(dim=-1)
 
@@ -180,7 +180,7 @@ def test_an_interrupted_run_is_tried_once_and_within_its_budget(monkeypatch: pyt
     first.initialize(scene_with_prior(), SHORTEST_RUN)
     second.resume(scene_with_prior(), SHORTEST_RUN, first.training_state())
     assert len(given) == 1
-    assert all(method._budget is not None for method in given[0])
+    assert all(method.model.budget is not None for method in given[0])
     assert second.notes == first.notes
     assert torch.equal(learned(second), learned(first))
 

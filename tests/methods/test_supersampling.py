@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from reflection_scenes import HEIGHT, WIDTH, make_camera, mirror
+from schedules import begin
 from skimage.measure import block_reduce
 from small_methods import SMALL
 from torch import Tensor
@@ -46,7 +47,7 @@ def picture(factor: int, size: int, monkeypatch: pytest.MonkeyPatch) -> Tensor:
     camera = Camera(torch.eye(4), torch.tensor([[size, 0, size / 2], [0, size, size / 2], [0, 0, 1.0]]), size, size)
     method = EnvMap(EnvMapSettings(envmap_size=4, supersampling=factor))
     method.reflects = True
-    monkeypatch.setattr(method, "rasterize_base", lambda camera, step: ball(camera))
+    monkeypatch.setattr(method.model, "rasterize", lambda camera, step: ball(camera))
     monkeypatch.setattr(method, "reflected_color", stripes)
     return method.draw(camera, None)[0].color.detach()
 
@@ -127,7 +128,7 @@ def test_the_environment_counts_pixels_however_many_rays_they_have():
         method = create_method("envgs", {"backend": "cpu", **SMALL["envgs"], "supersampling": factor})
         scene = ball_scene()
         method.initialize(scene, 100)
-        method.before_step(60)
+        begin(method, 60)
         statistics = method.draw(scene.train[0].camera, 60)[1]
         weights.append(float(statistics["env"].weights.sum()))
     assert weights[0] > 10

@@ -10,7 +10,7 @@ import torch
 from torch_threads import torch_threads
 
 from envgs_bench.core import View
-from envgs_bench.methods import gaussian_model
+from envgs_bench.methods import gaussian_method
 from envgs_bench.methods.registry import create_method
 from envgs_bench.testing import tiny_scene
 
@@ -25,20 +25,20 @@ def several_threads() -> Iterator[None]:
 
 
 def threads_seen(kind: str, monkeypatch: pytest.MonkeyPatch, **settings: Any) -> list[int]:
-    """How many torch has as a training step draws, as it has differentiated, and as an image is drawn."""
+    """How many torch has as a training step draws, as its losses are made, and as an image is drawn."""
     method, seen, scene = create_method(kind, settings), [], tiny_scene()
-    draw, record = type(method).draw, type(method)._record
+    draw, losses = type(method).draw, type(method).losses
 
     def drawn(*arguments: Any) -> Any:
         seen.append(torch.get_num_threads())
         return draw(*arguments)
 
-    def recorded(*arguments: Any) -> None:
+    def judged(*arguments: Any) -> Any:
         seen.append(torch.get_num_threads())
-        record(*arguments)
+        return losses(*arguments)
 
     monkeypatch.setattr(type(method), "draw", drawn)
-    monkeypatch.setattr(type(method), "_record", recorded)
+    monkeypatch.setattr(type(method), "losses", judged)
     method.initialize(scene, 10)
     view: View = scene.train[0]
     method.training_step(view, 1)
@@ -54,7 +54,7 @@ def test_small_ones_take_one(kind: str, monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.mark.parametrize("bound", ["SMALL_IMAGE", "SMALL_SETS"])
 def test_larger_ones_take_all(bound: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gaussian_model, bound, 3)
+    monkeypatch.setattr(gaussian_method, bound, 3)
     assert threads_seen("2dgs", monkeypatch) == [THREADS] * 3
 
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 from finite_differences import assert_gradients_are_differences
 from mirror_ball import gain_of_training, mirror_ball
+from schedules import begin, optimizers_of
 from torch.nn import functional
 
 from envgs_bench.core import Scene
@@ -31,14 +32,14 @@ def initialized(scene: Scene, steps: int = 30_000, **settings) -> ThreeIGS:
 def shining_at_random(scene: Scene, **settings) -> ThreeIGS:
     method = initialized(scene, **settings)
     generator = torch.Generator().manual_seed(2)
-    parameters = method.sets["base"].parameters
+    parameters = method.model.sets["base"].parameters
     for name in MATERIALS:
         parameters.replace(name, torch.randn(parameters.tensors[name].shape, generator=generator))
     with torch.no_grad():
         for name in ("planes", "lines"):
-            method.weights[name].normal_(generator=generator)
-        method.weights["color_weight"] *= 2
-    method.shines = True
+            method.field.weights[name].normal_(generator=generator)
+        method.field.weights["color_weight"] *= 2
+    method.field.shines = True
     return method
 
 
@@ -49,9 +50,9 @@ def test_a_gaussians_color_is_its_diffuse_one_and_what_the_network_makes_of_its_
     lone = Scene("lone", scene.train, scene.test, center[None], torch.tensor([[0.3, 0.5, 0.6]]))
     method = shining_at_random(lone)
     low, high = torch.tensor([-0.5, -0.4, -1.0]), torch.tensor([0.5, 0.6, 2.0])
-    method._box = (low, high)
-    method.sets["base"].parameters.replace("log_scales", torch.full((1, 3), 0.3).log())
-    own, w = method.sets["base"].parameters.detached(), method.weights
+    method.field._box = (low, high)
+    method.model.sets["base"].parameters.replace("log_scales", torch.full((1, 3), 0.3).log())
+    own, w = method.model.sets["base"].parameters.detached(), method.field.weights
 
     place = (center - (low + high) / 2) / ((high - low) / 2)
     light = w["light_weight"] @ field_components(w["planes"], w["lines"], place[None])[0] + w["light_bias"]
@@ -78,10 +79,10 @@ def test_it_shines_after_a_tenth_of_the_run() -> None:
     method = initialized(tiny_scene())
     diffuse = create_method("3dgs", {"sh_degree": 0})
     diffuse.initialize(tiny_scene(), 30_000)
-    method.before_step(3_000)
+    begin(method, 3_000)
     assert torch.equal(method.render(CAMERA).color, diffuse.render(CAMERA).color)
     assert not method.render(CAMERA).layers
-    method.before_step(3_001)
+    begin(method, 3_001)
     assert set(method.render(CAMERA).layers) == {"base", "reflection"}
     assert not torch.equal(method.render(CAMERA).color, diffuse.render(CAMERA).color)
 
@@ -91,7 +92,7 @@ def test_what_is_trained_and_how_fast() -> None:
     method = create_method("3igs")
     assert isinstance(method, ThreeIGS)
     method.initialize(tiny_scene(), 30_000)
-    groups = {group["name"]: group for optimizer in method.optimizers() for group in optimizer.param_groups}
+    groups = {group["name"]: group for optimizer in optimizers_of(method) for group in optimizer.param_groups}
     rates = {name: group["lr"] for name, group in groups.items()}
     assert [rates[name] for name in ("sh_dc", "brdf_logits", "roughness")] == [2.5e-3] * 3
     assert [rates[name] for name in ("planes", "lines")] == [2e-2] * 2
@@ -100,17 +101,17 @@ def test_what_is_trained_and_how_fast() -> None:
     assert all(groups[name]["betas"] == (0.9, 0.99) and groups[name]["eps"] == 1e-8 for name in network)
     field = 3 * 48 * (150 * 150 + 150) + 144 * 48 + 48
     layers = (48 + 48 + 3 + 38) * 128 + 128 + 128 * 128 + 128 + 128 * 3
-    assert method.other_bytes() == method.model_bytes()["env"] == 4 * (field + layers)
+    assert method.field.most_bytes() == method.model_bytes()["env"] == 4 * (field + layers)
 
 
 def test_features_begin_as_the_points_colors() -> None:
     scene = tiny_scene()
     method = initialized(scene)
-    tensors = method.sets["base"].parameters.detached()
+    tensors = method.model.sets["base"].parameters.detached()
     torch.testing.assert_close(0.5 + 0.28209479 * tensors["brdf_logits"][:, :3], scene.point_colors)
     assert not tensors["brdf_logits"][:, 3:].any()
     assert 0 <= float(tensors["roughness"].min()) < float(tensors["roughness"].max()) <= 1
-    low, high = method._box
+    low, high = method.field._box
     inside = ((scene.points >= low) & (scene.points <= high)).float().mean(0)
     torch.testing.assert_close(inside, torch.full((3,), 0.96), atol=0.02, rtol=0)
 
@@ -139,7 +140,7 @@ def test_a_field_needs_two_samples() -> None:
 
 def test_gradients_are_those_of_finite_differences() -> None:
     method = shining_at_random(tiny_scene())
-    inputs = method.weights | {name: method.sets["base"].parameters.tensors[name] for name in MATERIALS}
+    inputs = method.field.weights | {name: method.model.sets["base"].parameters.tensors[name] for name in MATERIALS}
     assert_gradients_are_differences(method, CAMERA, inputs, step=2e-2)
 
 

@@ -6,18 +6,20 @@ from reflection_scenes import HEIGHT, WIDTH, make_camera
 from torch import Tensor
 
 from envgs_bench.core import Scene, View
-from envgs_bench.methods import traced
+from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.gaussians.initialization import initial_tensors
+from envgs_bench.methods.lighting import reflection
 from envgs_bench.methods.registry import create_method
-from envgs_bench.methods.traced import TracedReflection
 
 
 def facing_a_wall(
     z: float = 3.0, background: tuple[float, ...] = (0.0, 0.0, 0.0), kind: str = "envgs", **settings
-) -> TracedReflection:
+) -> GaussianMethod:
     """A method whose environment is one wide surfel in the plane of that z, nearly opaque, red from below."""
     method = create_method(kind, {"backend": "cpu", "sh_degree": 1, **settings})
-    assert isinstance(method, TracedReflection)
+    assert isinstance(method, GaussianMethod)
+    assert isinstance(method.reflection.light, reflection.Traced)
+    name = method.reflection.light.name
     view = View("view", make_camera(), torch.zeros(HEIGHT, WIDTH, 3, dtype=torch.uint8))
     scene = Scene("wall", [view], [], torch.rand(8, 3), torch.rand(8, 3), background=torch.tensor(background))
     method.initialize(scene, 100)
@@ -33,16 +35,16 @@ def facing_a_wall(
     )
     tensors["log_scales"] = torch.full((1, 2), 2.0)
     tensors["sh_rest"][0, 0, 0] = 0.5
-    if method.traced == "base":
+    if name == "base":
         tensors["beta_logits"] = torch.zeros(1, 1)
-    method.restore({**method.state(), "reflects": True, "sets": {**method.state()["sets"], method.traced: tensors}})
+    method.restore({**method.state(), "reflects": True, "sets": {**method.state()["sets"], name: tensors}})
     method.prepare()
     return method
 
 
-def seen(method: TracedReflection, origins: Tensor, directions: Tensor, step: int | None) -> Tensor:
+def seen(method: GaussianMethod, origins: Tensor, directions: Tensor, step: int | None) -> Tensor:
     with torch.set_grad_enabled(step is not None):
-        return method.reflected_color(origins, directions, step)[0]
+        return method.reflection.light.color(origins, directions, step)[0]
 
 
 @pytest.mark.parametrize("step", [None, 50])
@@ -80,16 +82,16 @@ def test_hits_nearer_than_the_setting_are_not_drawn(step):
 def test_only_what_nobody_differentiates_is_traced_for_color_alone(kind, monkeypatch):
     method, called = facing_a_wall(kind=kind), []
     for name in ("trace", "trace_color"):
-        draw = getattr(traced, name)
-        monkeypatch.setattr(traced, name, lambda *a, n=name, d=draw, **k: called.append(n) or d(*a, **k))
+        draw = getattr(reflection, name)
+        monkeypatch.setattr(reflection, name, lambda *a, n=name, d=draw, **k: called.append(n) or d(*a, **k))
     rays = torch.zeros(1, 1, 3), torch.tensor([[[0.0, 0.0, 1.0]]])
-    image = method.reflected(rays[0][0], rays[1][0])
+    image = method.monitor.reflected(rays[0][0], rays[1][0])
     with torch.no_grad():
-        picture, statistics = method.reflected_color(*rays, None)
+        picture, statistics = method.reflection.light.color(*rays, None)
     assert called == ["trace_color"] * 2
     assert statistics == {}
-    recorded, _ = method.reflected_color(*rays, None)  # as pruning draws it
-    learned, statistics = method.reflected_color(*rays, 50)
+    recorded, _ = method.reflection.light.color(*rays, None)  # as pruning draws it
+    learned, statistics = method.reflection.light.color(*rays, 50)
     assert called[2:] == ["trace"] * 2
     assert statistics.keys() == ({"env"} if kind == "envgs" else set())
     for color in (image[None], picture, recorded, learned):

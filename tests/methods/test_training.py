@@ -5,6 +5,7 @@ import math
 
 import pytest
 import torch
+from schedules import begin, due, optimizers_of
 from small_methods import SMALL
 
 from envgs_bench.core import Camera, Scene, View
@@ -131,23 +132,23 @@ def test_a_seed_determines_a_run(scene, kind):
 def test_a_gradient_that_is_not_finite_never_reaches_adam(scene, kind):
     method = make_method(kind)
     train(method, scene, 10)
-    optimizers = method.optimizers()
+    optimizers = optimizers_of(method)
     before = [value.detach().clone() for o in optimizers for group in o.param_groups for value in group["params"]]
     states = [{k: v.clone() for k, v in o.state[p].items()} for o in optimizers for p in o.state]
-    record = method.sets["base"].record.gradients.clone()
+    record = method.model.sets["base"].record.gradients.clone()
 
     damaged = dataclasses.replace(scene.train[0], normal=torch.full_like(scene.train[0].normal, float("nan")))
     if make_method(kind).settings.mono_weight == 0:  # no view's normals enter its loss: a target that is not finite
         damaged = NotFinite(**{f.name: getattr(damaged, f.name) for f in dataclasses.fields(damaged)})
     losses = method.training_step(damaged, 11)
 
-    after = [value.detach() for o in method.optimizers() for group in o.param_groups for value in group["params"]]
+    after = [value.detach() for o in optimizers_of(method) for group in o.param_groups for value in group["params"]]
     assert not torch.isfinite(losses["loss"])
     assert method.skipped_steps == 1
     assert all(torch.equal(a, b) for a, b in zip(before, after, strict=True))
-    kept = [o.state[p] for o in method.optimizers() for p in o.state]
+    kept = [o.state[p] for o in optimizers_of(method) for p in o.state]
     assert all(torch.equal(a[k], b[k]) for a, b in zip(states, kept, strict=True) for k in a)
-    assert torch.equal(record, method.sets["base"].record.gradients)
+    assert torch.equal(record, method.model.sets["base"].record.gradients)
     assert torch.isfinite(method.training_step(scene.train[0], 12)["loss"])
     assert method.skipped_steps == 1
 
@@ -178,7 +179,7 @@ def test_either_set_adds_sh_degrees_from_a_step_of_its_own(scene, every, base, e
     """In a run of 300 steps a thousand of the reference run are ten."""
     method = make_method("envgs", sh_every=every, sh_from=5_000, env_sh_from=3_000, bootstrap=3_000)
     method.initialize(scene, 300)
-    method.before_step(31)
+    begin(method, 31)
     steps = (39, 40, 50, 59, 60, 70)
     assert [method.gaussians("base", step).sh_degree for step in steps] == base
     assert [method.gaussians("env", step).sh_degree for step in steps] == env
@@ -229,7 +230,7 @@ def test_cameras_at_one_place_still_have_a_scale(scene):
     lone = dataclasses.replace(scene, train=scene.train[:1])
     method = make_method("envgs")
     train(method, lone, 5)
-    assert method.radius > 0.1
+    assert method.model.radius > 0.1
 
 
 @pytest.mark.parametrize(("pixels", "most", "expected"), [(4.0, 1000, 540), (4.0, 300, 300), (10.0, 1000, 250)])
@@ -263,9 +264,9 @@ def test_scales_are_bounded_while_opacities_recover(scene, share, step, largest)
     method = make_method("envgs", max_scale=share, **still)
     method.initialize(more, 3_000)
     assert (method.phase(step) == method.phase(599)) == (largest == 0.75)  # a GPU records such a step apart
-    method.sets["base"].parameters.tensors["log_scales"].data[:2] = math.log(0.75)
+    method.model.sets["base"].parameters.tensors["log_scales"].data[:2] = math.log(0.75)
     method.training_step(view, step)
-    scales = method.sets["base"].parameters.tensors["log_scales"].detach().exp()
+    scales = method.model.sets["base"].parameters.tensors["log_scales"].detach().exp()
     torch.testing.assert_close(scales[:2], torch.tensor([[largest] * 2, [0.75] * 2]), rtol=1e-5, atol=0.0)
 
 
@@ -287,7 +288,7 @@ def test_the_mean_of_the_criterion_is_over_the_steps_that_its_setting_says(scene
     for over in ("drawn", "in_view"):
         method = make_method("2dgs", mean_gradient_over=over)
         method.initialize(dataclasses.replace(scene, points=points, point_colors=torch.rand(3, 3)), 30_000)
-        base = method.sets["base"]
+        base = method.model.sets["base"]
         base.parameters.replace("opacity_logits", torch.tensor([9.0, -9.0, 9.0]))
         base.parameters.replace("log_scales", torch.full((3, 2), -2.0))
         for step in (1, 2):
@@ -306,7 +307,7 @@ def test_what_anti_aliasing_draws_grows_no_surfels_where_a_setting_says_so(scene
     }.items():
         method = make_method("2dgs", **settings)
         method.initialize(scene, 30_000)
-        base = method.sets["base"]
+        base = method.model.sets["base"]
         base.parameters.replace("log_scales", torch.full((len(base.parameters), 2), -9.0))
         method.training_step(scene.train[0], 1)
         assert (base.record.weights > 0).any()
@@ -319,22 +320,25 @@ def test_a_long_run_stretches_the_schedule_unless_it_is_told_not_to(scene, stret
     """The first densification after step 500 of 30,000, every 100 steps, in a run of 33,400."""
     method = make_method("2dgs", stretches=stretches)
     method.initialize(scene, 33_400)
-    assert next(step for step in range(1, 1000) if "densify_base" in method.events(step)) == first
+    assert next(step for step in range(1, 1000) if "densify_base" in due(method, step)) == first
 
 
 def test_the_environment_starts_in_its_box_and_on_a_sphere_around_it(scene):
     sphere = {"env_far": 3.0, "env_far_count": 40, "env_initial_opacity": 0.07}
     method = make_method("envgs", **sphere, bootstrap=0, env_box=2.0, env_from_points=False)
     method.initialize(scene, STEPS)
-    method.before_step(1)
-    method.set_learning_rates(1)
-    tensors = method.sets["env"].parameters.detached()
+    begin(method, 1)
+    tensors = method.model.sets["env"].parameters.detached()
     assert len(tensors["means"]) == 3**3 * 2 + 40
     assert tensors["means"][:-40].abs().max() <= 2
     torch.testing.assert_close(tensors["means"][-40:].norm(dim=1), torch.full((40,), 3 * 2 * 3**0.5))
     torch.testing.assert_close(tensors["opacity_logits"].sigmoid(), torch.full((94,), 0.07))
     rates = [
-        next(group["lr"] for group in method.sets[name].parameters.optimizer.param_groups if group["name"] == "means")
+        next(
+            group["lr"]
+            for group in method.model.sets[name].parameters.optimizer.param_groups
+            if group["name"] == "means"
+        )
         for name in ("env", "base")
     ]
     assert rates[0] == pytest.approx(5 * rates[1])
@@ -343,8 +347,8 @@ def test_the_environment_starts_in_its_box_and_on_a_sphere_around_it(scene):
 def test_the_environment_starts_at_the_points_too(scene):
     method = make_method("envgs", env_far_count=40, bootstrap=0)
     method.initialize(scene, STEPS)
-    method.before_step(1)
-    env, base = (method.sets[name].parameters.detached() for name in ("env", "base"))
+    begin(method, 1)
+    env, base = (method.model.sets[name].parameters.detached() for name in ("env", "base"))
     count = len(method.started_from.points)
     assert len(env["means"]) == 3**3 * 2 + 40 + count
     assert torch.equal(env["means"][-count:], base["means"])

@@ -74,17 +74,17 @@ def break_gradient(rows: int) -> Callable[[GaussianMethod], None]:
     """At step 40 the gradient of the first positions is NaN."""
 
     def breaks(method: GaussianMethod) -> None:
-        rates = method.set_learning_rates
+        rates = method.model.set_learning_rates
 
         def at_step(step: int) -> None:
             rates(step)
             if step == 40:
-                means = method.sets["base"].parameters.tensors["means"]
+                means = method.model.sets["base"].parameters.tensors["means"]
                 spoiled = torch.zeros_like(means)
                 spoiled[:rows] = math.nan
                 handle = means.register_hook(lambda gradient: (handle.remove(), gradient + spoiled)[1])
 
-        method.set_learning_rates = at_step  # type: ignore[method-assign]
+        method.model.set_learning_rates = at_step  # type: ignore[method-assign]
 
     return breaks
 

@@ -18,7 +18,7 @@ from toy_scenes import rough_toys
 
 from envgs_bench.core import Scene, View
 from envgs_bench.datasets import load_scene
-from envgs_bench.methods.method import Method
+from envgs_bench.methods.method import Method, Monitor
 from envgs_bench.methods.registry import create_method
 from envgs_bench.records import TrainingWarning
 from envgs_bench.stages import health
@@ -47,14 +47,24 @@ class Scripted(MeanColor):
     def primitives(self) -> dict[str, int]:
         return {"base": self.now.get("base", 1000), "env": self.now.get("env", 0)}
 
+    @property
+    def monitor(self) -> Monitor:
+        return ScriptedMonitor(self)
+
+
+class ScriptedMonitor(Monitor):
+    def __init__(self, method: Scripted) -> None:
+        self.method = method
+
     def last_maps(self) -> Mapping[str, Tensor]:
-        return {name: torch.full((4, 4), self.now[name]) for name in ("alpha", "beta") if name in self.now}
+        now = self.method.now
+        return {name: torch.full((4, 4), now[name]) for name in ("alpha", "beta") if name in now}
 
-    def needles(self) -> Mapping[str, float]:
-        return {"base": self.now.get("needles", 0.0)}
+    def degenerate(self) -> Mapping[str, float]:
+        return {"base": self.method.now.get("needles", 0.0)}
 
-    def capped(self) -> Mapping[str, int]:
-        return self.now.get("capped", {})
+    def at_size_limit(self) -> Mapping[str, int]:
+        return self.method.now.get("capped", {})
 
 
 def scripted(script: Callable[[int], Mapping[str, Any]], tmp_path: Path, steps: int = 3000) -> list[TrainingWarning]:
@@ -220,15 +230,15 @@ def test_caps_hold_the_sets_that_they_name_back(
 def test_which_gradient_was_not_finite_is_recorded(kind: str, room: Scene, tmp_path: Path) -> None:
     """One step's gradient is broken behind the loss's back: nothing but the gradient shows it."""
     method = create_method(kind, KINDS[kind])
-    step_before = method.set_learning_rates
+    step_before = method.model.set_learning_rates
 
     def break_gradient(step: int) -> None:
         step_before(step)
         if step == 15:
-            quaternions = method.sets["base"].parameters.tensors["quaternions"]
+            quaternions = method.model.sets["base"].parameters.tensors["quaternions"]
             quaternions.register_hook(lambda gradient: gradient * math.nan)
 
-    method.set_learning_rates = break_gradient
+    method.model.set_learning_rates = break_gradient
     training = Training(method, room, 20, seed=0)
     training.run(tmp_path / "curve.csv", lambda event: None)
     (warning,) = training.health.warnings

@@ -96,7 +96,7 @@ def test_an_interrupted_training_ends_bitwise_where_it_would_have(kind: str, tmp
     assert torch.equal(parts.render(camera).color, whole.render(camera).color)
     assert resumed.peak_primitives == undisturbed.peak_primitives
     assert rows(tmp_path / "parts") == rows(tmp_path / "whole")
-    assert len(whole.sets["base"].parameters) != len(tiny_scene().points)  # it was densified
+    assert len(whole.model.sets["base"].parameters) != len(tiny_scene().points)  # it was densified
 
 
 @pytest.mark.parametrize("kind", ["2dgs", pytest.param("envgs", marks=pytest.mark.slow)])
@@ -119,7 +119,7 @@ def test_an_interrupted_training_goes_on_on_its_gpu_cuda(kind: str, tmp_path: Pa
     """A snapshot holds tensors on the CPU, those of sets that were made in mid-training among them."""
     method, training = train(kind, tmp_path / "parts", INTERRUPTED_AFTER, device="cuda")
     assert training.went_on_from == list(INTERRUPTED_AFTER)
-    for trained in method.sets.values():
+    for trained in method.model.sets.values():
         assert {tensor.device.type for tensor in trained.parameters.tensors.values()} == {"cuda"}
     whole, _ = train(kind, tmp_path / "whole", (), device="cuda")
     camera = tiny_scene().test[0].camera.to("cuda")

@@ -60,9 +60,9 @@ def test_a_training_that_is_logged_ends_as_one_that_is_not(tmp_path: Path, kind:
     assert rows_too == rows
     camera = scene.test[0].camera
     assert torch.equal(plain.method.render(camera).color, logged.method.render(camera).color)
-    for name, trained_set in plain.method.sets.items():
+    for name, trained_set in plain.method.model.sets.items():
         for key, values in trained_set.parameters.tensors.items():
-            assert torch.equal(values, logged.method.sets[name].parameters.tensors[key]), (name, key)
+            assert torch.equal(values, logged.method.model.sets[name].parameters.tensors[key]), (name, key)
     assert logger.pictures
 
 

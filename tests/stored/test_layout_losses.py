@@ -105,7 +105,7 @@ def test_a_stored_model_takes_the_checkpoints_place(runs: Path, tmp_path: Path) 
 def test_a_model_that_cannot_be_made_compact_has_no_such_size(runs: Path) -> None:
     _, method = reopen(runs / "2dgs", "cpu")
     with torch.no_grad():
-        method.sets["base"].parameters.tensors["means"][0] = torch.nan
+        method.model.sets["base"].parameters.tensors["means"][0] = torch.nan
     assert with_files(COST, method, runs / "2dgs" / CHECKPOINT).compact_bytes is None
 
 

@@ -203,5 +203,5 @@ def test_the_sets_of_a_run_are_written_as_ply(
     for name, count in record.cost.primitives.items():
         read = read_ply(tmp_path / "sets" / f"{name}.ply")
         assert len(read["means"]) == count
-        for key, values in method.sets[name].parameters.detached().items():
+        for key, values in method.model.sets[name].parameters.detached().items():
             assert torch.equal(read[key], values), (name, key)

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import torch
 
 from envgs_bench.core import Camera, Rendering, Scene, View
-from envgs_bench.methods.gaussians.budget import Budget
+from envgs_bench.methods.method import Budget, Needs
 
 from .methods import MeanColor
 
@@ -72,7 +72,7 @@ class CountsNoSkips(MeanColor):
 
 
 class IgnoresItsPerceptualLoss(MeanColor):
-    uses_perceptual = True
+    needs = Needs(perceptual="features")
 
 
 class NeedsPreparing(MeanColor):

@@ -1,0 +1,237 @@
+"""SetPolicy: how one set of primitives is trained, from its start to its size limit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+from torch import Tensor
+
+from envgs_bench.core import Camera, Scene, Statistics
+from envgs_bench.parts import BASE
+
+from ..settings import GaussianSettings
+from ..training.schedule import DENSIFY_FLOOR, RECOVERY, RESET_FLOOR, Every, Schedule, falls_on
+from .densification import DensificationRule, Oversized, screen_criterion
+from .parameters import LearningRates, primitive_bytes
+
+SLOW_DENSIFICATIONS = 10  # that a span of slower growth has at least
+
+
+@dataclass(frozen=True)
+class Resets:
+    """When a set's opacities are lowered, so that what no view needs can be pruned.
+
+    Attributes:
+        interval, stop, floor: as of `Schedule.recovers`; an interval of 0: never.
+        start: step of this run after which they begin.
+        besides: a step of this run at which there is one more; 0: none.
+    """
+
+    schedule: Schedule
+    interval: int
+    stop: int
+    floor: int = RESET_FLOOR
+    start: int = 0
+    besides: int = 0
+
+    def due(self, step: int) -> bool:
+        regular = self.start < step < self.schedule.at(self.stop)
+        return (regular and falls_on(step, self._interval())) or step == self.besides
+
+    def recovers(self, step: int) -> bool:
+        """Whether opacities, at this step, do not yet show what is needed: a reset was less than 100 steps before."""
+        regular = self.schedule.recovers(step, stop=self.stop, interval=self.interval, floor=self.floor)
+        return regular or 0 < self.besides < step < self.besides + RECOVERY
+
+    def passed_first(self, step: int) -> bool:
+        """Whether the first of the regular resets lies before a step."""
+        return 0 < self._interval() < step
+
+    def _interval(self) -> Fraction:
+        return self.schedule.interval(self.interval, self.floor)
+
+
+@dataclass(frozen=True)
+class Start:
+    """What a new primitive starts with.
+
+    Attributes:
+        orientation: of `initial_orientation`.
+        beta: its blending weight in (0, 1); None in a set without β.
+        materials: the fields [count, K] of `count` primitives that are the method's own, by name.
+        material_columns: K of each of these.
+    """
+
+    opacity: float
+    orientation: str
+    beta: float | None = None
+    materials: Callable[[int], dict[str, Tensor]] = lambda count: {}
+    material_columns: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SetPolicy:
+    """How the set `name` is trained. Steps of settings are those of a run of 30,000, on the run's `schedule`.
+
+    Attributes:
+        rates: Adam's step sizes of a new set.
+        position_lr: the positions' rate × scene radius, at the run's start and end; log-linear between.
+        position_scale, radius_power: × it, and the power of the radius that it grows with.
+        rotation_lr: the rotations' rate, at the run's start and end.
+        sh_degree, sh_every, sh_from: the color's SH degree, steps until another one is added, from which step on.
+        criterion: by which its primitives are cloned or split, [N] of one step's pass.
+        rule: when they are; its cap is what the settings let the set have at most, 0: any number.
+        interval: steps of this run between two densifications, as of a step; 0: never.
+        grows_from, grows_until: step after which, and before which it is densified.
+        young_until: step of this run up to which the set is not there, or so new that nothing shows what is needed.
+        oversized: what becomes of oversized primitives: split, or prune from the first opacity reset on.
+        cap: the size limit that the settings name; 0: none.
+    """
+
+    name: str
+    schedule: Schedule
+    start: Start
+    rates: LearningRates
+    position_lr: tuple[float, float]
+    rotation_lr: tuple[float, float]
+    sh_degree: int
+    sh_every: int
+    sh_from: int
+    criterion: Callable[[Statistics, Camera], Tensor]
+    rule: DensificationRule
+    interval: Callable[[int], Fraction]
+    grows_from: int
+    grows_until: int
+    resets: Resets
+    cap: int
+    position_scale: float = 1.0
+    radius_power: int = 1
+    oversized: str = "split"
+    young_until: int = 0
+
+    def primitive_bytes(self, axes: int) -> int:
+        """Bytes of one primitive as float32."""
+        own = 4 * sum(self.start.material_columns.values())
+        return primitive_bytes(axes, self.sh_degree, self.start.beta is not None) + own
+
+    def position_rate(self, step: int, radius: float) -> float:
+        """World units, in a scene of that radius."""
+        rate = self.schedule.rate(step, *self.position_lr) * self.schedule.rate_scale * radius
+        return rate * (self.position_scale * radius ** (self.radius_power - 1))
+
+    def rotation_rate(self, step: int) -> float:
+        return self.schedule.rate(step, *self.rotation_lr) * self.schedule.rate_scale
+
+    def sh_degree_at(self, step: int) -> int:
+        every, since = self.schedule.at(self.sh_every), step - self.schedule.at(self.sh_from)
+        if since <= 0:
+            return 0
+        return min(self.sh_degree, since // every) if every else self.sh_degree
+
+    def oversized_at(self, step: int) -> Oversized:
+        """What a densification after `step` does with what is oversized; 3DGS's pruning waits for the first reset."""
+        if self.oversized == "split":
+            return "split"
+        return "prune" if self.resets.passed_first(step) else "keep"
+
+    def is_young(self, step: int) -> bool:
+        return step <= self.young_until
+
+    def densification(self, action: Callable[[int], object]) -> Every:
+        """The event of the set's densifications: none while nothing shows what is needed."""
+        at = self.schedule.at
+        return Every(
+            f"densify_{self.name}",
+            action,
+            self.interval,
+            at(self.grows_from),
+            at(self.grows_until),
+            unless=lambda step: self.is_young(step) or self.resets.recovers(step),
+        )
+
+    def opacity_reset(self, action: Callable[[int], object]) -> Every:
+        return Every(f"reset_{self.name}_opacity", action, also=self.resets.due)
+
+
+def base_policy(
+    s: GaussianSettings, schedule: Schedule, scene: Scene | None, *, start: Start, rates: LearningRates
+) -> SetPolicy:
+    """The policy of what cameras see; without a scene, that of a method that no training has started."""
+    most = s.max_primitives if scene is None else max_base_primitives(s, scene)
+    return SetPolicy(
+        name=BASE,
+        schedule=schedule,
+        start=start,
+        rates=rates,
+        position_lr=(s.position_lr, s.position_lr_final),
+        rotation_lr=(s.rotation_lr, s.rotation_lr_final),
+        sh_degree=s.sh_degree,
+        sh_every=s.sh_every,
+        sh_from=s.sh_from,
+        criterion=screen_criterion,
+        rule=densification_rule(s, most),
+        interval=regular(schedule, s.densify_every),
+        grows_from=s.densify_from,
+        grows_until=s.densify_until,
+        resets=_base_resets(s, schedule, scene),
+        cap=s.max_primitives,
+        oversized=s.oversized,
+    )
+
+
+def regular(schedule: Schedule, interval: int) -> Callable[[int], Fraction]:
+    """The interval of a run of 30,000 between densifications, the same at every step."""
+    return lambda step: schedule.interval(interval, DENSIFY_FLOOR)
+
+
+def slowed(usual: Callable[[int], Fraction], times: int, after: int, until: int) -> Callable[[int], Fraction]:
+    """An interval between densifications, `times` as long in a span of steps, or as leaves it ten of them."""
+
+    def interval(step: int) -> Fraction:
+        every = usual(step)
+        if every == 0 or not after < step <= until:
+            return every
+        longest = (until - after) // (SLOW_DENSIFICATIONS * every)
+        return every * max(1, min(times, longest))
+
+    return interval
+
+
+def densification_rule(s: GaussianSettings, most: int) -> DensificationRule:
+    """When a primitive is cloned, split or removed, in a set of at most so many."""
+    return DensificationRule(s.densify_threshold, s.min_opacity, most, s.min_coverage, s.min_views, s.max_growth)
+
+
+def initial_rates(s: GaussianSettings, schedule: Schedule) -> LearningRates:
+    """Adam's step sizes of a new set."""
+    scale = schedule.rate_scale
+    return LearningRates(
+        position=s.position_lr * scale,
+        sh_dc=s.sh_lr * scale,
+        sh_rest=s.sh_lr * scale / 20,
+        opacity=s.opacity_lr,
+        scale=s.scale_lr,
+        rotation=s.rotation_lr * scale,
+    )
+
+
+def max_base_primitives(settings: GaussianSettings, scene: Scene) -> int:
+    """The most primitives that the base set may have, as many as it starts with at least; 0: any number."""
+    if settings.pixels_per_primitive <= 0:
+        return settings.max_primitives
+    pixels = sum(view.camera.width * view.camera.height for view in scene.train)
+    bound = max(len(scene.points), int(pixels / settings.pixels_per_primitive))
+    return min(settings.max_primitives or bound, bound)
+
+
+def _base_resets(s: GaussianSettings, schedule: Schedule, scene: Scene | None) -> Resets:
+    """With 3DGS's reset over a white background, of what has been put before it for nothing.
+
+    A run that is too short for any other reset has none of these either.
+    """
+    on_white = scene is not None and bool((scene.background == 1).all())
+    resets = 0 < schedule.interval(s.opacity_reset_every, RESET_FLOOR) < schedule.at(s.densify_until)
+    besides = schedule.at(s.densify_from) if s.reset_on_white and on_white and resets else 0
+    return Resets(schedule, s.opacity_reset_every, s.densify_until, besides=besides)

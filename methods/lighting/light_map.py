@@ -1,0 +1,132 @@
+"""CubeMap: a learned map of the surroundings, as if everything were far away; Filtered: the same for any roughness."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from envgs_bench.core import Scene, Statistics
+from envgs_bench.parts import ENV
+
+from ..gaussians.model import GaussianModel
+from ..training.optimizer import adam, optimizer_state, restore_optimizer
+from ..training.schedule import Part
+from .cubemap import layout_of, resized_cubemap, sample_cubemap
+from .prefiltered_cubemap import RoughMap, prefilter_of, rough_map
+from .reflection import Light
+from .settings import MapSettings
+
+DOUBLES_AT = (7_500, 13_500, 21_000)  # steps of a run of 30,000
+
+
+class CubeMap(Light):
+    """A cube map whose texels hold logits of colors in [0, 1].
+
+    It may begin with an eighth of its texels an edge and double three times: a texel that few pixels see begins as what
+    its surroundings have learned, and the early map is smooth enough to turn normals by.
+
+    Attributes:
+        texels: [6, S, S, 3] logits.
+        optimizer: of the texels.
+    """
+
+    def __init__(self, model: GaussianModel, settings: MapSettings, doublings: int = 0) -> None:
+        if not 0 <= doublings <= len(DOUBLES_AT):
+            raise ValueError(f"envmap_doublings is {doublings}, expected 0 to {len(DOUBLES_AT)}")
+        self._model, self._settings, self._doublings = model, settings, doublings
+        self._begun = False
+        self.become(torch.zeros(6, settings.envmap_size, settings.envmap_size, 3))
+
+    def become(self, texels: Tensor) -> None:
+        """Take these texels [6, S, S, 3], of which nothing has been learned."""
+        self.texels = texels.detach().to(self._model.device).requires_grad_()
+        self._layout = layout_of(texels.shape[1], self._model.device)
+        self.optimizer = adam([{"params": [self.texels], "lr": self._settings.envmap_lr, "name": "texels"}])
+
+    def start(self, scene: Scene) -> None:
+        self._begun = False
+
+    def begin(self) -> None:
+        self._begun = True
+        self.become(torch.zeros(6, 2, 2, 3))  # gray; begin_step gives it its size
+
+    def begin_step(self, step: int) -> None:
+        size = self._size_at(step)
+        if self._begun and size != self.texels.shape[1]:
+            self.become(resized_cubemap(self.texels.detach(), self._layout, size))
+
+    def color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict[str, Statistics]]:
+        color = sample_cubemap(self.texels, directions.reshape(-1, 3), self._layout).sigmoid()
+        return color.reshape(directions.shape), {}
+
+    def optimizers(self) -> Sequence[torch.optim.Optimizer]:
+        return (self.optimizer,)
+
+    def model_bytes(self) -> dict[str, int]:
+        return {ENV: 4 * self.texels.numel()}
+
+    def most_bytes(self) -> int:
+        return 4 * 6 * 3 * self._settings.envmap_size**2
+
+    def training_state(self) -> dict[str, Any]:
+        moments = optimizer_state(self.optimizer, {"texels": self.texels})
+        return {"begun": self._begun, "texels": self.texels.detach(), "moments": moments}
+
+    def restore_training(self, state: Mapping[str, Any]) -> None:
+        self._begun = state["begun"]
+        self.become(state["texels"])
+        restore_optimizer(self.optimizer, {"texels": self.texels}, state["moments"])
+
+    def state(self) -> dict[str, Any]:
+        return {"texels": self.texels.detach()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        size = state["texels"].shape[1]
+        known = {self._size_before(doublings) for doublings in range(self._doublings + 1)}
+        if size not in known:
+            expected = " or ".join(map(str, sorted(known)))
+            raise ValueError(
+                f"the checkpoint's cube map has {size} texels an edge, expected {expected}: "
+                f"envmap_size is {self._settings.envmap_size}"
+            )
+        self._begun = True
+        self.become(state["texels"])
+
+    def _size_at(self, step: int) -> int:
+        """Texels along a face's edge at a step of the training."""
+        doublings = DOUBLES_AT[len(DOUBLES_AT) - self._doublings :]
+        return self._size_before(sum(step < self._model.schedule.at(doubling) for doubling in doublings))
+
+    def _size_before(self, doublings: int) -> int:
+        return max(2, self._settings.envmap_size >> doublings)
+
+
+class Filtered(Part):
+    """A map filtered for roughness: once for all images, anew in each step of a training.
+
+    Attributes:
+        map: the map, which is a part of its own.
+    """
+
+    def __init__(self, light: CubeMap) -> None:
+        self.map = light
+        self._of_images: RoughMap | None = None
+
+    def begin_step(self, step: int) -> None:
+        prefilter_of(self.map.texels.shape[1], self.map.texels.device)  # made here: a CUDA graph could not
+
+    def prepare(self) -> None:
+        self._of_images = self._filtered()
+
+    def at(self, step: int | None) -> RoughMap:
+        """The filtered map of a training's step, or of images (None); differentiable in the texels."""
+        if step is not None:
+            return self._filtered()
+        assert self._of_images is not None
+        return self._of_images
+
+    def _filtered(self) -> RoughMap:
+        return rough_map(self.map.texels.sigmoid(), prefilter_of(self.map.texels.shape[1], self.map.texels.device))

@@ -1,0 +1,234 @@
+"""Reflection: a base set whose pixels reflect, and where the reflected color comes from.
+
+A rasterized base set gives each pixel's surface point, normal, base color and blending weight β; the reflected ray's
+color is blended over the base (EnvGS paper, Sec. 4.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from envgs_bench.core import Bvh, Camera, Rendering, Scene, Statistics, build_bvh, reflect, trace, trace_color
+from envgs_bench.core.vectors import unit
+from envgs_bench.parts import BASE, BETA, REFLECTION
+
+from ..gaussians.model import GaussianModel
+from ..training.schedule import Every, Part
+from .settings import ReflectionSettings, TracedSettings
+from .supersampling import averaged, finer, repeated
+
+
+class Light(Part):
+    """Where reflected color comes from: a component of `Reflection`, whose other hooks are a `Part`'s."""
+
+    def begin(self) -> None:
+        """Come into being: called once, before the first step after the warm-up."""
+
+    def color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict[str, Statistics]]:
+        """The color that reflected rays see, and of a training step each traced set's statistics.
+
+        Args:
+            origins, directions: [H, W, 3] of `reflect`, world frame; the direction is 0 where nothing reflects.
+            step: the training's; None for an image.
+
+        Returns:
+            Color [H, W, 3], sRGB; differentiable in the rays where they carry gradients.
+        """
+        raise NotImplementedError
+
+
+class Reflection(Part):
+    """What a light shows along reflected rays, blended over the base set by β.
+
+    Attributes:
+        light: where the reflected color comes from.
+        begun: whether anything reflects: true once the warm-up is over.
+        rays_along: reflected rays leave along the mirror direction, or along the normal: what no view can turn.
+    """
+
+    def __init__(self, model: GaussianModel, settings: ReflectionSettings, light: Light) -> None:
+        self.light = light
+        self.begun = False
+        self.rays_along: Literal["mirrored", "normal"] = "mirrored"
+        self._model, self._settings = model, settings
+
+    def blend(self, base: Rendering, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
+        """The picture with its reflection, and each traced set's statistics; the base as it is during the warm-up.
+
+        Args:
+            base: the base set alone, whose first extra channel is β.
+            step: the training's; None for an image.
+        """
+        if not self.begun:
+            return base, {}
+        points = self._settings.supersampling
+        if points == 1:
+            origins, directions, beta = self.rays(base, camera, step)
+            reflection, statistics = self.light.color(origins, directions, step)
+            beta = beta[..., None]
+            blended, reflected = torch.lerp(base.color, reflection, beta), reflection * (beta > 0)  # Eq. 5
+        else:
+            origins, directions, beta = self.rays(*finer(base, camera, points), step)
+            reflection, statistics = self.light.color(origins, directions, step)
+            beta = beta[..., None]
+            blended = averaged(torch.lerp(repeated(base.color, points), reflection, beta), points)
+            reflected = averaged(reflection * (beta > 0), points)
+            for seen in statistics.values():
+                seen.weights = seen.weights / points**2  # in pixels, as the base's
+        layers = {BASE: base.color, REFLECTION: reflected, BETA: base.extras}
+        return replace(base, color=blended, layers=layers), statistics
+
+    def rays(self, base: Rendering, camera: Camera, step: int | None) -> tuple[Tensor, Tensor, Tensor]:
+        """Origins, directions and β of `reflect`: in training of every surface, in an image where it is visible."""
+        s = self._settings
+        if not s.joint:
+            base = replace(base, normal=base.normal.detach(), depth=base.depth.detach())
+        least = s.reflect_alpha
+        if least > 0 and (step is None or self._reflects_less(step)):
+            base = replace(base, extras=base.extras * (base.alpha > least)[..., None])
+        origins, directions, beta = reflect(
+            base,
+            camera,
+            offset=s.ray_offset * self._model.radius,
+            beta_min=0.0 if step is not None else self._min_beta(base.extras),
+            backend=s.backend,
+        )
+        if self.rays_along == "normal":
+            directions = torch.where(directions.any(dim=-1, keepdim=True), unit(base.normal), 0.0)
+        return origins, directions, beta
+
+    @torch.no_grad()
+    def seen(self, origins: Tensor, directions: Tensor) -> Tensor | None:
+        """What rays [N, 3] of an image see, [N, 3] sRGB; None during the warm-up."""
+        return self.light.color(origins[None], directions[None], None)[0][0] if self.begun else None
+
+    def mono_weights(self, rendering: Rendering) -> Tensor | None:
+        """1 where β is at least its start, in proportion to β below, and `mono_floor` at least; None: alike everywhere.
+
+        On a mirror the depth map follows the reflected scene: only the view's own normals constrain the surface. On
+        diffuse surfaces the depth map is more accurate than an estimate that is off by some degrees.
+        """
+        s = self._settings
+        if s.mono_floor == 1:
+            return None
+        return (rendering.extras.detach()[..., 0] / s.initial_beta).clamp(s.mono_floor, 1)
+
+    def _reflects_less(self, step: int) -> bool:
+        return step > self._model.schedule.at(self._settings.reflect_alpha_from)
+
+    def _min_beta(self, beta: Tensor) -> Tensor | float:
+        """The β [H, W, 1] of an image above which its rays are traced (paper, App. B.2)."""
+        threshold, share = self._settings.beta_threshold, self._settings.beta_filter
+        if share == 0:
+            return threshold
+        rank = max(1, round(share * beta.numel()))
+        # Sorted whole: on a GPU torch's kthvalue takes longer than the rays that are spared.
+        return beta.flatten().sort().values[rank - 1].clamp_min(threshold)
+
+    def start(self, scene: Scene) -> None:
+        self.begun = False
+        self.light.start(scene)
+
+    def begin_step(self, step: int) -> None:
+        if not self.begun and step > self._model.schedule.at(self._settings.bootstrap):
+            self.light.begin()
+            self.begun = True
+        self.light.begin_step(step)
+
+    def phase(self, step: int) -> Hashable:
+        return self.begun, self._reflects_less(step), self.light.phase(step)
+
+    def optimizers(self) -> Sequence[torch.optim.Optimizer]:
+        return self.light.optimizers()
+
+    def events(self) -> Sequence[Every]:
+        return self.light.events()
+
+    def prepare(self) -> None:
+        self.light.prepare()
+
+    def model_bytes(self) -> dict[str, int]:
+        return self.light.model_bytes()
+
+    def most_bytes(self) -> int:
+        return self.light.most_bytes()
+
+    def training_state(self) -> dict[str, Any]:
+        return {"begun": self.begun, "light": self.light.training_state()}
+
+    def restore_training(self, state: Mapping[str, Any]) -> None:
+        self.begun = state["begun"]
+        self.light.restore_training(state["light"])
+
+    def state(self) -> dict[str, Any]:
+        return {"reflects": self.begun, **self.light.state()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self.begun = state["reflects"]
+        self.light.restore(state)
+
+
+class Origin:
+    """Where the primitives of a traced set begin."""
+
+    def start(self, scene: Scene) -> None:
+        """Look at the scene, before the first step."""
+
+    def points(self) -> tuple[Tensor, Tensor]:
+        """Points [N, 3] in the world frame, and colors [N, 3] in [0, 1]."""
+        raise NotImplementedError
+
+
+class Traced(Light):
+    """Reflected color traced through one of the model's sets (paper, Sec. 4.2).
+
+    Attributes:
+        name: that set.
+    """
+
+    def __init__(
+        self,
+        model: GaussianModel,
+        settings: TracedSettings,
+        name: str,
+        origin: Origin | None = None,
+    ) -> None:
+        """
+        Args:
+            origin: where the set's primitives begin; None of a set that is there.
+        """
+        self.name = name
+        self._model, self._settings, self._origin = model, settings, origin
+        self._bvh: Bvh | None = None
+
+    def start(self, scene: Scene) -> None:
+        if self._origin is not None:
+            self._origin.start(scene)
+
+    def begin(self) -> None:
+        if self._origin is not None:
+            self._model.sets[self.name] = self._model.new_set(self.name, *self._origin.points())
+
+    def prepare(self) -> None:
+        gaussians = self._model.prepared.get(self.name)
+        self._bvh = None if gaussians is None else build_bvh(gaussians, backend=self._settings.backend)
+
+    def color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict[str, Statistics]]:
+        """Without statistics of an image that nobody differentiates, and of the base set, which has its own."""
+        arguments: dict[str, Any] = {
+            "background": self._model.background if self._settings.traced_background == "scene" else None,
+            "t_min": self._settings.traced_near,
+            "sh_direction": self._settings.traced_sh_direction,
+            "bvh": self._bvh if step is None else None,
+            "backend": self._settings.backend,
+        }
+        gaussians = self._model.gaussians(self.name, step)
+        if step is None and not torch.is_grad_enabled():
+            return trace_color(gaussians, origins, directions, **arguments)[0], {}
+        rendering = trace(gaussians, origins, directions, **arguments)
+        return rendering.color, {} if self.name == BASE else {self.name: rendering.statistics}
