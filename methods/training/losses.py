@@ -42,14 +42,15 @@ class TrainingLoss:
         target: Tensor,  # [H, W, 3] in [0, 1]
         view: View,
         step: int,
-        trusted: Callable[[Rendering], Tensor | None],
+        trusted: Callable[[Rendering], Tensor | None] | None,
         perceptual: Callable[[Tensor, Tensor], Tensor] | None,
     ) -> dict[str, Tensor]:
         """The weighted terms by name, scalars.
 
         Args:
             view: whose camera and normals are on the device of `target`.
-            trusted: how much the view's own normals count at each pixel, [H, W] or None; asked where they do.
+            trusted: how much the view's own normals count at each pixel, [H, W] or None; asked where they do. None: all
+                alike.
             perceptual: what L_perc is of an image and its target; None without it.
         """
         s = self.settings
@@ -59,7 +60,7 @@ class TrainingLoss:
         if normal and s.normal_weight > 0:
             terms["normal"] = s.normal_weight * self._depth_error(rendering, view, weight)
         if mono and s.mono_weight > 0 and view.normal is not None:
-            confidence = trusted(rendering)
+            confidence = trusted(rendering) if trusted is not None else None
             if weight is not None:
                 confidence = weight if confidence is None else confidence * weight
             mono_weight = s.mono_weight * self.normal_weight * self.schedule.rate_scale

@@ -114,7 +114,7 @@ class StepRunner:
 
         gradients = [(name, p.grad) for name, p in work.parameters() if p.grad is not None and p.grad.numel()]
         magnitudes = largest_magnitudes([loss.detach(), *(gradient for _, gradient in gradients), self._still])
-        counts = magnitudes.isfinite().all()
+        counts = all_finite(magnitudes)
         work.record(rendering, statistics, camera, step, counts)  # before Adam moves what was drawn
         optimizers = work.optimizers()
         self.skipped += step_together(optimizers, counts)
@@ -220,6 +220,11 @@ def largest_magnitudes(tensors: list[Tensor]) -> Tensor:
     if tensors[0].is_cuda:
         return torch.stack(torch._foreach_norm(tensors, math.inf))
     return torch.stack([tensor.abs().amax() for tensor in tensors])
+
+
+def all_finite(magnitudes: Tensor) -> Tensor:
+    """Whether a step whose loss and gradients are so large counts, a scalar on the device."""
+    return magnitudes.isfinite().all()
 
 
 def step_together(optimizers: Sequence[torch.optim.Optimizer], counts: Tensor) -> Tensor:

@@ -123,7 +123,7 @@ def test_a_method_learns_from_what_agrees_and_says_so(estimated: Scene) -> None:
     terms: dict[str, Tensor] = {}
     for normals in ("agreed", "as_given"):
         method = create_method("envgs", small | {"normals": normals})
-        assert method.uses_agreed_normals == (normals == "agreed")
+        assert method.needs.agreed_normals == (normals == "agreed")
         method.initialize(scene, steps=10)
         terms[normals] = method.training_step(scene.train[0], 1)["mono"]
         assert any("to agree" in note for note in method.notes) == (normals == "agreed")

@@ -97,9 +97,9 @@ def test_a_method_draws_what_its_last_step_left(plain_graphs, monkeypatch):
         method = create_method("2dgs", {"backend": "cpu"})
         method.initialize(scene, 1000)
         for step in range(1, 4):
-            monkeypatch.setattr(method, "_captures", lambda: False)  # steps are another matter
+            method.runner.uses_graphs = False  # steps are another matter
             method.training_step(scene.train[0], step)
-            monkeypatch.setattr(method, "_captures", lambda captures=captures: captures)
+            method.pictures.uses_graphs = captures
             colors += [method.render(view.camera).color for view in scene.train]
     assert plain_graphs.recorded == 3
     for with_graphs, without in zip(pictures[True], pictures[False], strict=True):
@@ -112,7 +112,7 @@ def test_no_picture_waits_for_the_device(kind, settings):
     method.prepare()
     with torch.no_grad(), WaitsForTheDevice() as waits:
         method.draw(scene.test[0].camera, None)
-        method._draw_color(scene.test[0].camera)
+        method.pictures.color(scene.test[0].camera)
     assert waits.found == []
 
 
@@ -125,7 +125,7 @@ def test_a_recorded_picture_is_the_picture_cuda(kind, settings):
     with torch.no_grad():
         expected = [method.draw(camera.to("cuda"), None)[0] for camera in cameras]
     found = [method.render(camera) for camera in [*cameras, *cameras]]
-    assert method._frames._graph is not None
+    assert method.pictures._renderings._graph is not None
     for picture, plain in zip(found, expected * 2, strict=True):
         for name in ("color", "alpha", "depth", "normal", "extras", "hits"):
             assert torch.equal(getattr(picture, name), getattr(plain, name)), name
@@ -134,7 +134,7 @@ def test_a_recorded_picture_is_the_picture_cuda(kind, settings):
             assert torch.equal(layer, plain.layers[name]), name
         torch.testing.assert_close(picture.statistics.weights, plain.statistics.weights)
     colors = [method.picture(camera) for camera in [*cameras, *cameras]]
-    assert method._pictures._graph is not None
+    assert method.pictures._colors._graph is not None
     for color, plain in zip(colors, expected * 2, strict=True):
         torch.testing.assert_close(color, plain.color, atol=1e-5, rtol=0)
 

@@ -68,10 +68,10 @@ def test_activated_values():
         [[1e-4, 0.5, 4e-4], [0.2, 1e-6, 0.2], [1e-8, 7e-3, 6e-6], [0.9, 1e-3, 1e-3]],  # the second is a disk
     ],
 )
-def test_needles_are_long_against_their_second_axis(scales: list[list[float]]) -> None:
+def test_degenerate_ones_are_long_against_their_second_axis(scales: list[list[float]]) -> None:
     axes = torch.tensor(scales)
     tensors = make_parameters(len(axes)).tensors | {"log_scales": axes.log()}
-    assert float(GaussianParameters(tensors, LearningRates(), radius=2.0).needles()) == 0.5
+    assert float(GaussianParameters(tensors, LearningRates(), radius=2.0).degenerate()) == 0.5
 
 
 def test_constant_sh_shows_its_color():

@@ -17,10 +17,10 @@ from envgs_bench.datasets import load_scene
 from envgs_bench.diagnosis.agreed_normals import with_agreed_normals
 from envgs_bench.diagnosis.coverage import CELLS
 from envgs_bench.diagnosis.diagnosis import Diagnosis
-from envgs_bench.methods import gaussian_method
 from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.method import Budget
 from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.training import seen_through_pilot as pilot
 from envgs_bench.methods.training.pilot_run import SHORTEST_RUN
 from envgs_bench.methods.training.resident_views import as_given
 from envgs_bench.methods.training.seen_through_pilot import LEAST_GAIN, SeenThroughOutcome, seen_through_pilot
@@ -111,7 +111,7 @@ def tells(monkeypatch: pytest.MonkeyPatch, gain: float) -> list[tuple[GaussianMe
         given.append(methods)
         return SeenThroughOutcome(0.5, gain)
 
-    monkeypatch.setattr(gaussian_method, "seen_through_pilot", found)
+    monkeypatch.setattr(pilot, "seen_through_pilot", found)
     return given
 
 

@@ -46,9 +46,9 @@ def picture(factor: int, size: int, monkeypatch: pytest.MonkeyPatch) -> Tensor:
     """What is drawn of the ball with `factor`² rays a pixel, [size, size, 3]."""
     camera = Camera(torch.eye(4), torch.tensor([[size, 0, size / 2], [0, size, size / 2], [0, 0, 1.0]]), size, size)
     method = EnvMap(EnvMapSettings(envmap_size=4, supersampling=factor))
-    method.reflects = True
+    method.reflection.begun = True
     monkeypatch.setattr(method.model, "rasterize", lambda camera, step: ball(camera))
-    monkeypatch.setattr(method, "reflected_color", stripes)
+    monkeypatch.setattr(method.reflection.light, "color", stripes)
     return method.draw(camera, None)[0].color.detach()
 
 

@@ -22,9 +22,9 @@ from tuned_baselines import TUNED_2DGS
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
-from envgs_bench.methods import gaussian_method
 from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.training import step_runner
 from envgs_bench.stages import health
 from envgs_bench.stages.health import Diverged, Health
 from envgs_bench.stages.training import Training
@@ -106,7 +106,7 @@ def climb(method: GaussianMethod) -> None:
 
 
 def apply_all_steps(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(gaussian_method, "all_finite", lambda magnitudes: torch.tensor(True))
+    patch.setattr(step_runner, "all_finite", lambda magnitudes: torch.tensor(True))
 
 
 def never_end(patch: pytest.MonkeyPatch) -> None:
