@@ -15,6 +15,7 @@ from envgs_bench.core import Camera, Rendering, Statistics, View
 from envgs_bench.parts import ALPHA, BETA
 
 from .averaging import ParameterAverage
+from .exposure import AffineExposure
 from .losses import StepNumbers, training_psnr
 from .resident_views import ResidentViews
 from .schedule import Every, Schedule
