@@ -83,8 +83,17 @@ def placed_scene(scene: Scene) -> Scene:
         return scene
     points = torch.from_numpy(placement.points_from_data(scene.points.double().numpy())).float()
     train, test, val = ([_placed_view(v, placement) for v in part] for part in (scene.train, scene.test, scene.val))
-    lengths = {"free_space": scene.free_space / placement.scale, "bounds": scene.bounds / placement.scale}
-    return replace(scene, train=train, test=test, val=val, points=points, placement=placement, **lengths)
+    free_space, bounds = scene.free_space / placement.scale, scene.bounds / placement.scale
+    return replace(
+        scene,
+        train=train,
+        test=test,
+        val=val,
+        points=points,
+        free_space=free_space,
+        bounds=bounds,
+        placement=placement,
+    )
 
 
 def _placed_view(view: View, placement: Placement) -> View:

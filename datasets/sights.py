@@ -38,7 +38,7 @@ class Sights:
     @property
     def centers(self) -> Array:
         """[V, 3]; exact where a rotation is only one to seven digits."""
-        return -np.linalg.solve(self.poses[:, :3, :3], self.poses[:, :3, 3:])[..., 0]
+        return np.asarray(-np.linalg.solve(self.poses[:, :3, :3], self.poses[:, :3, 3:])[..., 0], np.float64)
 
     @property
     def middle(self) -> Array:
