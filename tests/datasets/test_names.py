@@ -59,10 +59,8 @@ def test_a_converted_file_stands_in_where_it_is_the_only_one(tmp_path: Path, cap
     assert "1 images were taken from files with another extension than it names: a.png" in caplog.text
     assert ImageFiles(tmp_path, ["a.png", "a.jpg"], Path("model")).find("a.png") is None  # another name's own
     (tmp_path / "a.webp").touch()
-    with pytest.raises(
-        DatasetError, match=r"names the image a\.png, which is not there, and several .*a\.jpg, a\.webp"
-    ):
-        files.find("a.png")
+    with pytest.raises(DatasetError, match=r"names the image a\.png, which .* several .*: a\.jpg, a\.webp"):
+        ImageFiles(tmp_path, ["a.png"], Path("model")).find("a.png")
 
 
 def test_hidden_files_are_left_alone_everywhere(tmp_path: Path) -> None:
