@@ -208,6 +208,7 @@ class Record(_Part):
     kind: str
     card: MethodCard | None = None  # of the kind; None where its class has none, and in older records
     dataset: str
+    data: str | None = None  # a hash of the files that were read; None in older records, and where there are none
     placement: WorldPlacement | None = None  # None in older records, and where no data were loaded
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     steps: Count

@@ -145,7 +145,7 @@ def _pictures(section: Section, out: Path, index: int | None) -> list[Gallery]:
     """Copy and draw the section's pictures below pictures/, by section where there are several."""
     found = galleries(section)
     for number, gallery in enumerate(found):
-        names = [slug(other.dataset) for other in found]
+        names = [slug(other.dataset).lower() for other in found]
         name = slug(gallery.dataset) if names.count(names[number]) == 1 else f"{slug(gallery.dataset)}-{number}"
         folder = f"pictures/{name}" if index is None else f"pictures/{index}-{section.slug}/{name}"
         copy_pictures(gallery, out, folder)

@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from envgs_bench.captures import Capture, told_apart
 from envgs_bench.plain_text import plain
 from envgs_bench.runs.estimates import duration
 from envgs_bench.runs.interruption import INTERRUPTION
@@ -150,9 +151,10 @@ def print_outcomes(outcomes: list[Outcome], console: Console) -> None:
     for title in ("PSNR dB", "frame ms", "training s"):
         table.add_column(title, justify="right")
     table.add_column("run")
-    for outcome in outcomes:
+    names = told_apart([Capture(outcome.dataset, outcome.root, outcome.data) for outcome in outcomes])
+    for outcome, name in zip(outcomes, names, strict=True):
         numbers = (_cell(outcome.psnr, 2), _cell(outcome.frame_ms, 2), _cell(outcome.train_seconds, 1))
-        cells = (outcome.dataset, outcome.method, str(outcome.seed), outcome.state, *numbers, outcome.run)
+        cells = (name, outcome.method, str(outcome.seed), outcome.state, *numbers, outcome.run)
         table.add_row(*(Text(plain(cell)) for cell in cells))
     console.print(table)
     for outcome in outcomes:

@@ -15,6 +15,7 @@ from envgs_bench.stages.results import Results
 
 from . import provenance
 from .descriptions import card_of, described
+from .identity import data_hash
 from .log import shortened
 
 
@@ -46,6 +47,7 @@ class Draft:
             kind=settings.method.kind,
             card=card_of(settings.method.name, settings.method.kind),
             dataset=results.dataset,
+            data=data_hash(settings),
             placement=results.placement,
             seed=settings.seed,
             steps=results.steps,

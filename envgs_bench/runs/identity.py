@@ -143,6 +143,17 @@ def _dataset(settings: RunSettings) -> dict[str, Any]:
     return given
 
 
+def data_hash(settings: RunSettings) -> str | None:
+    """A hash of the files that the data set is made from, wherever they lie; None where there are none, or no more."""
+    root = settings.dataset.get("root")
+    try:
+        if not root or not Path(root).is_dir():
+            return None
+        return _fingerprint(Path(root), settings.cache_dir, files_read(settings.dataset))[:16]
+    except OSError:
+        return None
+
+
 def _method(settings: RunSettings) -> dict[str, Any]:
     """The method's settings; of a folder of renders, the pictures that are scored count."""
     given = settings.method.settings

@@ -24,6 +24,8 @@ class Outcome:
     frame_ms: float | None
     train_seconds: float | None
     folder: str
+    root: str = ""  # of its data
+    data: str | None = None  # their hash
     remarks: tuple[str, ...] = ()  # what was noticed of its data, and what it trained without
 
     @property
@@ -68,6 +70,8 @@ def outcome_of(folder: Path, settings: RunSettings, action: str, message: str = 
         frame_ms=record.timing.frame_ms if record and record.timing else None,
         train_seconds=record.cost.train_seconds if record and record.cost else None,
         folder=str(folder),
+        root=str(settings.dataset.get("root") or ""),
+        data=record.data if record else None,
         remarks=remarks_of(record) if record else (),
     )
 

@@ -6,6 +6,7 @@ from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from envgs_bench.captures import Capture, places
 from envgs_bench.records import Record
 
 from .cards import newest_cards
@@ -52,7 +53,10 @@ def label_runs(runs: list[Run]) -> dict[int, tuple[Label, Label]]:
     """
     records = [run.record for run in runs]
     datasets = _labels(
-        [(record.dataset, flat_settings(record.config.get("dataset"))) for record in records],
+        [
+            (record.dataset, flat_settings(record.config.get("dataset")) | ({"root": place} if place else {}))
+            for record, place in zip(records, places([_capture(record) for record in records]), strict=True)
+        ],
         [""] * len(runs),
         [False] * len(runs),
     )
@@ -64,6 +68,12 @@ def label_runs(runs: list[Run]) -> dict[int, tuple[Label, Label]]:
     cards = newest_cards(records)
     methods = [replace(label, order=cards[label.name].order) for label in methods]
     return dict(enumerate(zip(datasets, methods, strict=True)))
+
+
+def _capture(record: Record) -> Capture:
+    settings = record.config.get("dataset")
+    root = settings.get("root") if isinstance(settings, dict) else None
+    return Capture(record.dataset, str(root or ""), record.data)
 
 
 def _steps(record: Record) -> Any:
