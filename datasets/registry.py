@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,27 +17,17 @@ from .errors import DatasetError
 from .formats.names import PICTURES
 from .placing import placed_scene
 from .regions import check_regions
-from .settings import SceneSettings, SourceSettings, parse_dataset_settings, require_folder
+from .settings import SceneSettings, parse_dataset_settings, require_folder
+from .source import Source
 from .split import with_validation
-
-# Its scene's `val` are those of its training views that may validate, as scores are to see them, and still train too:
-# `split.with_validation` parts them, or finds some where there are none.
-Source = Callable[[Mapping[str, Any], Path], Scene]
 
 ADDRESSES = ("obtain", "download", "photographs")  # where data are to be had: nothing that a scene is made from
 BUILT_IN = {
-    "toy": "envgs_bench.datasets.toy:load_toy",
-    "colmap": "envgs_bench.datasets.sources.colmap:load_colmap",
-    "blender": "envgs_bench.datasets.sources.blender:load_blender",
-    "transforms": "envgs_bench.datasets.sources.transforms:load_transforms",
-    "photos": "envgs_bench.datasets.sources.photos:load_photos",
-}
-SETTINGS = {  # of those
-    "toy": "envgs_bench.datasets.toy:ToySettings",
-    "colmap": "envgs_bench.datasets.sources.colmap:ColmapSettings",
-    "blender": "envgs_bench.datasets.sources.blender:BlenderSettings",
-    "transforms": "envgs_bench.datasets.sources.transforms:TransformsSettings",
-    "photos": "envgs_bench.datasets.sources.photos:PhotosSettings",
+    "toy": "envgs_bench.datasets.toy:SOURCE",
+    "colmap": "envgs_bench.datasets.sources.colmap:SOURCE",
+    "blender": "envgs_bench.datasets.sources.blender:SOURCE",
+    "transforms": "envgs_bench.datasets.sources.transforms:SOURCE",
+    "photos": "envgs_bench.datasets.sources.photos:SOURCE",
 }
 MISSING = "???"  # Hydra's word for what has to be given
 
@@ -46,8 +36,8 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     """A scene, made or read as its settings say, then cached.
 
     Args:
-        settings: `kind` picks the source: one of `BUILT_IN`, or an import path "package.module:function" to a function
-            of these same two arguments. `obtain` says where the data are to be had, for whoever has no folder `root`,
+        settings: `kind` picks the source: one of `BUILT_IN`, or an import path "package.module:name" to a `Source`, or
+            to its `load` alone. `obtain` says where the data are to be had, for whoever has no folder `root`,
             `download` is the address of their archive, where they have one, and `photographs` says how the folder is
             made of what that holds; the keys of `settings.SceneSettings` hold for every source. The other keys are the
             source's own.
@@ -57,7 +47,7 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         DatasetError: no such kind, a key the source does not have or of a wrong value, or data that cannot be used.
     """
     source, stated = _accepted(settings)
-    scene = source(own_settings(settings), Path(cache_dir))
+    scene = source.load(own_settings(settings), Path(cache_dir))
     if settings["kind"] != "toy":  # of whose regions some are known to be empty
         check_regions(scene)
     if settings["kind"] not in BUILT_IN:
@@ -71,7 +61,9 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
 def default_settings(kind: str) -> dict[str, Any]:
     """The settings of a data set of a built-in kind where nobody says otherwise; MISSING what has to be given."""
-    model: type[SourceSettings] = load_import_path(SETTINGS[kind])
+    model = source_of(kind).settings
+    if model is None:
+        return {"name": None, "kind": kind}
     fields = {name: MISSING if field.is_required() else field.default for name, field in model.model_fields.items()}
     return {"name": None, **fields, "kind": kind}
 
@@ -82,13 +74,12 @@ def check_source(settings: Mapping[str, Any]) -> None:
     Raises:
         DatasetError: as `load_scene`; of sources of somebody else's only where they cannot be had.
     """
-    _accepted(settings)
-    path = BUILT_IN.get(settings["kind"])
-    if path is None:
+    source, _ = _accepted(settings)
+    if source.files_read is None:
         return
     if settings.get("root"):
         require_folder(Path(settings["root"]))
-    pictures = [file for file in _read_by(path, settings) if file.suffix.lower() in PICTURES]
+    pictures = [file for file in _read_by(source, settings) if file.suffix.lower() in PICTURES]
     if settings.get("root") and len(pictures) < 2:
         raise DatasetError(f"dataset.root={settings['root']}: {len(pictures)} images, expected at least two, one tests")
 
@@ -98,18 +89,18 @@ def files_read(settings: Mapping[str, Any]) -> list[Path] | None:
 
     That is so for sources of somebody else's, and for data that cannot be used, as loading them will say.
     """
-    path = BUILT_IN.get(settings["kind"])
-    if path is None or not settings.get("root"):
+    if not settings.get("root"):
         return None
     try:
-        return _read_by(path, settings)
+        source = source_of(settings["kind"])
+        return None if source.files_read is None else _read_by(source, settings)
     except (DatasetError, OSError):
         return None
 
 
-def _read_by(path: str, settings: Mapping[str, Any]) -> list[Path]:
-    """What the source at this import path makes the scene from, as far as it is there."""
-    found = load_import_path(f"{path.partition(':')[0]}:files_read")(own_settings(settings))
+def _read_by(source: Source, settings: Mapping[str, Any]) -> list[Path]:
+    """What the source makes the scene from, as far as it is there."""
+    found = source.files_read(own_settings(settings)) if source.files_read else []
     return [path for path in found if path.is_file()]
 
 
@@ -123,7 +114,7 @@ def _accepted(settings: Mapping[str, Any]) -> tuple[Source, SceneSettings]:
     kind = settings.get("kind")
     if not isinstance(kind, str):
         raise DatasetError(f"dataset.kind={kind!r}: expected one of {', '.join(BUILT_IN)}")
-    source = _source(kind)
+    source = source_of(kind)
     obtain, root = settings.get("obtain"), settings.get("root")
     if obtain and root and not Path(root).is_dir():
         command = f"`envgs-bench download {settings.get('name')}`, or by hand: " if settings.get("download") else ""
@@ -136,19 +127,25 @@ def _accepted(settings: Mapping[str, Any]) -> tuple[Source, SceneSettings]:
     return source, parse_dataset_settings(SceneSettings, stated)
 
 
-def _source(kind: str) -> Source:
+def source_of(kind: str) -> Source:
+    """The source of that kind.
+
+    Raises:
+        DatasetError: there is none, or it cannot be imported.
+    """
     path = BUILT_IN.get(kind, kind)
     if ":" not in path:
         raise DatasetError(
             f"dataset.kind={kind!r} is unknown: expected one of {', '.join(BUILT_IN)}, "
-            "or an import path, package.module:function"
+            "or an import path, package.module:name"
         )
     try:
-        return load_import_path(path)
+        found = load_import_path(path)
     except ImportError as error:
         raise DatasetError(f"dataset.kind={kind!r} cannot be imported from {path}: {error}") from error
     finally:
         _keep_sigterm()
+    return found if isinstance(found, Source) else Source(found)
 
 
 def _keep_sigterm() -> None:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from envgs_bench.core import View
 
 from ..errors import DatasetError, listed
-from ..formats.photograph import Photograph
 from ..notes import note
+
+if TYPE_CHECKING:  # which imports pycolmap: scenes' views do without
+    from ..formats.photograph import Photograph
 
 WIDEST, WIDE = 165.0, 130.0  # degrees, along the longer edge: nobody draws a pinhole's picture beyond the first
 NARROW, NARROWEST = 3.0, 0.3  # degrees

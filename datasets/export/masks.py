@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +11,8 @@ from PIL import Image
 
 from ..errors import DatasetError
 from ..formats.names import stem_of
-from ..formats.photograph import Photograph
 from ..photographs.undistortion import Mask, distorted
-from ..registry import own_settings
-from ..sources import blender, colmap, photos, transforms
-
-# What each source that has photographs makes its views from.
-PHOTOGRAPHS: dict[str, Callable[[Mapping[str, Any], Path], list[Photograph]]] = {
-    "blender": blender.photographs_of,
-    "colmap": colmap.photographs_of,
-    "photos": photos.photographs_of,
-    "transforms": transforms.photographs_of,
-}
+from ..registry import own_settings, source_of
 
 
 def write_masks(settings: Mapping[str, Any], cache_dir: Path, masks: Mapping[str, Mask], folder: Path) -> list[Path]:
@@ -38,7 +28,7 @@ def write_masks(settings: Mapping[str, Any], cache_dir: Path, masks: Mapping[str
     Raises:
         DatasetError: a view has no photograph in the scene's files (any more).
     """
-    of_source = PHOTOGRAPHS.get(settings["kind"])
+    of_source = source_of(settings["kind"]).photographs_of
     photographs = of_source(own_settings(settings), cache_dir) if of_source else []
     known = {photograph.view_name: photograph for photograph in photographs}
     lost = sorted(set(masks) - set(known)) if known else []

@@ -19,13 +19,11 @@ from ..photographs.siblings import with_masks
 from ..photographs.undistortion import undistorted_camera
 from ..photographs.views import read_views
 from ..progress import report
-from ..sources import photos, transforms
+from ..registry import source_of
 from ..store.scene_file import on_disk
 from .files import ViewFiles, write_views
 
 BLACK = (0.0, 0.0, 0.0)
-MODELS = {"photos": photos.model_of, "transforms": transforms.model_of}
-PHOTOGRAPHS = {"photos": photos.photographs_of, "transforms": transforms.photographs_of}
 
 
 def export_photographs(source: Mapping[str, Any], width: int, root: Path, cache_dir: Path) -> int:
@@ -44,8 +42,11 @@ def export_photographs(source: Mapping[str, Any], width: int, root: Path, cache_
         DatasetError: as these sources, or `width` is more than the photographs have.
         OSError: it cannot be written.
     """
-    model = MODELS[source["kind"]](source, cache_dir)
-    photographs = fit_to_files(with_masks(PHOTOGRAPHS[source["kind"]](source, cache_dir), Path(source["root"])))
+    kind = source_of(source["kind"])
+    if kind.model_of is None or kind.photographs_of is None:
+        raise DatasetError(f"kind={source['kind']!r}: tells no poses and points of photographs, as photos does")
+    model = kind.model_of(source, cache_dir)
+    photographs = fit_to_files(with_masks(kind.photographs_of(source, cache_dir), Path(source["root"])))
     widest = undistorted_camera(photographs[0].camera).width
     if not 1 <= width <= widest:
         raise DatasetError(f"{source['root']}: {widest} pixels wide once undistorted; expected {width} at least")

@@ -23,6 +23,7 @@ from ..photographs.placing import placed_cloud, placed_photographs, sights_of
 from ..photographs.siblings import with_masks
 from ..photographs.views import read_views
 from ..settings import parse_dataset_settings, require_folder
+from ..source import Source
 from ..split import validation_of, without_normals
 from ..store.scene_file import on_disk
 from .capture import CaptureSettings, Channel, Missing, cached_capture, files_of, refuse_missing
@@ -135,3 +136,6 @@ def _with_normal(photograph: Photograph) -> Photograph:
     )  # with Blender's number of the frame
     path = next((candidate for candidate in candidates if candidate.is_file()), None)
     return replace(photograph, normal=NormalMap(path, rendered=True) if path else None)
+
+
+SOURCE = Source(load_blender, BlenderSettings, files_read, photographs_of=photographs_of)

@@ -20,6 +20,7 @@ from ..notes import note
 from ..photographs.exposure import with_equal_exposure
 from ..photographs.siblings import sibling_files, with_siblings
 from ..settings import parse_dataset_settings, require_folder
+from ..source import Source
 from .capture import Missing, PhotographSettings, cached_capture, make_scene, refuse_missing
 
 VERSION = 6  # raise it with every change that alters a scene
@@ -134,3 +135,6 @@ def _note_without_pose(images: Path, photographs: list[Photograph]) -> None:
     others = [path.name for path in visible_files(images) if path not in used and path.suffix.lower() in PICTURES]
     if others:
         note(f"{images}: {len(others)} images have no pose in the model and are left out: {listed(others)}")
+
+
+SOURCE = Source(load_colmap, ColmapSettings, files_read, photographs_of=photographs_of)

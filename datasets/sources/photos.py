@@ -22,6 +22,7 @@ from ..photographs.reconstruction import MIN_IMAGES, MatcherName, Matching, Reco
 from ..photographs.siblings import sibling_files, with_siblings
 from ..progress import mapped
 from ..settings import parse_dataset_settings, require_folder
+from ..source import Source
 from ..store.contents import digest_of
 from .capture import PhotographSettings, cached_capture, make_scene
 
@@ -141,3 +142,6 @@ def _judge(choice: PhotosSettings, images: Path, names: Sequence[str], placed: S
             "dataset.feature_size, or lower dataset.min_registered"
         )
     note(f"{text}; left out: {listed(left_out)}" if left_out else text)
+
+
+SOURCE = Source(load_photos, PhotosSettings, files_read, photographs_of=photographs_of, model_of=model_of)

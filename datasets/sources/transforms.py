@@ -22,6 +22,7 @@ from ..photographs.fitting import fit_to_files
 from ..photographs.reconstruction import Reconstructor
 from ..photographs.siblings import with_siblings
 from ..settings import parse_dataset_settings, require_folder
+from ..source import Source
 from ..store.contents import digest_of
 from .capture import Missing, PhotographSettings, cached_capture, files_of, make_scene, refuse_missing
 
@@ -140,3 +141,6 @@ def _random_points(choice: TransformsSettings, file: FrameFile) -> RandomPoints:
         raise DatasetError(f"{file.path}: offset={str(offset)[:60]!r}, expected three numbers")
     x, y, z = ((0.5 - (file.number("offset", {"offset": shift}) or 0)) / scale for shift in offset)
     return RandomPoints(choice.random_points, aabb / 2 / scale, (x, y, z))
+
+
+SOURCE = Source(load_transforms, TransformsSettings, files_read, photographs_of=photographs_of, model_of=model_of)

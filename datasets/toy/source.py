@@ -9,6 +9,7 @@ from typing import Any
 from envgs_bench.core import Scene
 
 from ..settings import parse_dataset_settings
+from ..source import Source
 from ..store.cache import cached_scene
 from .settings import ToySettings
 
@@ -41,3 +42,6 @@ def files_read(settings: Mapping[str, Any]) -> list[Path]:
     """No file: a toy scene is made from its settings, which are checked."""
     parse_dataset_settings(ToySettings, settings)
     return []
+
+
+SOURCE = Source(load_toy, ToySettings, files_read)

@@ -13,16 +13,27 @@ import torch
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import DatasetError, load_scene
-from envgs_bench.datasets.registry import BUILT_IN, MISSING, SETTINGS, default_settings
+from envgs_bench.datasets.registry import BUILT_IN, MISSING, default_settings, files_read, source_of
 from envgs_bench.datasets.settings import parse_dataset_settings
+from envgs_bench.datasets.source import Source
 from envgs_bench.datasets.split import split_views
 from envgs_bench.datasets.store.cache import cached_scene
-from envgs_bench.import_path import load_import_path
 from envgs_bench.testing import tiny_scene
 
 
 def own_source(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     return replace(tiny_scene(), name=f"{settings['name']} in {cache_dir.name}")
+
+
+WHOLE = Source(own_source, files_read=lambda settings: [Path(settings["root"]) / "poses.txt"])
+
+
+def test_a_whole_source_of_ones_own_tells_its_files(tmp_path: Path) -> None:
+    (tmp_path / "poses.txt").touch()
+    settings = {"kind": f"{__name__}:WHOLE", "name": "mine", "root": str(tmp_path)}
+    assert load_scene(settings, tmp_path / "cache").name == "mine in cache"
+    assert files_read(settings) == [tmp_path / "poses.txt"]
+    assert files_read({**settings, "kind": f"{__name__}:own_source"}) is None  # a function alone does not
 
 
 def test_a_source_of_ones_own(tmp_path: Path) -> None:
@@ -123,7 +134,8 @@ def test_a_crash_while_making_leaves_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", BUILT_IN)
 def test_defaults_hold_every_setting_and_are_the_sources_own(kind: str) -> None:
     given = default_settings(kind)
-    model = load_import_path(SETTINGS[kind])
+    model = source_of(kind).settings
+    assert model is not None
     assert set(given) == set(model.model_fields)
     required = {key: "chrome_room" for key, value in given.items() if value == MISSING}
     assert parse_dataset_settings(model, given | required) == model(kind=kind, **required)
