@@ -20,10 +20,10 @@ CURVE_NAME = "curve.csv"  # how its training went
 CHECKPOINT = "checkpoint"  # the folder with what it learned
 PICTURES = ("renders", "targets", "masks", "layers")  # the folders with its test views
 REPLACEMENT = "replacement"  # the folder of a run that is done again, while the earlier result is still in place
-PROBE_NAME = "probe.safetensors"  # what the finished model is along fixed rays
+SAMPLES_NAME = "probe.safetensors"  # what the finished model is along fixed rays
 SNAPSHOT_NAME = "snapshot.safetensors"  # what an interrupted training goes on from
 LOGGED = "logs"  # the folder of what a logger was told while it trained
-OWN_NAMES = (RECORD_NAME, CONFIG_NAME, LOG_NAME, CURVE_NAME, PROBE_NAME, SNAPSHOT_NAME, CHECKPOINT, LOGGED, *PICTURES)
+OWN_NAMES = (RECORD_NAME, CONFIG_NAME, LOG_NAME, CURVE_NAME, SAMPLES_NAME, SNAPSHOT_NAME, CHECKPOINT, LOGGED, *PICTURES)
 
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"

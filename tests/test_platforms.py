@@ -16,8 +16,8 @@ for owner, names in ((signal, ("SIGALRM", "ITIMER_REAL", "setitimer", "SIGKILL")
     for name in names:
         if hasattr(owner, name):
             delattr(owner, name)
-for module in ("claim", "cli.main", "cli.run", "runs.gpus", "runs.processes", "runs.process", "runs.worker", "runs.job",
-               "stages.execution", "stages.stop", "cli.application"):
+for module in ("run_lock", "cli.main", "cli.run", "runs.gpus", "runs.processes", "runs.process", "runs.worker",
+               "runs.job", "stages.execution", "stages.stop", "cli.application"):
     importlib.import_module(f"envgs_bench.{module}")
 from envgs_bench.file_lock import lock
 try:

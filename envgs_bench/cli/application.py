@@ -23,10 +23,11 @@ from envgs_bench.stages.stop import INTERRUPTED
 
 from .checks import check_choices, checked
 from .composition import CONF, explain, register_choices, settings_of
-from .ledger import (
+from .plan import Plan
+from .sweep_summary import (
     SWEEP_VARIABLE,
     Sweep,
-    close_ledger,
+    close_summary,
     enter,
     position,
     print_next,
@@ -36,7 +37,6 @@ from .ledger import (
     stop_file,
     time_left,
 )
-from .plan import Plan
 
 _plan: Plan | None = None  # of a dry run
 
@@ -96,7 +96,7 @@ def _run(arguments: list[str]) -> int:
                 _restore(name, value)
         if INTERRUPTION.requested:
             code = INTERRUPTED
-        runs_dir, outcomes = shown_runs_dir(), close_ledger()
+        runs_dir, outcomes = shown_runs_dir(), close_summary()
         if outcomes is None or _plan is not None:  # nothing was to run: --cfg and the like, or wrong arguments
             return code
         if outcomes:
@@ -114,7 +114,7 @@ def _application(config: DictConfig) -> None:
 
 
 def _run_composed(config: DictConfig) -> None:
-    """The job of this configuration: its run, its outcome in the ledger."""
+    """The job of this configuration: its run, its outcome in the summary."""
     settings = settings_of(config, list(HydraConfig.get().overrides.task))
     check_choices(settings)
     alone = runs_here(DictConfig({"hydra": HydraConfig.get()}))

@@ -32,17 +32,17 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _clean(runs: Path, statuses: Sequence[str], remove: bool) -> int:
-    from envgs_bench.claim import claimed
     from envgs_bench.plain_text import plain, plain_line
     from envgs_bench.run_folder import clear
+    from envgs_bench.run_lock import locked
     from envgs_bench.runs.overview import overview
 
     found = [state for state in overview(runs) if state.state in statuses]
     for state in found:
         print(plain(f"{state.folder}: {state.state}: {plain_line(state.message)[:200]}"))
         if remove:
-            with claimed(state.folder) as claim:
-                if claim is not None:
+            with locked(state.folder) as run_lock:
+                if run_lock is not None:
                     clear(state.folder)
             _remove_empty(state.folder, runs)
     what = "removed" if remove else "would be removed: add --yes"

@@ -9,9 +9,9 @@ from rich.table import Table
 from rich.text import Text
 
 from envgs_bench.captures import Capture, told_apart
-from envgs_bench.claim import holder_of
 from envgs_bench.plain_text import plain
 from envgs_bench.run_folder import SNAPSHOT_NAME
+from envgs_bench.run_lock import holder_of
 from envgs_bench.runs.estimates import Estimates, duration
 from envgs_bench.runs.identity import data_hash
 from envgs_bench.runs.job import earlier_outcome

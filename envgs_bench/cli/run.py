@@ -26,7 +26,7 @@ Keys of every run:
   runs_dir=runs, cache_dir, timing.frames, timing.seconds
   timeout_minutes, memory_gb, device_memory_fraction   limits of a run: it ends with status timeout or out_of_memory
   snapshot_minutes=5  how often a training is saved; one that was interrupted goes on from there
-  force=true          run again from the start what is already there, replacing it where it ends with status ok
+  force=true          rerun finished jobs; a result is replaced where the new run ends with status ok
   retry=failed        go on with what ended with another status than ok; retry=timeout, out_of_memory or diverged with
                       what ended so
 

@@ -18,7 +18,7 @@ from envgs_bench.records import RENDERS
 from envgs_bench.settings import PATH_KEYS, RunSettings
 from envgs_bench.stages.renders import rendered_files
 
-from .meaning import SOURCES, meaning_of
+from .source_fingerprint import SOURCES, source_fingerprint
 
 # The rooms whose code can change a result: all that `stages.execution.execute` does lies in them.
 RESULT_CODE = ("core", "datasets", "diagnosis", "methods", "metrics", "stages")
@@ -65,7 +65,7 @@ def code_version() -> str:
         for path in _location(room).rglob("*"):
             if path.suffix in SOURCES:
                 name = "" if path.suffix == ".py" else path.name
-                parts.append(f"{room}/{name}\0".encode() + meaning_of(path))
+                parts.append(f"{room}/{name}\0".encode() + source_fingerprint(path))
     return hashlib.sha256(b"".join(sorted(parts))).hexdigest()
 
 
@@ -110,7 +110,7 @@ def _extension_hash(kind: str) -> str | None:
     files = sorted(file for folder in folders for file in folder.rglob("*.py")) or [Path(spec.origin or "")]
     digest = hashlib.sha256()
     for file in files:
-        digest.update(meaning_of(file) if file.is_file() else b"")
+        digest.update(source_fingerprint(file) if file.is_file() else b"")
     return digest.hexdigest()
 
 

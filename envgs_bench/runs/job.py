@@ -10,7 +10,6 @@ from pathlib import Path
 import torch
 import yaml
 
-from envgs_bench.claim import Claim, claimed, holder_of
 from envgs_bench.core import available_backends
 from envgs_bench.records import RecordError, Status, read_record, write_atomically
 from envgs_bench.run_folder import (
@@ -24,6 +23,7 @@ from envgs_bench.run_folder import (
     clear,
     replace,
 )
+from envgs_bench.run_lock import RunLock, holder_of, locked
 from envgs_bench.settings import RunSettings, SettingsError
 
 from .display import Display
@@ -63,14 +63,14 @@ def run_job(settings: RunSettings, folder: Path, display: Display, interruption:
             return outcome_of(folder, settings, "left alone", reason)
         earlier = None if (folder / REPLACEMENT).exists() else earlier_outcome(folder, settings)
         if earlier is not None:
-            return earlier  # without a claim: what is finished may lie where nothing can be written
+            return earlier  # without a lock: what is finished may lie where nothing can be written
         folder.mkdir(parents=True, exist_ok=True)
-        with _taken(folder) as claim:
-            if claim is None:
+        with _taken(folder) as run_lock:
+            if run_lock is None:
                 return outcome_of(
                     folder, settings, "skipped", f"{holder_of(folder) or 'another process'} is running it"
                 )
-            return _run_claimed(settings, folder, claim, display, interruption)
+            return _run_locked(settings, folder, run_lock, display, interruption)
     except OSError as error:
         return outcome_of(folder, settings, "ran", f"{type(error).__name__}: {error}", failed="failed")
 
@@ -117,8 +117,8 @@ def earlier_outcome(folder: Path, settings: RunSettings) -> Outcome | None:
     return outcome_of(folder, settings, "not retried", "retry=failed runs it again")
 
 
-def _run_claimed(
-    settings: RunSettings, folder: Path, claim: Claim, display: Display, interruption: Interruption
+def _run_locked(
+    settings: RunSettings, folder: Path, run_lock: RunLock, display: Display, interruption: Interruption
 ) -> Outcome:
     replacement = folder / REPLACEMENT
     if _status(replacement) == "ok":
@@ -128,12 +128,12 @@ def _run_claimed(
         return earlier
     if _status(folder) != "ok":
         _start_over(folder, keep=() if settings.force else GOES_ON_FROM)
-        _run_in(folder, settings, claim, display, interruption)
+        _run_in(folder, settings, run_lock, display, interruption)
         return outcome_of(folder, settings, "ran")
     replacement.mkdir(exist_ok=True)
     # A replacement that was interrupted goes on.
     _start_over(replacement, keep=GOES_ON_FROM if _status(replacement) in (None, "interrupted") else ())
-    _run_in(replacement, settings, claim, display, interruption)
+    _run_in(replacement, settings, run_lock, display, interruption)
     if _status(replacement) != "ok":
         return outcome_of(replacement, settings, "ran", f"the earlier result is kept in {folder}")
     replace(folder)
@@ -145,10 +145,12 @@ def _start_over(folder: Path, keep: tuple[str, ...]) -> None:
     clear(folder, keep if (folder / SNAPSHOT_NAME).is_file() else ())
 
 
-def _run_in(folder: Path, settings: RunSettings, claim: Claim, display: Display, interruption: Interruption) -> None:
+def _run_in(
+    folder: Path, settings: RunSettings, run_lock: RunLock, display: Display, interruption: Interruption
+) -> None:
     device, settings = settings.device, settings.model_copy(update={"device": device_type(settings.device)})
     write_atomically(folder / CONFIG_NAME, yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False))
-    run_process(folder, settings, device, claim, display, interruption)
+    run_process(folder, settings, device, run_lock, display, interruption)
 
 
 def _status(folder: Path) -> Status | None:
@@ -159,14 +161,14 @@ def _status(folder: Path) -> Status | None:
 
 
 @contextmanager
-def _taken(folder: Path) -> Iterator[Claim | None]:
-    """The claim on the folder, taken from what is left of a job that was killed; None where a living one has it."""
+def _taken(folder: Path) -> Iterator[RunLock | None]:
+    """The lock on the folder, taken from what is left of a job that was killed; None where a living one has it."""
     ends = time.monotonic() + GRACE_SECONDS
     while True:
-        with claimed(folder) as claim:
-            holder = holder_of(folder) if claim is None else None
-            if claim is not None or holder is None or not holder.is_gone:
-                yield claim
+        with locked(folder) as run_lock:
+            holder = holder_of(folder) if run_lock is None else None
+            if run_lock is not None or holder is None or not holder.is_gone:
+                yield run_lock
                 return
         if time.monotonic() > ends:  # it saves nothing any more
             end_all_of(folder)

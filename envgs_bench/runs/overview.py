@@ -6,9 +6,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from envgs_bench.claim import Holder, holder_of
 from envgs_bench.records import RecordError, find_runs, read_record
 from envgs_bench.run_folder import RECORD_NAME, REPLACEMENT, SNAPSHOT_NAME
+from envgs_bench.run_lock import Holder, holder_of
 
 from .estimates import duration, training_left
 

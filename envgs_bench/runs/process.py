@@ -12,9 +12,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
-from envgs_bench.claim import Claim
 from envgs_bench.records import Failure, Record, RecordError, Status, TrainingWarning, read_record, write_record
 from envgs_bench.run_folder import LOG_NAME
+from envgs_bench.run_lock import RunLock
 from envgs_bench.settings import RunSettings
 
 from .display import Display
@@ -22,27 +22,27 @@ from .draft import Draft
 from .gpus import Place, placed
 from .interruption import Interruption
 from .log import BoundedLog, log_tail
-from .processes import CLAIM_VARIABLE, end_all_of, end_group, environment_of
+from .processes import LOCK_VARIABLE, end_all_of, end_group, environment_of
 
 # How long a process may take to write its record once its time is up or it was interrupted.
 GRACE_SECONDS = 20.0
 POLL_SECONDS = 0.5  # how often to look whether the sweep is to end
 DRAIN_SECONDS = 2.0  # how long what a process printed may take to be read once all processes of the run are gone
-NOTE_SECONDS = 1.0  # how often the claim says how far the run has come
+NOTE_SECONDS = 1.0  # how often the lock says how far the run has come
 
 Ending = Literal["by itself", "timed out", "interrupted"]
 
 
 def run_process(
-    folder: Path, settings: RunSettings, device: str, claim: Claim, display: Display, interruption: Interruption
+    folder: Path, settings: RunSettings, device: str, run_lock: RunLock, display: Display, interruption: Interruption
 ) -> None:
     """Start the run's process on `device`, show its progress, and see to it that there is a record when it is gone."""
     with placed(device) as place:
-        _run_placed(folder, settings, claim, place, display, interruption)
+        _run_placed(folder, settings, run_lock, place, display, interruption)
 
 
 def _run_placed(
-    folder: Path, settings: RunSettings, claim: Claim, place: Place, display: Display, interruption: Interruption
+    folder: Path, settings: RunSettings, run_lock: RunLock, place: Place, display: Display, interruption: Interruption
 ) -> None:
     draft = Draft(folder, settings)
     process = subprocess.Popen(
@@ -50,13 +50,13 @@ def _run_placed(
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        env={**environment_of(folder), CLAIM_VARIABLE: str(claim.handle), **place.environment},
+        env={**environment_of(folder), LOCK_VARIABLE: str(run_lock.handle), **place.environment},
         start_new_session=True,  # Ctrl-C reaches this process, which passes it on
-        pass_fds=(claim.handle, *place.handles),  # the folder is the run's until both are gone, and so is the GPU
+        pass_fds=(run_lock.handle, *place.handles),  # the folder is the run's until both are gone, and so is the GPU
     )
     assert process.stderr is not None
     log = BoundedLog(process.stderr, folder)
-    listener = _Listener(process, claim, display, draft)
+    listener = _Listener(process, run_lock, display, draft)
     try:
         log.start()
         title = f"{settings.dataset_name} · {settings.method_name} · seed {settings.seed}"
@@ -80,9 +80,9 @@ class _Listener(threading.Thread):
     What it trains without and warns of goes into the draft too, lest the process leave no record.
     """
 
-    def __init__(self, process: subprocess.Popen[bytes], claim: Claim, display: Display, draft: Draft) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], run_lock: RunLock, display: Display, draft: Draft) -> None:
         super().__init__(daemon=True)
-        self._process, self._claim, self._display, self._draft = process, claim, display, draft
+        self._process, self._run_lock, self._display, self._draft = process, run_lock, display, draft
         self.shows = True
 
     def run(self) -> None:
@@ -103,7 +103,7 @@ class _Listener(threading.Thread):
                 began, noted = {"stage": stage, "began": now, "first": event.get("step", 0)}, 0.0
             if abs(now - noted) > NOTE_SECONDS:
                 noted = now
-                self._claim.note({**event, **began})
+                self._run_lock.note({**event, **began})
             if self.shows:
                 try:
                     self._display.update(event)

@@ -13,7 +13,7 @@ import psutil
 
 RUN_VARIABLE = "ENVGS_BENCH_RUN"  # the run's folder, in the environment of its process and of all that it starts
 JOB_VARIABLE = "ENVGS_BENCH_JOB"  # the number of the process that started it
-CLAIM_VARIABLE = "ENVGS_BENCH_CLAIM"  # the claim's open file, which the run's process keeps, and nothing it starts
+LOCK_VARIABLE = "ENVGS_BENCH_RUN_LOCK"  # the lock's open file, which the run's process keeps, and nothing it starts
 PR_SET_PDEATHSIG = 1  # of Linux's <sys/prctl.h>
 
 

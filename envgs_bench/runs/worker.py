@@ -28,7 +28,7 @@ from envgs_bench.stages.health import Diverged
 from envgs_bench.stages.stop import Stop
 
 from .draft import Draft
-from .processes import CLAIM_VARIABLE, JOB_VARIABLE, end_all_of, end_with
+from .processes import JOB_VARIABLE, LOCK_VARIABLE, end_all_of, end_with
 
 # What PyTorch's CPU allocator, C++ and Python's threads say in a RuntimeError where they were refused memory.
 OUT_OF_MEMORY = ("can't allocate memory", "std::bad_alloc", "can't start new thread")
@@ -72,9 +72,9 @@ def main(arguments: list[str]) -> int:
 
 
 def _join_job() -> None:
-    """End with the job, and keep its claim on the folder until then, but not beyond: nothing started here has it."""
-    if CLAIM_VARIABLE in os.environ:
-        os.set_inheritable(int(os.environ.pop(CLAIM_VARIABLE)), False)
+    """End with the job, and keep its lock on the folder until then, but not beyond: nothing started here has it."""
+    if LOCK_VARIABLE in os.environ:
+        os.set_inheritable(int(os.environ.pop(LOCK_VARIABLE)), False)
     if JOB_VARIABLE in os.environ:
         end_with(int(os.environ[JOB_VARIABLE]))
 

@@ -17,11 +17,11 @@ from envgs_bench.diagnosis.agreed_normals import with_agreed_normals
 from envgs_bench.diagnosis.diagnosis import Diagnosis
 from envgs_bench.diagnosis.repair import repaired
 from envgs_bench.diagnosis.scene_warnings import scene_warnings
+from envgs_bench.fixed_rays import write_samples
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.settings import quickness
 from envgs_bench.metrics import MINIMUM_SIZE, Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
 from envgs_bench.parts import PERCEPTUAL
-from envgs_bench.probe import write_probe
 from envgs_bench.records import RENDERS, WorldPlacement
 from envgs_bench.run_folder import CHECKPOINT, CURVE_NAME
 from envgs_bench.settings import RunSettings
@@ -30,8 +30,8 @@ from .budget import limited_method
 from .cost import cost_of, with_files
 from .evaluation import evaluate, scored_views
 from .events import EventListener
+from .fixed_rays import sampled
 from .perturbations import load_run_scene, perturbed_settings
-from .probing import probe
 from .renders import score_renders
 from .results import Results
 from .snapshots import Snapshots
@@ -52,7 +52,7 @@ def execute(
     stop: Stop | None = None,
     logger: Logger | None = None,
 ) -> None:
-    """Train, draw, score and time as `settings` say; pictures, curve, checkpoint and probe go into `folder`.
+    """Train, draw, score and time as `settings` say; pictures, curve, checkpoint and samples go into `folder`.
 
     A training that was interrupted in `folder` goes on. `stop` may ask for its end while it trains; `logger` is told
     how it goes, as often as `settings.logger` says.
@@ -112,7 +112,7 @@ def execute(
     results.metrics, results.masked = evaluate(method, views, protocol, folder, report)
     report({"stage": "timing"})
     results.timing = time_frames(method, views, settings.timing)
-    write_probe(folder, probe(method, scene, views))
+    write_samples(folder, sampled(method, scene, views))
     snapshots.remove()
 
 

@@ -30,8 +30,8 @@ from envgs_bench.records import (
 from envgs_bench.run_folder import (
     CURVE_NAME,
     PICTURES,
-    PROBE_NAME,
     RECORD_NAME,
+    SAMPLES_NAME,
     PictureError,
     is_file_name,
     mask_path,
@@ -61,7 +61,7 @@ def rescore(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> R
     """
     record, protocol, device = read_record(run), protocol.of_pictures(), resolve_device(device)
     scores = None if record.metrics is None else score_pairs(_pairs(run, record), protocol, device)
-    return _write(run, record, protocol, scores, out, "pictures", (*PICTURES, CURVE_NAME, PROBE_NAME))
+    return _write(run, record, protocol, scores, out, "pictures", (*PICTURES, CURVE_NAME, SAMPLES_NAME))
 
 
 def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Record:
@@ -87,7 +87,7 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
             _, method = reopen(run, device)
             method.prepare()
             scores = evaluate(method, views, protocol, out, _silent)
-    return _write(run, record, protocol, scores, out, "checkpoint", (CURVE_NAME, PROBE_NAME))
+    return _write(run, record, protocol, scores, out, "checkpoint", (CURVE_NAME, SAMPLES_NAME))
 
 
 def _write(

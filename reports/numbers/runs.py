@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from envgs_bench.claim import holder_of
 from envgs_bench.records import RENDERS, Record, RecordError, find_runs, read_record
 from envgs_bench.run_folder import LOG_NAME, RECORD_NAME
+from envgs_bench.run_lock import holder_of
 
 UNTIMED = "no device: pictures from elsewhere"
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from reports_runs import record, sections_of, tables_of, write_record, write_runs
 from scipy.stats import mannwhitneyu
 
-from envgs_bench.probe import Probe, write_probe
+from envgs_bench.fixed_rays import FixedRaySamples, write_samples
 from envgs_bench.reports import build_report
 from envgs_bench.reports.charts.drawn import Canvas
 from envgs_bench.reports.numbers.intervals import mean_interval
@@ -386,19 +386,19 @@ def test_every_number_of_the_page_stands_in_the_csv(tmp_path: Path) -> None:
     assert {row["quantity"] for row in summary} >= {"probability_of_improvement", "profile", "survival"}
 
 
-def probed(folder: Path, method: str, seed: int, depth: float, degrees: float, reflected: float | None) -> None:
-    """A run and its probe: everything at one depth, turned by an angle, a mirror that shows one gray."""
+def sampled(folder: Path, method: str, seed: int, depth: float, degrees: float, reflected: float | None) -> None:
+    """A run and its fixed-ray samples: everything at one depth, turned by an angle, a mirror that shows one gray."""
     write(folder, method, seed, 1, 20.0)
     normal = np.array([math.sin(math.radians(degrees)), 0.0, math.cos(math.radians(degrees))])
     shown = None if reflected is None else np.full((4, 3), reflected)
     run = folder / f"{method}-blur-1-{seed}-100"
-    write_probe(run, Probe(2.0, np.array([0.0, depth, depth]), np.outer([0, 1, 1], normal), shown))
+    write_samples(run, FixedRaySamples(2.0, np.array([0.0, depth, depth]), np.outer([0, 1, 1], normal), shown))
 
 
 def test_the_distance_between_seeds_is_that_of_their_models_along_the_same_rays(tmp_path: Path) -> None:
     for seed, (depth, degrees, reflected) in enumerate([(4.0, 0.0, 0.5), (4.1, 1.0, 0.5), (4.5, 30.0, 2.0)]):
-        probed(tmp_path, "envgs", seed, depth, degrees, reflected)
-        probed(tmp_path, "2dgs", seed, depth, degrees, None)
+        sampled(tmp_path, "envgs", seed, depth, degrees, reflected)
+        sampled(tmp_path, "2dgs", seed, depth, degrees, None)
     (tmp_path / "envgs-blur-1-2-100" / "probe.safetensors").rename(tmp_path / "kept")
     write(tmp_path, "envgs", 3, 1, None)
     cell = stability_of(tmp_path).cell(BLUR, 1, "envgs")
@@ -420,9 +420,9 @@ def test_the_distance_between_seeds_is_that_of_their_models_along_the_same_rays(
 @pytest.mark.parametrize(
     "content", [b"", b"\xff" * 5000, b"\x10" + b"\x00" * 7 + b'{"depth": 1}    ', b"0" * 2_000_000]
 )
-def test_a_probe_that_cannot_be_read_is_left_out(tmp_path: Path, content: bytes) -> None:
+def test_a_sample_file_that_cannot_be_read_is_left_out(tmp_path: Path, content: bytes) -> None:
     for seed in range(3):
-        probed(tmp_path, "envgs", seed, 4.0 + seed, 0.0, None)
+        sampled(tmp_path, "envgs", seed, 4.0 + seed, 0.0, None)
     (tmp_path / "envgs-blur-1-1-100" / "probe.safetensors").write_bytes(content)
     estimate = stability_of(tmp_path).cell(BLUR, 1, "envgs").seed_distance("seeds_depth")
     assert (estimate.strata, estimate.done, estimate.expected) == (((1.0, 1.0),), 2, 3)

@@ -20,7 +20,7 @@ from envgs_bench.records import Failure
 from envgs_bench.runs import identity, provenance
 from envgs_bench.runs.draft import Draft
 from envgs_bench.runs.identity import code_version, run_id
-from envgs_bench.runs.meaning import meaning_of
+from envgs_bench.runs.source_fingerprint import source_fingerprint
 from envgs_bench.settings import RunSettings, SettingsError, default_cache_dir, parse_settings
 
 
@@ -172,13 +172,13 @@ def test_code_counts_by_what_it_means(tmp_path: Path, suffix: str) -> None:
     )
     text, same, others = python if suffix == ".py" else native
 
-    def meaning(content: str) -> bytes:
+    def fingerprint(content: str) -> bytes:
         (tmp_path / f"a{suffix}").write_text(content)
-        return meaning_of(tmp_path / f"a{suffix}")
+        return source_fingerprint(tmp_path / f"a{suffix}")
 
-    expected = meaning(text)
-    assert [meaning(other) == expected for other in same] == [True] * len(same)
-    assert [meaning(other) == expected for other in others] == [False] * len(others)
+    expected = fingerprint(text)
+    assert [fingerprint(other) == expected for other in same] == [True] * len(same)
+    assert [fingerprint(other) == expected for other in others] == [False] * len(others)
 
 
 def test_every_file_of_this_code_is_parsed() -> None:
@@ -359,4 +359,4 @@ def test_code_means_the_same_to_every_version_of_python(tmp_path: Path) -> None:
         "class A(B, metaclass=C):\n    x: float = -1e-3j\n    def g(self): return {**self.x, 'y': [...]}\n"
         "match f:\n    case [1, *_] | {'a': b}: pass\ntry: pass\nexcept* E as e: raise\n"
     )
-    assert meaning_of(path).hex()[:16] == "6b061cde129c5b47"
+    assert source_fingerprint(path).hex()[:16] == "6b061cde129c5b47"

@@ -11,8 +11,8 @@ import pytest
 from fakes.runs import only_folder, records, run, set_environment
 from fakes.whole_sweeps import Start, alive, lives, statuses, sweep_of, training, until
 
-from envgs_bench.claim import holder_of
 from envgs_bench.records import read_record
+from envgs_bench.run_lock import holder_of
 
 JOBLIB = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
 LONG = ("steps=5000", "method.settings.tells_psnr=false")

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from fakes.runs import only_folder, run, set_environment
 
-from envgs_bench.claim import CLAIM_NAME
+from envgs_bench.run_lock import LOCK_NAME
 
 RAISES = "method.kind=fakes.methods:Raises"
 
@@ -79,7 +79,7 @@ def test_a_run_that_another_process_is_at_is_left_to_it(
 ) -> None:
     shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
     folder = only_folder(tmp_path)
-    handle = os.open(folder / CLAIM_NAME, os.O_RDWR | os.O_CREAT)
+    handle = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT)
     fcntl.flock(handle, fcntl.LOCK_EX)
     try:
         assert run(tmp_path, "force=true") == 0  # the record that is there is good

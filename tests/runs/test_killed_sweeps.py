@@ -18,9 +18,9 @@ import pytest
 from fakes.runs import only_folder, records, run, set_environment
 from fakes.whole_sweeps import Start, alive, statuses, sweep_of, training, until
 
-from envgs_bench.claim import CLAIM_NAME
 from envgs_bench.records import Record, RecordError, find_records, read_record
 from envgs_bench.run_folder import RECORD_NAME, REPLACEMENT
+from envgs_bench.run_lock import LOCK_NAME
 from envgs_bench.settings import read_settings
 from envgs_bench.stages.execution import execute
 from envgs_bench.stages.results import Results
@@ -29,8 +29,8 @@ STEPS = 150
 LEARNS = ("method.kind=fakes.methods:Waits", "method.settings.rate=0.01", f"steps={STEPS}", "snapshot_minutes=0.005")
 REAL = ("method=2dgs,envmap", "seed=0,1", "steps=100", "snapshot_minutes=0.005", "retry=failed")
 VICTIMS = ("run", "sweep", "all")
-# They hold times, folders, what was printed, or who was killed while he had claimed the folder.
-OF_THIS_ATTEMPT = ("record.json", "config.yaml", "curve.csv", "log.txt", CLAIM_NAME)
+# They hold times, folders, what was printed, or who was killed while he had locked the folder.
+OF_THIS_ATTEMPT = ("record.json", "config.yaml", "curve.csv", "log.txt", LOCK_NAME)
 
 
 @pytest.fixture(autouse=True)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import psutil
 
-from envgs_bench.claim import holder_of
 from envgs_bench.records import Status
+from envgs_bench.run_lock import holder_of
 from envgs_bench.runs.processes import RUN_VARIABLE
 
 from .runs import records

@@ -1,4 +1,4 @@
-"""Claim: who is at a run's folder at this moment, and how far it has come. One file, locked while somebody is."""
+"""Run lock: who is at a run's folder at this moment, and how far it has come. One file, locked while somebody is."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ import psutil
 
 from envgs_bench.file_lock import lock
 
-CLAIM_NAME = "claim.json"
-MOST_BYTES = 65_536  # a claim that is longer was not written here
+LOCK_NAME = "lock.json"
+MOST_BYTES = 65_536  # a lock file that is longer was not written here
 
 
 @dataclass(frozen=True)
 class Holder:
-    """The process that claimed a folder, as it wrote it down itself."""
+    """The process that locked a folder, as it wrote it down itself."""
 
     host: str = ""
     pid: int = 0
     started: float = 0.0  # when the process started, Unix time: its number may be given again
-    since: float = 0.0  # when it claimed the folder, Unix time
+    since: float = 0.0  # when it locked the folder, Unix time
     progress: dict[str, Any] = field(default_factory=dict)  # its run's last event, and "at", the event's Unix time
 
     @property
@@ -36,7 +36,7 @@ class Holder:
 
     @property
     def is_gone(self) -> bool:
-        """Whether it ran on this machine and runs no more: what still holds the claim are processes it left."""
+        """Whether it ran on this machine and runs no more: what still holds the lock are processes it left."""
         return self.is_here and _start_of(self.pid) != self.started
 
     def __str__(self) -> str:
@@ -45,11 +45,11 @@ class Holder:
         return f"process {self.pid}" + ("" if self.is_here else f" on {self.host}")
 
 
-class Claim:
-    """A claim that this process holds."""
+class RunLock:
+    """A lock on a run's folder that this process holds."""
 
     def __init__(self, handle: int) -> None:
-        self.handle = handle  # of the locked file: the claim lasts as long as any process has it open
+        self.handle = handle  # of the locked file: the lock lasts as long as any process has it open
         self._holder = {
             "host": socket.gethostname(),
             "pid": os.getpid(),
@@ -67,22 +67,22 @@ class Claim:
 
 
 @contextmanager
-def claimed(folder: Path) -> Iterator[Claim | None]:
-    """The claim on `folder`, or None where somebody else has it.
+def locked(folder: Path) -> Iterator[RunLock | None]:
+    """The lock on `folder`, or None where somebody else has it.
 
-    It ends with the block, or with this process and those that were given `Claim.handle`. Several machines may share
+    It ends with the block, or with this process and those that were given `RunLock.handle`. Several machines may share
     the folder where their file system locks files for all of them (flock, as NFS does since version 4).
 
     Raises:
         OSError: the folder cannot be written to.
     """
-    path = folder / CLAIM_NAME
+    path = folder / LOCK_NAME
     handle = _lock(path)
     if handle is None:
         yield None
         return
     try:
-        yield Claim(handle)
+        yield RunLock(handle)
     finally:
         with suppress(OSError):
             path.unlink()  # while it is locked: see `_lock`
@@ -90,8 +90,8 @@ def claimed(folder: Path) -> Iterator[Claim | None]:
 
 
 def holder_of(folder: Path) -> Holder | None:
-    """Who holds the claim on `folder`, None where nobody does."""
-    path = folder / CLAIM_NAME
+    """Who holds the lock on `folder`, None where nobody does."""
+    path = folder / LOCK_NAME
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
     except OSError:

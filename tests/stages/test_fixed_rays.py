@@ -1,4 +1,4 @@
-"""The probe of a finished model: the same rays for every seed, mirrored where the true scene mirrors."""
+"""Samples of a finished model along fixed rays: the same rays for every seed, mirrored where the true scene mirrors."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from envgs_bench.core import Camera, Rendering, Scene
+from envgs_bench.fixed_rays import read_samples_if_any, write_samples
 from envgs_bench.methods.registry import create_method
 from envgs_bench.parts import REFLECTIVE
-from envgs_bench.probe import read_probe_if_any, write_probe
-from envgs_bench.stages.probing import OFFSET, REFLECTED, probe
+from envgs_bench.stages.fixed_rays import OFFSET, REFLECTED, sampled
 from envgs_bench.testing import tiny_scene
 
 
@@ -55,7 +55,7 @@ def test_a_plane_mirror_sends_rays_as_from_the_cameras_mirror_image() -> None:
     scene = before_a_mirror()
     (view,) = scene.test
     method = Records(scene)
-    found = probe(method, scene, scene.test)
+    found = sampled(method, scene, scene.test)
     origins, directions = method.rays
     count = view.camera.height * (view.camera.width - 1)
     assert len(origins) == min(count, REFLECTED)
@@ -71,11 +71,11 @@ def test_seeds_are_probed_along_the_same_rays_and_files_are_small(tmp_path: Path
     scene = before_a_mirror()
     first, second = Records(scene), Records(scene)
     second.method.generator.manual_seed(7)
-    written = probe(first, scene, scene.test)
-    again = probe(second, scene, scene.test)
+    written = sampled(first, scene, scene.test)
+    again = sampled(second, scene, scene.test)
     torch.testing.assert_close(first.rays, second.rays, atol=0, rtol=0)
-    write_probe(tmp_path, written)
-    stored = read_probe_if_any(tmp_path)
+    write_samples(tmp_path, written)
+    stored = read_samples_if_any(tmp_path)
     assert (tmp_path / "probe.safetensors").stat().st_size < 60_000
     assert stored.radius == pytest.approx(scene.radius)
     np.testing.assert_array_equal(stored.depth, again.depth)
@@ -90,11 +90,11 @@ def test_methods_with_reflections_say_what_rays_see(kind: str, traces: bool) -> 
     scene = before_a_mirror()
     method = create_method(kind, settings)
     method.initialize(scene, 30_000)
-    assert probe(method, scene, scene.test).reflected is None  # reflections have not begun
+    assert sampled(method, scene, scene.test).reflected is None  # reflections have not begun
     method.initialize(scene, 1)
     method.training_step(scene.train[0], 1)
-    found = probe(method, scene, scene.test).reflected
+    found = sampled(method, scene, scene.test).reflected
     assert (found is not None) == traces
     if found is not None:
         assert found.std() > 0 or kind == "envmap"  # the map is gray as yet
-    assert probe(method, tiny_scene(), tiny_scene().test).reflected is None  # it is not known what reflects
+    assert sampled(method, tiny_scene(), tiny_scene().test).reflected is None  # it is not known what reflects

@@ -1,4 +1,4 @@
-"""Probe: what a finished model is along fixed rays, the same for all seeds, so that two seeds' models can be compared.
+"""Fixed-ray samples: what a finished model is along rays that are the same for all seeds, so that two can be compared.
 
 One small file in the run's folder, safetensors; checkpoints, which are large, need not be kept for it.
 """
@@ -15,14 +15,14 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from .regular_file import require_regular
-from .run_folder import PROBE_NAME
+from .run_folder import SAMPLES_NAME
 
-MOST_BYTES = 1_000_000  # of a probe; one takes a few ten thousand
+MOST_BYTES = 1_000_000  # of a file; one takes a few ten thousand
 Floats = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
-class Probe:
+class FixedRaySamples:
     """What camera rays meet, and what fixed reflected rays see."""
 
     radius: float  # the scene's, world units
@@ -31,21 +31,21 @@ class Probe:
     reflected: Floats | None  # [R, 3] sRGB; None of a method without reflections, or without known rays
 
 
-def write_probe(run: Path, probe: Probe) -> None:
-    """Leave the probe in the run's folder: depths of 4 bytes, all else of 2."""
+def write_samples(run: Path, samples: FixedRaySamples) -> None:
+    """Leave the samples in the run's folder: depths of 4 bytes, all else of 2."""
     tensors: dict[str, NDArray[Any]] = {
-        "radius": np.array([probe.radius], np.float32),
-        "depth": probe.depth.astype(np.float32),
-        "normal": probe.normal.astype(np.float16),
+        "radius": np.array([samples.radius], np.float32),
+        "depth": samples.depth.astype(np.float32),
+        "normal": samples.normal.astype(np.float16),
     }
-    if probe.reflected is not None:
-        tensors["reflected"] = probe.reflected.astype(np.float16)
-    (run / PROBE_NAME).write_bytes(save(tensors))
+    if samples.reflected is not None:
+        tensors["reflected"] = samples.reflected.astype(np.float16)
+    (run / SAMPLES_NAME).write_bytes(save(tensors))
 
 
-def read_probe_if_any(run: Path) -> Probe | None:
-    """The probe in the run's folder, float64; None where there is none that can be read."""
-    path = run / PROBE_NAME
+def read_samples_if_any(run: Path) -> FixedRaySamples | None:
+    """The samples in the run's folder, float64; None where there is none that can be read."""
+    path = run / SAMPLES_NAME
     try:
         require_regular(path, MOST_BYTES)
         found = {name: values.astype(np.float64) for name, values in load(path.read_bytes()).items()}
@@ -57,4 +57,4 @@ def read_probe_if_any(run: Path) -> Probe | None:
     sound = sound and (reflected is None or reflected.shape[1:] == (3,))
     if not sound or not all(np.isfinite(values).all() for values in found.values()):
         return None
-    return Probe(float(radius[0]), depth, normal, reflected)
+    return FixedRaySamples(float(radius[0]), depth, normal, reflected)

@@ -1,4 +1,4 @@
-"""Meaning: what a source file says, without what only people read. A comment re-runs nothing."""
+"""Source fingerprint: a hash of what a source file says, without what only people read. A comment re-runs nothing."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ C_TOKENS = re.compile(
 C_RAW_STRING = re.compile(r'\bR"')
 
 
-def meaning_of(path: Path) -> bytes:
+def source_fingerprint(path: Path) -> bytes:
     """A hash of the code in a source file, of Python or of C++ and CUDA: equal where the code does the same.
 
     Of Python that is the syntax tree without docstrings, of C++ the text without comments and with one space for any

@@ -1,4 +1,4 @@
-"""Ledger: the outcomes of all jobs of one `envgs-bench run`, gathered from whatever process ran each, and printed."""
+"""Sweep summary: the outcomes of all jobs of one `envgs-bench run`, gathered from the processes that ran them."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from envgs_bench.runs.estimates import duration
 from envgs_bench.runs.interruption import INTERRUPTION
 from envgs_bench.runs.outcome import Outcome
 
-LEDGER_VARIABLE = "ENVGS_BENCH_LEDGER"
+SUMMARY_VARIABLE = "ENVGS_BENCH_SWEEP_SUMMARY"
 SWEEP_VARIABLE = "ENVGS_BENCH_SWEEP"  # JSON: `Sweep`
-_unwritten: list[Outcome] = []  # of this process, where the ledger's disk is full
+_unwritten: list[Outcome] = []  # of this process, where the summary's disk is full
 
 
 @dataclass(frozen=True)
@@ -51,12 +51,12 @@ class Sweep:
         os.environ[SWEEP_VARIABLE] = json.dumps(asdict(self))
 
 
-class Ledger(Callback):
+class SweepSummary(Callback):
     """Hydra callback: names the file that the jobs of this call append to. It lies in runs_dir, where all reach it."""
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
         folder = Path(config.runs_dir).expanduser().absolute()
-        os.environ[LEDGER_VARIABLE] = str(folder / f".outcomes-{uuid.uuid4().hex[:8]}.jsonl")
+        os.environ[SUMMARY_VARIABLE] = str(folder / f".outcomes-{uuid.uuid4().hex[:8]}.jsonl")
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         self.on_run_start(config)
@@ -91,7 +91,7 @@ def position(number: int) -> str:
 def time_left() -> str:
     """How far the sweep has come and how long it may still take; "" where there is nothing to tell."""
     sweep = Sweep.current()
-    path = Path(os.environ[LEDGER_VARIABLE])
+    path = Path(os.environ[SUMMARY_VARIABLE])
     # Counted, not parsed: this is asked after every job. Within a string, quotes are escaped.
     entered = path.read_bytes() if path.is_file() else b""
     done, ran = entered.count(b"\n"), entered.count(b'"action": "ran"')
@@ -104,31 +104,31 @@ def time_left() -> str:
 
 def shown_runs_dir() -> str:
     """The runs_dir of this call, as short as it can be said from here; "" where no job was to run."""
-    folder = Path(os.environ.get(LEDGER_VARIABLE, "")).parent
+    folder = Path(os.environ.get(SUMMARY_VARIABLE, "")).parent
     return str(folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder)
 
 
 def enter(outcome: Outcome) -> None:
-    """Append `outcome` to the ledger of this call."""
+    """Append `outcome` to the summary of this call."""
     try:
-        with open(os.environ[LEDGER_VARIABLE], "a", encoding="utf-8") as ledger:
-            ledger.write(json.dumps(asdict(outcome)) + "\n")
+        with open(os.environ[SUMMARY_VARIABLE], "a", encoding="utf-8") as summary:
+            summary.write(json.dumps(asdict(outcome)) + "\n")
     except OSError:
         _unwritten.append(outcome)
 
 
 def stop_file() -> Path:
     """The file that is there when the jobs of this call are to end."""
-    return Path(os.environ[LEDGER_VARIABLE]).with_suffix(".stop")
+    return Path(os.environ[SUMMARY_VARIABLE]).with_suffix(".stop")
 
 
-def close_ledger() -> list[Outcome] | None:
+def close_summary() -> list[Outcome] | None:
     """All outcomes of this call so far, in the order in which they came, or None where no job was to run."""
-    if LEDGER_VARIABLE not in os.environ:
+    if SUMMARY_VARIABLE not in os.environ:
         return None
     with suppress(OSError):
         stop_file().unlink()
-    path = Path(os.environ.pop(LEDGER_VARIABLE))
+    path = Path(os.environ.pop(SUMMARY_VARIABLE))
     outcomes = _read(path)
     with suppress(OSError):
         path.unlink()

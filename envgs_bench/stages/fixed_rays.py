@@ -1,4 +1,4 @@
-"""Probing: a finished model along rays that are the same for all seeds, see `Probe`.
+"""Fixed rays: a finished model sampled along rays that are the same for all seeds, see `FixedRaySamples`.
 
 Camera rays are pixels of the scored views. Reflected rays are those that mirrors of the true scene would send, where
 the data know depth, normals and what reflects: a model's own would leave from its own surfaces, elsewhere each.
@@ -13,18 +13,18 @@ from torch import Tensor
 from torch.nn import functional
 
 from envgs_bench.core import Scene, View
+from envgs_bench.fixed_rays import FixedRaySamples
 from envgs_bench.methods.method import Method, Monitor
 from envgs_bench.parts import REFLECTIVE
-from envgs_bench.probe import Probe
 
-VIEWS = 8  # drawn again for the probe, evenly spaced among the scored ones
+VIEWS = 8  # drawn again for the samples, evenly spaced among the scored ones
 PIXELS = 4096  # of all of them together
 REFLECTED = 1024  # reflected rays
 OFFSET = 1e-3  # a reflected ray starts this far above the surface, × scene radius
 
 
-def probe(method: Method, scene: Scene, views: Sequence[View]) -> Probe:
-    """Probe a prepared method along rays of `views` of the scene."""
+def sampled(method: Method, scene: Scene, views: Sequence[View]) -> FixedRaySamples:
+    """Samples of a prepared method along rays of `views` of the scene."""
     chosen = views[:: -(-len(views) // VIEWS)]
     depths, normals = [], []
     rays = []  # reflected, their origins and directions
@@ -40,7 +40,7 @@ def probe(method: Method, scene: Scene, views: Sequence[View]) -> Probe:
     if len(few):
         monitor = method.monitor or Monitor()
         reflected = monitor.reflected(origins[few].to(method.device), directions[few].to(method.device))
-    return Probe(
+    return FixedRaySamples(
         radius=scene.radius,
         depth=torch.cat(depths).numpy(),
         normal=torch.cat(normals).numpy(),
