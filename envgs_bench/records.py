@@ -60,9 +60,9 @@ WarningKind = Literal[
     "beta_vanishes",  # nothing reflects any more, after something did
     "set_shrinks",  # in one step: the base to less than a half, the environment to less than a tenth
     "set_doubles",  # to more than twice in one step
-    "needles",  # a set's primitives run away along one axis
+    "degenerate",  # a set's primitives run away along one axis
     "budget",  # of memory
-    "capped",  # a set is as large as settings let it be
+    "size_limit",  # a set is as large as settings let it be
     "run_short",  # before any step: too few for its training views
     "near_hides",  # the near plane lies behind much of what the views show
     "views_sparse",  # of the scene, before any step: neighboring views are too far apart
@@ -78,6 +78,9 @@ WarningKind = Literal[
 ]
 
 
+OLDER_KINDS = {"needles": "degenerate", "capped": "size_limit"}
+
+
 class TrainingWarning(_Part):
     """What was noticed while training that a healthy run does not show; one of a kind and part, the first."""
 
@@ -86,6 +89,12 @@ class TrainingWarning(_Part):
     part: str  # the set or loss that it happened to, "" for the whole
     message: str  # what was seen, with numbers
     times: Annotated[int, Field(ge=1)] = 1  # how often, where it was noticed again
+
+    @field_validator("kind", mode="before")
+    @classmethod
+    def _renamed(cls, kind: Any) -> Any:
+        """Older records have other words for some kinds."""
+        return OLDER_KINDS.get(kind, kind) if isinstance(kind, str) else kind
 
 
 class RepairOutcome(_Part):

@@ -193,12 +193,12 @@ class Health:
         caps = self._monitor.at_size_limit()
         for name in self._method.primitives():
             text = f"settings let it have {caps.get(name, 0):,} primitives and it has no fewer"
-            self._lasts("capped", name in caps, step, text, part=name)
+            self._lasts("size_limit", name in caps, step, text, part=name)
 
     def _look_at_shapes(self, step: int) -> None:
         for name, share in self._monitor.degenerate().items():
             text = f"{float(share):.1%} of the primitives are degenerate, {DEGENERATE:g} times as long as wide and more"
-            self._lasts("needles", float(share) > DEGENERATES, step, text, part=name)
+            self._lasts("degenerate", float(share) > DEGENERATES, step, text, part=name)
 
     def _look_at_memory(self, step: int) -> None:
         used = process_memory()

@@ -84,7 +84,7 @@ def _set(character: str) -> str:
 
 def _accented(character: str) -> str | None:
     """A Latin letter with one accent."""
-    base, *marks = unicodedata.normalize("NFD", character)
+    base, *marks = list(unicodedata.normalize("NFD", character))
     if len(marks) != 1 or marks[0] not in ACCENTS or not (base.isascii() and base.isalpha()):
         return None
     return f"\\{ACCENTS[marks[0]]}{{{base}}}"

@@ -126,7 +126,7 @@ def test_what_a_worker_leaves_behind_is_ended(tmp_path: Path, monkeypatch: pytes
 
 
 @pytest.mark.slow
-def test_what_a_killed_sweep_left_holds_no_claim(tmp_path: Path, start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_killed_sweep_left_holds_no_lock(tmp_path: Path, start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
     """The sweep and its worker are killed at once; a child of the worker, which has its files, lives on."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("envgs_bench.runs.job.GRACE_SECONDS", 1.0)

@@ -11,6 +11,7 @@ from envgs_bench import records
 from envgs_bench.records import (
     Record,
     RecordError,
+    TrainingWarning,
     find_records,
     find_runs,
     read_record,
@@ -82,6 +83,8 @@ CONTENT = {
         "skipped_steps": 0,
         "peak_primitives": 12,
     },
+    "repair": [],
+    "repairs": [],
     "provenance": PROVENANCE,
 }
 LATER = ("card", "placement", "scored_on", "notes", "losses", "dropped_losses", "perturbation", "warnings")  # keys
@@ -205,3 +208,9 @@ def test_a_run_without_a_record_is_a_run_and_runs_do_not_nest(tmp_path: Path) ->
     assert find_runs(tmp_path) == [tmp_path / "a", tmp_path / "b"]
     assert find_runs(tmp_path / "b") == [tmp_path / "b"]
     assert find_records(tmp_path) == [tmp_path / "a" / "record.json"]
+
+
+def test_warnings_of_older_records_have_todays_words() -> None:
+    older = {"needles": "degenerate", "capped": "size_limit", "loss_climbs": "loss_climbs"}
+    read = [TrainingWarning.model_validate({"kind": kind, "step": 1, "part": "", "message": ""}) for kind in older]
+    assert [warning.kind for warning in read] == list(older.values())

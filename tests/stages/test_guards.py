@@ -196,7 +196,7 @@ WORTH: dict[str, Callable[[Ending, Ending], bool]] = {  # what a guard changes: 
     "no view is finite": lambda on, off: (on.status, on.step, off.status) == ("diverged", 20, "ok"),
     "a densification prunes all": lambda on, off: (on.status, on.step, off.status) == ("diverged", 30, "ok"),
     "all learning rates × 30": lambda on, off: "learns_nothing" in on.warnings and on.psnr == off.psnr,
-    "the scales learn 30 times as fast": lambda on, off: on.warnings == ("needles",) and on.psnr == off.psnr,
+    "the scales learn 30 times as fast": lambda on, off: on.warnings == ("degenerate",) and on.psnr == off.psnr,
     "the steps go up the loss": lambda on, off: (
         "loss_climbs" in on.warnings and on.step < off.step and off.psnr < EMPTY
     ),

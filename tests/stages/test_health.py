@@ -195,19 +195,19 @@ def test_beta_is_held_against_what_reflects_where_that_is_known(
 
 def test_needles_are_noticed_once_they_last(tmp_path: Path) -> None:
     (warning,) = scripted(lambda step: {"needles": 0.12 if step > 500 or 100 < step < 300 else 0.0}, tmp_path, 1500)
-    assert (warning.kind, warning.part, warning.step) == ("needles", "base", 900)
+    assert (warning.kind, warning.part, warning.step) == ("degenerate", "base", 900)
     assert "12.0%" in warning.message
 
 
 def test_scales_that_run_away_make_needles(room: Scene, tmp_path: Path) -> None:
     warned = warnings_of(create_method("2dgs", {"scale_lr": 0.3}), room, 200, tmp_path)
-    assert [(warning.kind, warning.part) for warning in warned] == [("needles", "base")]
+    assert [(warning.kind, warning.part) for warning in warned] == [("degenerate", "base")]
 
 
 def test_a_set_held_back_by_its_cap_is_noticed_once_it_lasts(tmp_path: Path) -> None:
     script = lambda step: {"capped": {"env": 7_000} if step > 500 or 100 < step < 300 else {}}  # noqa: E731
     (warning,) = scripted(script, tmp_path, 1500)
-    assert (warning.kind, warning.part, warning.step) == ("capped", "env", 900)
+    assert (warning.kind, warning.part, warning.step) == ("size_limit", "env", 900)
     assert "7,000 primitives" in warning.message
 
 
@@ -223,7 +223,7 @@ def test_caps_hold_the_sets_that_they_name_back(
     cap: dict[str, int], capped: list[str], room: Scene, tmp_path: Path
 ) -> None:
     warned = warnings_of(create_method("envgs", {**SMALL, **cap}), room, 200, tmp_path)
-    assert [warning.part for warning in warned if warning.kind == "capped"] == capped
+    assert [warning.part for warning in warned if warning.kind == "size_limit"] == capped
 
 
 @pytest.mark.parametrize("kind", KINDS)
