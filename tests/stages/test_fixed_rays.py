@@ -27,6 +27,7 @@ class Records:
     def __init__(self, scene: Scene) -> None:
         self.method = create_method("2dgs")
         self.method.initialize(scene, 1)
+        self.monitor = self
 
     def render(self, camera: Camera) -> Rendering:
         return self.method.render(camera)
@@ -67,7 +68,7 @@ def test_a_plane_mirror_sends_rays_as_from_the_cameras_mirror_image() -> None:
     np.testing.assert_array_equal(found.reflected, (0.5 + directions / 2).numpy())
 
 
-def test_seeds_are_probed_along_the_same_rays_and_files_are_small(tmp_path: Path) -> None:
+def test_seeds_are_sampled_along_the_same_rays_and_files_are_small(tmp_path: Path) -> None:
     scene = before_a_mirror()
     first, second = Records(scene), Records(scene)
     second.method.generator.manual_seed(7)
