@@ -68,53 +68,59 @@ def scene_warnings(
         (
             "views_noisy",
             taken.noise > NOISY,
-            f"noise of about {taken.noise:.0%} of the range is in the training views, and a method learns it",
+            f"noise of about {taken.noise:.0%} of the range is in the training views, and a method learns it; or "
+            "all surfaces are as finely grained",
         ),
         (
             "views_blurred",
             taken.detail < BLURRED,
-            "the training views show hardly any fine detail: they are blurred, and so will be what is learned",
+            "the training views show hardly any fine detail: they are blurred, and so will be what is learned; or "
+            "the scene has none",
         ),
         (
             "views_blocky",
             taken.blockiness > BLOCKY,
             f"the training views change {taken.blockiness:.0%} more where blocks of {BLOCK} pixels meet: they were "
-            "compressed hard, each in a way of its own",
+            "compressed hard, each in a way of its own; or a fine grid is seen head-on",
         ),
         (
             "points_missing",
             covered < MISSING,
-            f"points lie in only {covered:.0%} of the parts of a training view that show something",
+            f"points lie in only {covered:.0%} of the parts of a training view that show something; or the rest "
+            "mirrors, where structure from motion finds none",
         ),
         (
             "points_unsupported",
             support < UNSUPPORTED,
             f"the points' colors are only {support:.0%} nearer to what the views show there than other points' are: "
-            "the points, or the poses, are not those of the pictures",
+            "the points, or the poses, are not those of the pictures; or most of the scene mirrors",
         ),
         (
             "exposures_differ",
             bool(bright.factors) and in_order,
             "the training views are not equally bright, or not of one tint: the median view is off by "
-            f"{bright.stops:.1f} stops in some channel, which a method without a term for it blends",
+            f"{bright.stops:.1f} stops in some channel, which a method without exposure=affine blends; or the scene "
+            "reflects something brighter to some views than to others",
         ),
         (
             "poses_off",
             aligned.gain > POSES_OFF and in_order and not colorless,
             f"the training views agree {aligned.gain:.0%} better with the points' colors once they are turned, the "
-            f"median view by {aligned.degrees:.1f}°: their poses may be off",
+            f"median view by {aligned.degrees:.1f}°: their poses may be off; or surfaces repeat themselves or reflect",
         ),
         (
             "normals_mirrored",
             bool(mirrored),
             f"the normals of {len(mirrored)} of {views} training views agree with the others' only when they are "
-            "mirrored from left to right: their axes may follow another convention",
+            "mirrored from left to right: their axes may follow another convention; or estimates are hardly better "
+            "than chance",
         ),
         (
             "normals_disagree",
             disagreement > DISAGREEING and support >= UNSUPPORTED,  # two views see wrong points at two places
             f"the normals of neighboring training views usually differ by {disagreement:.0f}° at the same point: a "
-            "method that learns from them may end below one that does not; estimate them in another way",
+            "method that learns from them may end below one that does not; estimate them in another way; or the scene "
+            "reflects, which estimators take for what is reflected",
         ),
     ]
     return [TrainingWarning(kind=kind, step=0, part="", message=text) for kind, wrong, text in found if wrong]

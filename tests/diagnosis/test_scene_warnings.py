@@ -17,8 +17,8 @@ from envgs_bench.diagnosis.scene_warnings import scene_warnings
 
 SAYS = {  # kind of data -> what is said from which severity on
     "exposure": (2, ["exposures_differ"]),
-    "white_balance": (3, ["exposures_differ"]),
-    "jpeg": (3, ["views_blocky", "exposures_differ"]),  # of quality 5: so small a picture keeps one tint, a wrong one
+    "white_balance": (2, ["exposures_differ"]),
+    "jpeg": (2, ["views_blocky"]),
     "views": (2, ["views_sparse"]),
     "pose_rotation": (3, ["poses_off"]),
     "pose_translation": (3, ["poses_off"]),
