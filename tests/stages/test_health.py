@@ -109,7 +109,7 @@ def test_an_environment_may_lose_most_of_its_random_start_and_not_all_of_it(tmp_
 
 
 def test_what_a_method_prunes_on_purpose_is_no_news(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Scripted, "prunes", lambda self, step: step == 7)
+    monkeypatch.setattr(ScriptedMonitor, "prunes", lambda self, step: step == 7)
     (warning,) = scripted(lambda step: {"base": 1000 if step < 7 else 400 if step < 9 else 150}, tmp_path, 20)
     assert (warning.kind, warning.step, warning.times) == ("set_shrinks", 9, 1)
 

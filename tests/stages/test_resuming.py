@@ -107,7 +107,7 @@ def test_prunings_after_an_interruption_are_those_that_would_have_been(
     monkeypatch.setitem(SETTINGS, kind, SETTINGS[kind] | {"prune_error": 0.05, "prune_from": 3_000})
     whole, undisturbed = train(kind, tmp_path / "whole", ())
     parts, resumed = train(kind, tmp_path / "parts", INTERRUPTED_AFTER[:1])
-    assert [step for step in range(1, STEPS + 1) if whole.prunes(step)] == [30, 60, 90]
+    assert [step for step in range(1, STEPS + 1) if whole.monitor.prunes(step)] == [30, 60, 90]
     assert resumed.went_on_from == list(INTERRUPTED_AFTER[:1])
     assert_equal(parts.training_state(), whole.training_state())
     assert resumed.health.warnings == undisturbed.health.warnings == []
