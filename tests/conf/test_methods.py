@@ -21,7 +21,7 @@ from envgs_bench.cli.composition import config_names, default_settings, register
 from envgs_bench.cli.main import main
 from envgs_bench.methods import registry
 from envgs_bench.methods.envgs import EnvGS
-from envgs_bench.methods.reflection import ReflectionSettings
+from envgs_bench.methods.lighting.settings import ReflectionSettings
 from envgs_bench.methods.registry import BUILT_IN, create_method, method_class
 from envgs_bench.methods.settings import LEARNING_RATES, make_settings, quickness, setting_comments
 from envgs_bench.settings import read_settings
