@@ -139,7 +139,7 @@ def _meaning(found: Survey, place: str, chosen: frozenset[int]) -> Coding:
     if len(values) > 2:
         raise DatasetError(
             f"{place}: its masks hold the labels {_listed(values, how)}; say which are inside, as "
-            f"dataset.mask_labels={_listed({max(values)}, how)}, or save masks of two values"
+            f"dataset.mask_labels={_listed(values - {min(values)}, how)}, or save masks of two values"
         )
     low, *rest = sorted(values, key=lambda value: (_brightness(value, how, found), value))
     if not rest and not low:
