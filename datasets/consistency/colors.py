@@ -13,9 +13,9 @@ from envgs_bench.core import View
 from ..notes import note
 
 MOST_VIEWS, MOST_POINTS = 24, 2000  # that are looked at, evenly chosen
-LEAST_POINTS, LEAST_VIEWS = 40, 8  # a view's, and how many views have so many, to speak of them
+LEAST_POINTS, LEAST_VIEWS = 12, 8  # a view's, and how many views have so many, to speak of them
 VARIED = 0.03  # least standard deviation of the points' colors
-UNLIKE = 0.1  # correlation below which pictures say nothing of the points
+UNLIKE = 0.15  # correlation below which pictures say nothing of the points
 BETTER, LIKE = 0.25, 0.35  # by how much a turned picture's must be higher, and how high
 
 Turn = Callable[[NDArray, NDArray], tuple[NDArray, NDArray]]
