@@ -7,7 +7,7 @@ pictures show, keeps the views' common exposure.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -50,7 +50,7 @@ class AffineExposure(Part):
         maps = self.maps.detach()
         return {"maps": maps, "moments": optimizer_state(self.optimizer, {"exposure": self.maps})}
 
-    def restore_training(self, state: dict[str, Any]) -> None:
+    def restore_training(self, state: Mapping[str, Any]) -> None:
         with torch.no_grad():
             self.maps.copy_(state["maps"])
         restore_optimizer(self.optimizer, {"exposure": self.maps}, state["moments"])

@@ -20,7 +20,7 @@ reference run coincide in every run, and those that do not keep their distance.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
@@ -193,14 +193,14 @@ class Part:
         """All that later steps depend on."""
         return {}
 
-    def restore_training(self, state: dict[str, Any]) -> None:
+    def restore_training(self, state: Mapping[str, Any]) -> None:
         """Become what `training_state` returned, tensors on the CPU."""
 
     def state(self) -> dict[str, Any]:
         """What a checkpoint holds of it, under keys that no other part has."""
         return {}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: Mapping[str, Any]) -> None:
         """Become what `state` returned, among other parts' keys; tensors on the method's device."""
 
 
