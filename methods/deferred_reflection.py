@@ -20,9 +20,11 @@ from .gaussians.regions import Ball, foreground_ball
 from .lighting.disturbance import Disturbance, reflecting_policy
 from .lighting.light_map import CubeMap
 from .lighting.reflection import Reflection
-from .lighting.settings import EnvMapSettings, check_map, check_reflection
+from .lighting.settings import Doublings, EnvMapSettings
+from .recipes import RecipeName
 from .settings import PublishedSettings
 from .training.schedule import Schedule
+from .validation import Amount, Rate, Steps, Weight
 
 SCOPE_WEIGHT = 0.4  # of the loss on what reflects outside the ball that may
 
@@ -32,29 +34,23 @@ SCOPE_WEIGHT = 0.4  # of the loss on what reflects outside the ball that may
 class DeferredReflectionSettings(PublishedSettings, EnvMapSettings):
     """Steps are those of the authors' code, whose runs of 61,000 steps train for 31,000 of them without any event."""
 
-    stretches: bool = False
-    longest_run: int = 61_000
-    sh_from: int = 10_000
+    recipe: RecipeName = "3dgs_dr"
 
-    initial_orientation: str = "world"
-    densify_until: int = 30_000
-    min_opacity: float = 0.005
+    densify_until: Steps = 30_000
+    min_opacity: Amount = 0.005
 
-    normal_weight: float = 0.0
-    mono_weight: float = 0.0
-    perceptual_weight: float = 0.0
+    normal_weight: Amount = 0.0
+    mono_weight: Amount = 0.0
+    perceptual_weight: Amount = 0.0
 
-    initial_beta: float = 1e-3
-    beta_lr: float = 6e-3
-    beta_threshold: float = 0.0
-    beta_reset_from: int = 1
-    beta_reset: str = "raise"
-    envmap_doublings: int = 0
-    envmap_lr: float = 5e-2
+    initial_beta: Weight = 1e-3
+    beta_lr: Rate = 6e-3
+    envmap_doublings: Doublings = 0
+    envmap_lr: Rate = 5e-2
 
-    disturb_every: int = 1_000
-    disturb_until: int = 24_000
-    scope_radius: float = 0.0  # the ball that may reflect, × the cameras' mean distance from its middle; 0: everything
+    disturb_every: Steps = 1_000
+    disturb_until: Steps = 24_000
+    scope_radius: Amount = 0.0  # the ball that may reflect, × the cameras' mean distance from its middle; 0: everything
 
 
 class DeferredReflection(GaussianMethod):
@@ -71,8 +67,6 @@ class DeferredReflection(GaussianMethod):
 
     def __init__(self, settings: DeferredReflectionSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        check_reflection(settings)
-        check_map(settings)
         light = CubeMap(self.model, settings, settings.envmap_doublings)
         disturbance = Disturbance(self.model, settings)
         if settings.scope_radius > 0:

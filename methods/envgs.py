@@ -17,34 +17,29 @@ from .gaussians.initialization import quantile_box, random_points_in_grid, rando
 from .gaussians.policy import Resets, SetPolicy, Start, regular
 from .lighting.disturbance import Disturbance, reflecting_policy
 from .lighting.reflection import Origin, Reflection, Traced
-from .lighting.settings import TracedSettings, check_reflection, check_traced
+from .lighting.settings import ReflectionSettings
 from .training.pilot_run import SHORTEST_RUN
 from .training.reflection_pilot import BOOTSTRAP, PLAIN, ReflectionOutcome, reflection_pilot
 from .training.schedule import ENV_RESET_FLOOR, RECOVERY, Schedule
+from .validation import Amount, Count, Limit, Steps
 
 REFLECTION = "reflection"  # in `found`: what the pilot run on reflections has shown
+PER_CELL = 5  # K: random primitives in each cell of the box
+BOX_QUANTILE = 0.995  # share of the points' range, on each axis, that the box covers
+FAR = 4.0  # radius of a sphere around the box that primitives start on too, × half its diagonal
 
 
 @dataclass(frozen=True)
-class EnvGSSettings(TracedSettings):
-    env_grid: int = 8  # N: the box is divided into N³ cells
-    env_per_cell: int = 5  # K: random primitives in each
-    env_box_quantile: float = 0.995  # share of the points' range, on each axis, that the box covers
-    env_box: float = 0.0  # half the edge of a cube around the origin as the box; 0: the scene's bounds, or by quantile
-    env_far: float = 4.0  # radius of a sphere around the box that primitives start on too, × half its diagonal
-    env_far_count: int = 2_000  # primitives on that sphere; 0: none
-    env_initial_opacity: float = 0.05  # opacity that these start with
-    env_from_points: bool = True  # primitives start at the scene's points too
-    env_sh_from: int = 0  # step up to which the environment's color is the same from everywhere, SH degree 0
-    env_position_scale: float = 5.0  # × the base set's position rate
-    env_radius_power: int = 1  # its position rate grows with this power of the scene radius; released code: 2
-    env_densify_every: int = 1_500  # steps between the environment's densifications
-    env_densify_threshold: float = 1e-4  # gradient ½·t·∂L/∂mean above which its primitives are cloned or split
-    env_max_primitives: int = 630_000  # largest environment; beyond, those of the least blending weight are pruned
-    env_densify_until: int = 21_000  # step before which the environment's densification and opacity resets end
-    env_opacity_reset_every: int = 6_000  # steps between the environment's opacity resets; 0: never
-
-    reflection_trial: bool = False  # a pilot run finds out what mirrored rays explain; if nothing, train as 2DGS
+class EnvGSSettings(ReflectionSettings):
+    group: ClassVar[str] = "environment"
+    env_grid: Count = 8  # N: the box is divided into N³ cells, each with random primitives
+    env_far_count: Limit = 2_000  # primitives on a sphere around the box; 0: none
+    env_densify_every: Steps = 1_500  # steps between the environment's densifications
+    env_densify_threshold: Amount = 1e-4  # gradient ½·t·∂L/∂mean above which its primitives are cloned or split
+    env_max_primitives: Limit = 630_000  # largest environment; beyond, those of the least blending weight are pruned
+    env_densify_until: Steps = 21_000  # step before which the environment's densification and opacity resets end
+    env_opacity_reset_every: Steps = 6_000  # steps between the environment's opacity resets; 0: never
+    reflection_pilot: bool = False  # a pilot run finds out what mirrored rays explain; if nothing, train as 2DGS
 
 
 class EnvGS(GaussianMethod):
@@ -67,7 +62,7 @@ class EnvGS(GaussianMethod):
         return {BASE: base, ENV: environment_policy(self.settings, schedule, base)}
 
     def initialize(self, scene: Scene, steps: int) -> None:
-        if REFLECTION not in self.found and self.settings.reflection_trial and steps >= SHORTEST_RUN:
+        if REFLECTION not in self.found and self.settings.reflection_pilot and steps >= SHORTEST_RUN:
             self.found[REFLECTION] = asdict(tried_reflections(self, scene))
         if is_plain(self):
             compose(self, replace(self.settings, **PLAIN))
@@ -80,8 +75,6 @@ class EnvGS(GaussianMethod):
 
 def compose(method: EnvGS, settings: EnvGSSettings) -> None:
     """Make the method's parts for these settings, in place of those that it has."""
-    check_reflection(settings)
-    check_traced(settings)
     method.settings = method.model.settings = settings
     method.model.policies = method.policies(method.model.schedule, None)
     light = Traced(method.model, settings, ENV, Environment(settings, method.generator))
@@ -105,16 +98,16 @@ class Environment(Origin):
         self._settings, self._generator = settings, generator
 
     def start(self, scene: Scene) -> None:
-        self._scene, self._box = scene, environment_box(scene, self._settings)
+        self._scene, self._box = scene, environment_box(scene)
 
     def points(self) -> tuple[Tensor, Tensor]:
         s, (low, high) = self._settings, self._box
-        inside = random_points_in_grid(low, high, s.env_grid, s.env_per_cell, self._generator)
-        radius = s.env_far * 0.5 * float((high - low).norm())
+        inside = random_points_in_grid(low, high, s.env_grid, PER_CELL, self._generator)
+        radius = FAR * 0.5 * float((high - low).norm())
         around = random_points_on_sphere((low + high) / 2, radius, s.env_far_count, self._generator)
         points = torch.cat([inside, around])
         colors = torch.rand(points.shape, generator=self._generator)
-        if s.env_from_points:
+        if s.rule.env_from_points:
             points = torch.cat([points, self._scene.points.to(points)])
             colors = torch.cat([colors, self._scene.point_colors.to(colors)])
         return points, colors
@@ -126,10 +119,10 @@ def environment_policy(s: EnvGSSettings, schedule: Schedule, base: SetPolicy) ->
     return replace(
         base,
         name=ENV,
-        start=Start(s.env_initial_opacity, "random"),
-        position_scale=s.env_position_scale,
-        radius_power=s.env_radius_power,
-        sh_from=s.env_sh_from,
+        start=Start(s.rule.env_initial_opacity, "random"),
+        position_scale=s.rule.env_position_scale,
+        radius_power=s.rule.env_radius_power,
+        sh_from=s.rule.env_sh_from,
         criterion=spatial_criterion,
         rule=replace(base.rule, gradient_threshold=s.env_densify_threshold, max_primitives=s.env_max_primitives),
         interval=regular(schedule, s.env_densify_every),
@@ -145,25 +138,20 @@ def environment_policy(s: EnvGSSettings, schedule: Schedule, base: SetPolicy) ->
 def tried_reflections(method: EnvGS, scene: Scene) -> ReflectionOutcome:
     """What a pilot run finds of the scene: from random primitives alone, eight times as many, as it was tuned."""
     s = method.settings
-    settings = replace(s, reflection_trial=False, bootstrap=BOOTSTRAP, env_from_points=False, env_grid=2 * s.env_grid)
+    settings = replace(s, reflection_pilot=False, bootstrap=BOOTSTRAP, env_grid=2 * s.env_grid)
+    settings = settings.ruled(env_from_points=False)
     mirrored, control = (fresh(method, settings) for _ in range(2))
     assert control.reflection is not None
     control.reflection.rays_along = "normal"
     return reflection_pilot(scene, mirrored, control)
 
 
-def environment_box(scene: Scene, settings: EnvGSSettings) -> tuple[Tensor, Tensor]:
+def environment_box(scene: Scene) -> tuple[Tensor, Tensor]:
     """Corners [3], [3] of the box that the environment set starts in, world units.
 
-    A cube around the origin where the settings or the scene's bounds give one, else by the points' quantile (Sec. 4.3).
-
-    Raises:
-        ValueError: `env_box` is negative.
+    A cube around the origin where the scene's bounds are known, else by the points' quantile (Sec. 4.3).
     """
-    if settings.env_box < 0:
-        raise ValueError(f"env_box is {settings.env_box:g}, expected half the edge of a cube, or 0 for the quantile's")
-    half_edge = settings.env_box or scene.bounds
-    if not half_edge:
-        return quantile_box(scene.points.float(), settings.env_box_quantile)
-    corner = scene.points.float().new_full((3,), half_edge)
+    if not scene.bounds:
+        return quantile_box(scene.points.float(), BOX_QUANTILE)
+    corner = scene.points.float().new_full((3,), scene.bounds)
     return -corner, corner

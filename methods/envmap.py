@@ -14,7 +14,7 @@ from .gaussians.policy import SetPolicy
 from .lighting.disturbance import Disturbance, reflecting_policy
 from .lighting.light_map import CubeMap
 from .lighting.reflection import Reflection
-from .lighting.settings import EnvMapSettings, check_map, check_reflection
+from .lighting.settings import EnvMapSettings
 from .training.schedule import Schedule
 
 
@@ -29,8 +29,6 @@ class EnvMap(GaussianMethod):
 
     def __init__(self, settings: EnvMapSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        check_reflection(settings)
-        check_map(settings)
         light = CubeMap(self.model, settings, settings.envmap_doublings)
         self.reflection = Reflection(self.model, settings, light)
         self.parts = {"reflection": self.reflection, "disturbance": Disturbance(self.model, settings)}

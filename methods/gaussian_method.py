@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -17,14 +16,13 @@ from envgs_bench.core import Camera, Rendering, Scene, Statistics, View, torch_o
 from envgs_bench.parts import BASE, MONO
 
 from .gaussians.budget import SharedBudget
-from .gaussians.initialization import ORIENTATIONS
 from .gaussians.model import GaussianModel
 from .gaussians.monitor import GaussianMonitor
-from .gaussians.policy import SetPolicy, Start, base_policy, initial_rates
+from .gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, base_policy, initial_rates
 from .gaussians.pruning import events_of, prune
 from .lighting.reflection import Reflection
 from .method import Budget, Method, Needs
-from .settings import GaussianSettings, check_words
+from .settings import GaussianSettings
 from .storage.checkpoint import read_checkpoint, write_checkpoint
 from .training.cuda_graphs import on_own_stream
 from .training.exposure import AffineExposure
@@ -37,20 +35,6 @@ from .training.step_runner import StepRunner, Work, parameters_of
 
 SMALL_IMAGE = 1 << 17  # pixels, and
 SMALL_SETS = 1 << 16  # primitives of all sets: a CPU takes longer to share an operation of torch's out than to do it
-WORDS = {  # of settings that choose
-    "normal_reference": ("unit", "alpha"),
-    "normal_rendered": ("unit", "blended"),
-    "exposure": ("none", "affine"),
-    "normals": ("as_given", "agreed"),
-    "mono_loss": ("cos", "l1_cos"),
-    "mono_rendered": ("blended", "unit"),
-    "normal_weighting": ("none", "depth", "alpha"),
-    "perceptual_loss": ("features", "lpips"),
-    "initial_orientation": ORIENTATIONS,
-    "mean_gradient_over": ("drawn", "in_view"),
-    "mean_gradient_of": ("all", "own"),
-    "oversized": ("split", "prune"),
-}
 
 
 class GaussianMethod(Method):
@@ -81,7 +65,6 @@ class GaussianMethod(Method):
 
     def __init__(self, settings: GaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        check_words(settings, WORDS)
         self.found: dict[str, dict[str, float]] = {}
         self.model = GaussianModel(settings, self.axes, self.device, self.generator)
         self.model.policies = self.policies(self.model.schedule, None)
@@ -106,7 +89,7 @@ class GaussianMethod(Method):
     def policies(self, schedule: Schedule, scene: Scene | None) -> dict[str, SetPolicy]:
         """How each set is trained in a run of that schedule; without a scene, of what no training has started."""
         s = self.settings
-        start = Start(s.initial_opacity, s.initial_orientation)
+        start = Start(INITIAL_OPACITY, s.rule.initial_orientation)
         return {BASE: base_policy(s, schedule, scene, start=start, rates=initial_rates(s, schedule))}
 
     # What a picture is, and what a step minimizes
@@ -152,8 +135,8 @@ class GaussianMethod(Method):
     def needs(self) -> Needs:
         s = self.settings
         return Needs(
-            perceptual=s.perceptual_loss if s.perceptual_weight > 0 else None,
-            agreed_normals=s.normals == "agreed" and s.mono_weight > 0,
+            perceptual=s.rule.perceptual_loss if s.perceptual_weight > 0 else None,
+            agreed_normals=s.rule.normals == "agreed" and s.mono_weight > 0,
         )
 
     @property
@@ -161,7 +144,7 @@ class GaussianMethod(Method):
         return self.runner.skipped
 
     def training_steps(self, steps: int) -> int:
-        longest = self.settings.longest_run
+        longest = self.settings.rule.longest_run
         return min(steps, longest) if longest else steps
 
     def limit(self, budget: Budget) -> None:
@@ -174,8 +157,8 @@ class GaussianMethod(Method):
             raise ValueError(f"scene {scene.name} has no points to start from")
         if s.mono_weight > 0 and (lacking := lacking_normals(scene)):
             self.dropped_losses[MONO] = lacking
-        schedule = Schedule(steps, s.stretches)
-        pilot = partial(fresh, self, replace(s, normals="as_given"))  # whose views agree already
+        schedule = Schedule(steps, s.rule.stretches)
+        pilot = partial(fresh, self, s.ruled(normals="as_given"))  # whose views agree already
         learned = learned_normals(scene, steps, self.needs.agreed_normals, self.found, pilot)
         self.notes = list(learned.notes)
         self.loss = TrainingLoss(s, schedule, learned.weight)
@@ -191,7 +174,7 @@ class GaussianMethod(Method):
         views = ResidentViews.of(self.device, learned)
         prune_all = partial(prune, self.model, self.draw, self.prepare, views.all_of(scene.train), s.prune_error)
         of_parts = [event for part in self.parts.values() for event in part.events()]
-        self.runner.start(schedule, s.average_from, views, events_of(self.model, prune_all, of_parts))
+        self.runner.start(schedule, s.rule.average_from, views, events_of(self.model, prune_all, of_parts))
 
     def training_step(self, view: View, step: int) -> dict[str, Tensor]:
         # A perceptual loss is a large network's, which is worth all threads.

@@ -6,8 +6,8 @@ others are the residual one, s its tint, and L the map filtered for its roughnes
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -22,10 +22,12 @@ from .gaussians.model import GaussianModel
 from .gaussians.policy import SetPolicy
 from .lighting.brdf_table import specular_weight
 from .lighting.light_map import CubeMap, Filtered
-from .lighting.settings import MapSettings, check_map
+from .lighting.settings import MapSettings
 from .lighting.shading import colored, mirrored, seen_from
+from .recipes import RecipeName
 from .settings import PublishedSettings
 from .training.schedule import Part, Schedule, set_rate
+from .validation import Amount, Rate, Size
 
 INITIAL_TINT, INITIAL_ROUGHNESS = 0.0, 0.6  # logits
 INITIAL_LIGHT = 0.8
@@ -36,20 +38,20 @@ MATERIALS = {"tint_logits": 3, "roughness_logits": 1, "outer_residuals": 3, "inn
 # PublishedSettings stands first, so that all that every Gaussian method has is as in 3DGS's released code.
 @dataclass(frozen=True)
 class GaussianShaderSettings(PublishedSettings, MapSettings):
-    initial_orientation: str = "world"
-    min_opacity: float = 0.005
+    recipe: RecipeName = "3dgs"
+    rules: dict[str, Any] = field(default_factory=lambda: {"normal_weighting": "alpha"}, hash=False)
+    min_opacity: Amount = 0.005
 
-    normal_weight: float = 0.2
-    normal_weighting: str = "alpha"
-    mono_weight: float = 0.0
-    perceptual_weight: float = 0.0
-    sparse_weight: float = 1e-3  # weight of the loss that makes alpha 0 or 1
-    residual_weight: float = 1e-3  # weight of the lengths of what normals differ from the shortest axes by
+    normal_weight: Amount = 0.2
+    mono_weight: Amount = 0.0
+    perceptual_weight: Amount = 0.0
+    sparse_weight: Amount = 1e-3  # weight of the loss that makes alpha 0 or 1
+    residual_weight: Amount = 1e-3  # weight of the lengths of what normals differ from the shortest axes by
 
-    material_lr: float = 1.6e-2  # learning rate of tints, roughnesses and normals at the start; log-linear to the last
-    material_lr_final: float = 1.6e-3  # learning rate of those and of the map at the end
-    envmap_size: int = 64
-    envmap_lr: float = 1.6e-2
+    material_lr: Rate = 1.6e-2  # learning rate of tints, roughnesses and normals at the start; log-linear to the last
+    material_lr_final: Rate = 1.6e-3  # learning rate of those and of the map at the end
+    envmap_size: Size = 64
+    envmap_lr: Rate = 1.6e-2
 
 
 class GaussianShader(GaussianMethod):
@@ -66,7 +68,6 @@ class GaussianShader(GaussianMethod):
 
     def __init__(self, settings: GaussianShaderSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        check_map(settings)
         self.light = Filtered(CubeMap(self.model, settings))
         self.model.shade = self._shaded
         rates = DecayingRates(self.model, settings, self.light.map)

@@ -25,12 +25,14 @@ from .lighting.disturbance import Disturbance, beta_of, reflecting_policy
 from .lighting.light_map import CubeMap, Filtered
 from .lighting.occlusion import Occluders
 from .lighting.reflection import Reflection
-from .lighting.settings import EnvMapSettings, check_map, check_reflection
+from .lighting.settings import Doublings, EnvMapSettings
 from .lighting.shading import colored, from_sides, mirrored, reflectance_of, seen_from
 from .lighting.supersampling import averaged, finer
+from .recipes import RecipeName
 from .settings import PublishedSettings
 from .training.losses import edge_aware_smoothness
 from .training.schedule import Part, Schedule
+from .validation import Amount, Rate, Steps, Weight
 
 METALLIC_ABOVE = 0.02  # m from which normals propagate, and up to which base colors are sabotaged
 SMOOTH_BELOW = 0.01  # roughness up to which normals propagate
@@ -43,38 +45,30 @@ MATERIALS = {"roughness_logits": 1, "albedo_logits": 3, "indirect_dc": 3, "indir
 class RefGaussianSettings(PublishedSettings, EnvMapSettings):
     """Steps are those of the authors' code, whose runs have 50,000. β is the metallic share m."""
 
-    stretches: bool = False
-    longest_run: int = 50_000
-    sh_lr: float = 7.5e-3
-    sh_from: int = 5_000
+    recipe: RecipeName = "ref_gaussian"
 
-    initial_orientation: str = "random"
-    densify_until: int = 25_000
+    sh_lr: Rate = 7.5e-3
+    densify_until: Steps = 25_000
 
-    normal_weight: float = 0.05
-    normal_reference: str = "alpha"
-    normal_rendered: str = "blended"
-    mono_weight: float = 0.0
-    perceptual_weight: float = 0.0
-    smooth_weight: float = 0.0  # weight of the edge-aware smoothness of normals
-    smooth_until: int = 18_000  # step up to which that counts
+    normal_weight: Amount = 0.05
+    mono_weight: Amount = 0.0
+    perceptual_weight: Amount = 0.0
+    smooth_weight: Amount = 0.0  # weight of the edge-aware smoothness of normals
+    smooth_until: Steps = 18_000  # step up to which that counts
 
-    bootstrap: int = 0
-    shade_until: int = 18_000  # step up to which each surfel is shaded, not each pixel; then materials start anew
-    indirect_from: int = 20_000  # step after which what hides the map from a pixel lights it
-    initial_beta: float = 1e-2
-    initial_roughness: float = 0.1  # roughness that surfels start with
-    beta_lr: float = 5e-3
-    roughness_lr: float = 5e-3  # learning rate of the roughnesses' logits
-    albedo_lr: float = 7.5e-3  # learning rate of the albedos' logits
-    indirect_lr: float = 7.5e-3  # learning rate of the indirect light's constant term; 1/20 of it for the others
-    beta_threshold: float = 0.0
-    beta_reset_from: int = 1
-    beta_reset: str = "raise"
-    envmap_doublings: int = 0
+    bootstrap: Steps = 0
+    shade_until: Steps = 18_000  # step up to which each surfel is shaded, not each pixel; then materials start anew
+    indirect_from: Steps = 20_000  # step after which what hides the map from a pixel lights it
+    initial_beta: Weight = 1e-2
+    initial_roughness: Weight = 0.1  # roughness that surfels start with
+    beta_lr: Rate = 5e-3
+    roughness_lr: Rate = 5e-3  # learning rate of the roughnesses' logits
+    albedo_lr: Rate = 7.5e-3  # learning rate of the albedos' logits
+    indirect_lr: Rate = 7.5e-3  # learning rate of the indirect light's constant term; 1/20 of it for the others
+    envmap_doublings: Doublings = 0
 
-    disturb_every: int = 1_000
-    disturb_until: int = 25_000
+    disturb_every: Steps = 1_000
+    disturb_until: Steps = 25_000
 
 
 class RefGaussian(GaussianMethod):
@@ -91,10 +85,6 @@ class RefGaussian(GaussianMethod):
 
     def __init__(self, settings: RefGaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        check_reflection(settings)
-        check_map(settings)
-        if not 0 < settings.initial_roughness < 1:
-            raise ValueError(f"initial_roughness is {settings.initial_roughness:g}, expected one between 0 and 1")
         light = CubeMap(self.model, settings, settings.envmap_doublings)
         self.reflection = Reflection(self.model, settings, light)
         self.surfaces = Surfaces(self, settings, self.reflection, light)

@@ -58,7 +58,7 @@ def create_method(
         ValueError: no such method, not a `Method`, or a setting it does not have.
     """
     found = method_class(kind)
-    return found(make_settings(found.Settings, settings or {}, f"method {kind}"), device, seed)
+    return found(make_settings(found.Settings, settings or {}, f"method {kind}: "), device, seed)
 
 
 def method_class(kind: str) -> type[Method]:

@@ -13,7 +13,7 @@ from .gaussian_method import GaussianMethod
 from .gaussians.policy import SetPolicy
 from .lighting.disturbance import Disturbance, reflecting_policy
 from .lighting.reflection import Reflection, Traced
-from .lighting.settings import TracedSettings, check_reflection, check_traced
+from .lighting.settings import ReflectionSettings
 from .training.schedule import Schedule
 
 
@@ -25,15 +25,13 @@ class SingleSet(GaussianMethod):
     """
 
     card = MethodCard("envgs_single_set", "EnvGS, one set", 50, "#66001A")
-    Settings: ClassVar[type] = TracedSettings
-    settings: TracedSettings
+    Settings: ClassVar[type] = ReflectionSettings
+    settings: ReflectionSettings
     axes = 2
     cuda_graph: ClassVar[bool] = True
 
-    def __init__(self, settings: TracedSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
+    def __init__(self, settings: ReflectionSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        check_reflection(settings)
-        check_traced(settings)
         self.reflection = Reflection(self.model, settings, Traced(self.model, settings, BASE))
         self.parts = {"reflection": self.reflection, "disturbance": Disturbance(self.model, settings)}
 

@@ -11,17 +11,19 @@ from typing import ClassVar
 from envgs_bench.parts import MethodCard
 
 from .gaussian_method import GaussianMethod
+from .recipes import RecipeName
 from .settings import PublishedSettings
+from .validation import Amount
 
 
 @dataclass(frozen=True)
 class ThreeDGSSettings(PublishedSettings):
-    initial_orientation: str = "world"
+    recipe: RecipeName = "3dgs"
 
-    normal_weight: float = 0.0
-    mono_weight: float = 0.0
-    perceptual_weight: float = 0.0
-    min_opacity: float = 0.005
+    min_opacity: Amount = 0.005
+    normal_weight: Amount = 0.0
+    mono_weight: Amount = 0.0
+    perceptual_weight: Amount = 0.0
 
 
 class ThreeDGS(GaussianMethod):

@@ -32,6 +32,7 @@ from .lighting.tensor_field import field_components
 from .three_d_gs import ThreeDGSSettings
 from .training.optimizer import adam, detached, optimizer_state, restore_optimizer
 from .training.schedule import Part, Schedule
+from .validation import Degree, Rate, Size, Steps
 
 COMPONENTS = 48  # of each mode of the field
 FEATURES = 48  # of the field at a place, and of a Gaussian's BRDF: as many as 3DGS has spherical harmonics
@@ -46,14 +47,13 @@ GRIDS = ("planes", "lines")
 
 @dataclass(frozen=True)
 class ThreeIGSSettings(ThreeDGSSettings):
-    sh_degree: int = 0
-    sh_every: int = 0
+    sh_degree: Degree = 0
 
-    diffuse_until: int = 3_000  # step up to which there is diffuse color alone
-    brdf_lr: float = 2.5e-3  # learning rate of the Gaussians' features and roughnesses
-    field_size: int = 150  # samples of the illumination field along each axis
-    field_lr: float = 2e-2  # learning rate of the field's planes and lines
-    network_lr: float = 1e-3  # learning rate of what mixes the field's components, and of the network
+    diffuse_until: Steps = 3_000  # step up to which there is diffuse color alone
+    brdf_lr: Rate = 2.5e-3  # learning rate of the Gaussians' features and roughnesses
+    field_size: Size = 150  # samples of the illumination field along each axis
+    field_lr: Rate = 2e-2  # learning rate of the field's planes and lines
+    network_lr: Rate = 1e-3  # learning rate of what mixes the field's components, and of the network
 
 
 class ThreeIGS(GaussianMethod):
@@ -67,8 +67,6 @@ class ThreeIGS(GaussianMethod):
 
     def __init__(self, settings: ThreeIGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        if settings.field_size < 2:
-            raise ValueError(f"field_size is {settings.field_size}, expected at least 2")
         self.field = IlluminationField(self.model, settings)
         self.model.shade = self.field.shaded
         self.parts = {"field": self.field}

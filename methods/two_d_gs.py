@@ -8,21 +8,21 @@ from typing import ClassVar
 from envgs_bench.parts import MethodCard
 
 from .gaussian_method import GaussianMethod
+from .recipes import RecipeName
 from .settings import PublishedSettings
+from .validation import Amount, Steps
 
 
 @dataclass(frozen=True)
 class TwoDGSSettings(PublishedSettings):
     """Normals are held to the depth map alone, and pictures are compared pixel by pixel."""
 
-    initial_orientation: str = "random"
+    recipe: RecipeName = "2dgs"
 
-    normal_weight: float = 0.05
-    normal_from: int = 7_000
-    normal_reference: str = "alpha"
-    normal_rendered: str = "blended"
-    mono_weight: float = 0.0
-    perceptual_weight: float = 0.0
+    normal_weight: Amount = 0.05
+    normal_from: Steps = 7_000
+    mono_weight: Amount = 0.0
+    perceptual_weight: Amount = 0.0
 
 
 class TwoDGS(GaussianMethod):

@@ -131,7 +131,7 @@ class RunWorkload(Workload):
         method.prepare()
         base, offset, beta_min = method.model.rasterize(view.camera, None), RAY_OFFSET, 0.0
         if isinstance(method.settings, ReflectionSettings):
-            offset, beta_min = method.settings.ray_offset, method.settings.beta_threshold
+            offset, beta_min = method.settings.rule.ray_offset, method.settings.rule.beta_threshold
         else:
             base = replace(base, extras=torch.ones_like(base.alpha)[..., None])
         backend = method.settings.backend

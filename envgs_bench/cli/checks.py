@@ -123,7 +123,7 @@ def _with_new_settings(overrides: list[Override], axes: dict[str, list[str]], se
     firsts = [choices[0] for key, choices in axes.items() if choices and SETTING not in key]
     lines = [*_fixed(one for one in overrides if SETTING not in str(one.key_or_group)), *firsts, *search]
     known = {f"{SETTING}{key}" for key in compose("config", lines).method.get("settings") or {}}
-    return {line: f"+{line}" for key, line in own.items() if key not in known}
+    return {line: f"++{line}" for key, line in own.items() if key not in known}
 
 
 def _fixed(overrides: Iterable[Override]) -> list[str]:

@@ -6,10 +6,10 @@ import dataclasses
 import difflib
 import shlex
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
@@ -26,6 +26,7 @@ from omegaconf.errors import (
 from envgs_bench.datasets.registry import BUILT_IN as DATASET_KINDS
 from envgs_bench.datasets.registry import default_settings as default_dataset_settings
 from envgs_bench.methods.registry import method_class, method_names, method_paths
+from envgs_bench.methods.settings import RunGroup, make_settings
 from envgs_bench.settings import MethodChoice, RunSettings, SettingsError, parse_settings
 
 CONF = Path(__file__).parents[1] / "conf"
@@ -50,9 +51,14 @@ def composed(overrides: list[str]) -> RunSettings:
     register_choices(overrides)
     try:
         with initialize_config_dir(str(CONF), version_base="1.3"):
-            return settings_of(compose("config", overrides), overrides)
+            return settings_of(compose("config", [*map(_forced, overrides)]), overrides)
     except (CompactHydraException, OmegaConfBaseException, SettingsError) as error:
         raise SettingsError(explain(error)) from error
+
+
+def _forced(override: str) -> str:
+    """The same, or what makes Hydra add a rule: a method names only those of its rules that are not its recipe's."""
+    return f"++{override}" if override.startswith(f"{SETTING}rules.") else override
 
 
 def settings_of(config: DictConfig, overrides: list[str]) -> RunSettings:
@@ -69,10 +75,7 @@ def settings_of(config: DictConfig, overrides: list[str]) -> RunSettings:
         content.pop(shorthand, None)
     release = content.pop("release", None) or {}
     settings = parse_settings({**content, "overrides": overrides})
-    written = _written_out(settings.method) | _released(settings.method.name, release, overrides)
-    method = settings.method.model_copy(update={"settings": written})
-    _refuse_unknown(method)
-    return settings.model_copy(update={"method": method})
+    return settings.model_copy(update={"method": _accepted(settings.method, release, overrides)})
 
 
 def register_choices(overrides: Iterable[str] = ()) -> None:
@@ -99,44 +102,37 @@ def _offer_dataset(kind: str) -> None:
 
 @cache  # the store lives as long as the process
 def _offer(kind: str, settings_type: type) -> None:
-    node = {"name": kind.rpartition(":")[2], "kind": kind, "settings": default_settings(settings_type)}
+    node = {"name": kind.rpartition(":")[2], "kind": kind, "settings": dataclasses.asdict(settings_type())}
     ConfigStore.instance().store(group="method", name=kind, node=node)
 
 
-def default_settings(settings_type: type) -> DictConfig:
-    """The defaults of a settings dataclass, typed: an override of another type is refused as it is given."""
-    try:
-        node = OmegaConf.structured(settings_type())
-    except OmegaConfBaseException:  # a type that OmegaConf does not know, such as Literal
-        return OmegaConf.create(dataclasses.asdict(settings_type()))
-    OmegaConf.set_readonly(node, None)  # as the node of a frozen dataclass otherwise is
-    return node
+def _accepted(method: MethodChoice, release: Mapping[str, Any], overrides: Iterable[str]) -> MethodChoice:
+    """The method with every setting and every rule written out, whatever a YAML file of somebody's own leaves out.
 
-
-def _written_out(method: MethodChoice) -> dict[str, Any]:
-    """The method's settings with the defaults of those that a YAML file of somebody's own leaves out."""
+    Raises:
+        SettingsError: a setting that the method does not have, or another value than it takes.
+    """
     try:
-        defaults = default_settings(method_class(method.kind).Settings)
+        settings_type = method_class(method.kind).Settings
     except Exception:
-        return method.settings  # a folder of renders; or what cannot be loaded, as the run itself will say
-    return {**cast(dict, OmegaConf.to_container(defaults)), **method.settings}
-
-
-def _released(name: str, release: Mapping[str, Any], overrides: Iterable[str]) -> dict[str, Any]:
-    """What the scene's release sets apart for the method `name`, but for what an override gives."""
+        return method  # a folder of renders; or what cannot be loaded, as the run itself will say
     given = {override.lstrip("+").partition("=")[0] for override in overrides}
-    return {key: value for key, value in (release.get(name) or {}).items() if f"{SETTING}{key}" not in given}
-
-
-def _refuse_unknown(method: MethodChoice) -> None:
-    """Raise a SettingsError that names the first of the method's settings that its class does not have."""
+    values = _with_release(method.settings, release.get(method.name) or {}, given)
     try:
-        known = sorted(field.name for field in dataclasses.fields(method_class(method.kind).Settings))
-    except Exception:
-        return
-    for key in method.settings:
-        if key not in known:
-            raise SettingsError(_unknown(f"method.settings.{key}", known))
+        settings = make_settings(settings_type, values, SETTING)
+    except ValueError as error:
+        raise SettingsError(str(error)) from error
+    written = dataclasses.asdict(settings)
+    if isinstance(settings, RunGroup):
+        written["rules"] = dataclasses.asdict(settings.rule)
+    return method.model_copy(update={"settings": written})
+
+
+def _with_release(settings: Mapping[str, Any], release: Mapping[str, Any], given: Collection[str]) -> dict[str, Any]:
+    """The settings with what the scene's release sets apart, but for what an override gives."""
+    rules = {key: value for key, value in release.get("rules", {}).items() if f"{SETTING}rules.{key}" not in given}
+    own = {key: value for key, value in release.items() if key != "rules" and f"{SETTING}{key}" not in given}
+    return {**settings, **own, **({"rules": {**settings.get("rules", {}), **rules}} if rules else {})}
 
 
 def explain(error: Exception) -> str:

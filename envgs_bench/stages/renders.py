@@ -58,7 +58,7 @@ def score_renders(
         ValueError: an unknown setting.
         RendersError: files or views are left over, or a file cannot be taken for its view.
     """
-    choice = make_settings(RendersSettings, settings, "method renders")
+    choice = make_settings(RendersSettings, settings, "method renders: ")
     files = match_renders(Path(choice.path), choice.match, views)
 
     def pairs() -> Iterator[Pair]:

@@ -42,8 +42,8 @@ def _without_joint(settings: RunSettings, off: float, rng: np.random.Generator) 
 
 
 def _blend_normals(settings: RunSettings, off: float, rng: np.random.Generator) -> RunSettings:
-    _required(settings, "normal_rendered")
-    return _with_method(settings, {"normal_rendered": "blended", "normal_reference": "unit"})
+    rules = _required(settings, "rules")
+    return _with_method(settings, {"rules": {**rules, "normal_rendered": "blended", "normal_reference": "unit"}})
 
 
 def _scale_steps(settings: RunSettings, factor: float, rng: np.random.Generator) -> RunSettings:

@@ -20,6 +20,7 @@ from .parameters import GaussianParameters
 from .policy import SetPolicy
 from .trained_set import TrainedSet
 
+NEAR = 0.2  # hits nearer to the camera are not drawn, world units; a scene's free space raises it
 FULL = 0.95  # share of its size limit from which a set is held back by it: some are pruned between two densifications
 
 
@@ -34,7 +35,7 @@ class GaussianModel:
         shade: what a camera sees of the base set at a step, or in an image (None); None: the set is drawn as it is.
         schedule: the clock of this run, see `Schedule`.
         radius: the scene's, world units.
-        near: hits nearer to the camera are not drawn, world units: the setting, or the scene's free space if larger.
+        near: hits nearer to the camera are not drawn, world units: NEAR, or the scene's free space if larger.
         background: [3] color behind everything, in [0, 1].
         budget: what all sets share; None where there is none.
     """
@@ -47,7 +48,7 @@ class GaussianModel:
         self.shade: Callable[[GaussianSet, Camera, int | None], GaussianSet] | None = None
         self.schedule = Schedule(1)
         self.radius = 1.0
-        self.near = settings.near
+        self.near = NEAR
         self.background = torch.zeros(3, device=device)
         self.budget: SharedBudget | None = None
 
@@ -70,7 +71,7 @@ class GaussianModel:
 
     def rasterize(self, camera: Camera, step: int | None) -> Rendering:
         """The base set alone, [H, W, …]."""
-        counted = self.settings.mean_gradient_of == "all"
+        counted = self.settings.rule.mean_gradient_of == "all"
         return rasterize(self.base(camera, step), camera, **self._rasterizing(), low_pass_statistics=counted)
 
     def rasterize_color(self, camera: Camera) -> Tensor:
@@ -107,7 +108,7 @@ class GaussianModel:
     def start(self, scene: Scene, schedule: Schedule, policies: Mapping[str, SetPolicy]) -> None:
         """Become a base set with a primitive at each of the scene's points."""
         self.schedule = schedule
-        self.near = max(self.settings.near, scene.free_space)
+        self.near = max(NEAR, scene.free_space)
         self.radius = scene.radius or half_diagonal(scene.points)
         self.background = scene.background.to(self.device)
         self.policies = dict(policies)
@@ -190,7 +191,7 @@ class GaussianModel:
         """
         for name, seen in statistics.items():
             learned = [self.policies[name].criterion(seen, camera), seen.weights]
-            if name == BASE and self.settings.mean_gradient_over == "in_view":
+            if name == BASE and self.settings.rule.mean_gradient_over == "in_view":
                 base = self.sets[BASE].parameters.tensors
                 learned.append(in_view(base["means"], base["log_scales"].exp(), camera, self.near))
             self.sets[name].record.add(*(torch.where(counts, values, 0.0) for values in learned))
@@ -225,12 +226,12 @@ class GaussianModel:
             return
         tensors = self.sets[BASE].parameters.tensors
         distances = (tensors["means"] - camera.center).norm(dim=1)
-        allowed = torch.add(still, distances, alpha=self.settings.max_scale)
+        allowed = torch.add(still, distances, alpha=self.settings.rule.max_scale)
         largest = torch.where(statistics[BASE].weights > 0, allowed, torch.inf).log()
         tensors["log_scales"].clamp_(max=largest[:, None])
 
     def _restrains(self, step: int) -> bool:
-        return self.settings.max_scale > 0 and self.policies[BASE].resets.recovers(step)
+        return self.settings.rule.max_scale > 0 and self.policies[BASE].resets.recovers(step)
 
     # What is stored
 

@@ -16,6 +16,8 @@ from ..training.schedule import DENSIFY_FLOOR, RECOVERY, RESET_FLOOR, Every, Sch
 from .densification import DensificationRule, Oversized, screen_criterion
 from .parameters import LearningRates, primitive_bytes
 
+INITIAL_OPACITY = 0.1  # of the base set's primitives
+
 SLOW_DENSIFICATIONS = 10  # that a span of slower growth has at least
 
 
@@ -168,16 +170,16 @@ def base_policy(
         position_lr=(s.position_lr, s.position_lr_final),
         rotation_lr=(s.rotation_lr, s.rotation_lr_final),
         sh_degree=s.sh_degree,
-        sh_every=s.sh_every,
-        sh_from=s.sh_from,
+        sh_every=s.rule.sh_every,
+        sh_from=s.rule.sh_from,
         criterion=screen_criterion,
         rule=densification_rule(s, most),
         interval=regular(schedule, s.densify_every),
-        grows_from=s.densify_from,
+        grows_from=s.rule.densify_from,
         grows_until=s.densify_until,
         resets=_base_resets(s, schedule, scene),
         cap=s.max_primitives,
-        oversized=s.oversized,
+        oversized=s.rule.oversized,
     )
 
 
@@ -201,7 +203,9 @@ def slowed(usual: Callable[[int], Fraction], times: int, after: int, until: int)
 
 def densification_rule(s: GaussianSettings, most: int) -> DensificationRule:
     """When a primitive is cloned, split or removed, in a set of at most so many."""
-    return DensificationRule(s.densify_threshold, s.min_opacity, most, s.min_coverage, s.min_views, s.max_growth)
+    return DensificationRule(
+        s.densify_threshold, s.min_opacity, most, s.min_coverage, s.rule.min_views, s.rule.max_growth
+    )
 
 
 def initial_rates(s: GaussianSettings, schedule: Schedule) -> LearningRates:
@@ -233,5 +237,5 @@ def _base_resets(s: GaussianSettings, schedule: Schedule, scene: Scene | None) -
     """
     on_white = scene is not None and bool((scene.background == 1).all())
     resets = 0 < schedule.interval(s.opacity_reset_every, RESET_FLOOR) < schedule.at(s.densify_until)
-    besides = schedule.at(s.densify_from) if s.reset_on_white and on_white and resets else 0
+    besides = schedule.at(s.rule.densify_from) if s.rule.reset_on_white and on_white and resets else 0
     return Resets(schedule, s.opacity_reset_every, s.densify_until, besides=besides)

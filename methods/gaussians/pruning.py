@@ -16,6 +16,7 @@ from .importance import removal_errors, without_least
 from .model import GaussianModel
 
 TRANSPARENT = -100.0  # logit of an opacity that draws nothing
+PRUNE_EVERY, PRUNE_UNTIL = 1_500, 28_000  # steps of a run of 30,000: between two prunings, and before which they end
 
 
 def prune(
@@ -65,8 +66,8 @@ def events_of(model: GaussianModel, prune_all: Callable[[int], None], of_parts: 
     s, schedule, base = model.settings, model.schedule, model.policies[BASE]
     events = []
     if s.prune_error > 0:
-        every = schedule.interval(s.prune_every, DENSIFY_FLOOR)
-        span = schedule.at(s.prune_from), schedule.at(s.prune_until)
+        every = schedule.interval(PRUNE_EVERY, DENSIFY_FLOOR)
+        span = schedule.at(s.prune_from), schedule.at(PRUNE_UNTIL)
         events.append(Every("prune", prune_all, lambda step: every, *span, unless=base.resets.recovers))
     for name, policy in model.policies.items():
         events.append(policy.densification(partial(model.densify, name)))

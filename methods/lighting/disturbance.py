@@ -14,7 +14,7 @@ from envgs_bench.parts import BASE
 
 from ..gaussians.model import GaussianModel
 from ..gaussians.parameters import inverse_sigmoid
-from ..gaussians.policy import SetPolicy, Start, base_policy, initial_rates, slowed
+from ..gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, base_policy, initial_rates, slowed
 from ..training.schedule import Every, Part, Schedule
 from .settings import ReflectionSettings
 
@@ -49,7 +49,7 @@ class Disturbance(Part):
             events.append(Every("sabotage", self.sabotage, also=self._disturbs))
         if s.propagate and s.disturb_every > 0:
             events.append(Every("propagate", self.propagate, also=self._disturbs))
-        if s.beta_reset_from > 0:
+        if s.rule.beta_reset_from > 0:
             events.append(Every("reset_beta", self.reset_beta, also=self._resets_beta))
         return events
 
@@ -82,7 +82,7 @@ class Disturbance(Part):
         parameters = self._model.sets[BASE].parameters
         logits = parameters.tensors["beta_logits"].detach()
         start = inverse_sigmoid(torch.full_like(logits, self._settings.initial_beta))
-        bounded = torch.minimum if self._settings.beta_reset == "lower" else torch.maximum
+        bounded = torch.minimum if self._settings.rule.beta_reset == "lower" else torch.maximum
         parameters.replace("beta_logits", torch.where(self._allowed()[:, None], bounded(logits, start), logits))
 
     def _allowed(self) -> Tensor:
@@ -102,17 +102,17 @@ class Disturbance(Part):
         )
 
     def _resets_beta(self, step: int) -> bool:
-        begun = step >= self._model.schedule.at(self._settings.beta_reset_from)
+        begun = step >= self._model.schedule.at(self._settings.rule.beta_reset_from)
         return begun and self._model.policies[BASE].resets.due(step)
 
 
 def reflecting_policy(s: ReflectionSettings, schedule: Schedule, scene: Scene | None) -> SetPolicy:
     """The policy of a base set with β, which grows more slowly while reflections settle."""
-    start = Start(s.initial_opacity, s.initial_orientation, beta=s.initial_beta)
+    start = Start(INITIAL_OPACITY, s.rule.initial_orientation, beta=s.initial_beta)
     rates = replace(initial_rates(s, schedule), beta=s.beta_lr * schedule.rate_scale)
     policy = base_policy(s, schedule, scene, start=start, rates=rates)
     span = schedule.at(s.bootstrap), schedule.at(s.disturb_until)
-    return replace(policy, interval=slowed(policy.interval, s.settling_interval, *span))
+    return replace(policy, interval=slowed(policy.interval, s.rule.settling_interval, *span))
 
 
 def beta_of(model: GaussianModel) -> Tensor:

@@ -19,7 +19,7 @@ from envgs_bench.parts import BASE, BETA, REFLECTION
 
 from ..gaussians.model import GaussianModel
 from ..training.schedule import Every, Part
-from .settings import ReflectionSettings, TracedSettings
+from .settings import ReflectionSettings
 from .supersampling import averaged, finer, repeated
 
 
@@ -88,13 +88,13 @@ class Reflection(Part):
         s = self._settings
         if not s.joint:
             base = replace(base, normal=base.normal.detach(), depth=base.depth.detach())
-        least = s.reflect_alpha
+        least = s.rule.reflect_alpha
         if least > 0 and (step is None or self._reflects_less(step)):
             base = replace(base, extras=base.extras * (base.alpha > least)[..., None])
         origins, directions, beta = reflect(
             base,
             camera,
-            offset=s.ray_offset * self._model.radius,
+            offset=s.rule.ray_offset * self._model.radius,
             beta_min=0.0 if step is not None else self._min_beta(base.extras),
             backend=s.backend,
         )
@@ -114,16 +114,16 @@ class Reflection(Part):
         diffuse surfaces the depth map is more accurate than an estimate that is off by some degrees.
         """
         s = self._settings
-        if s.mono_floor == 1:
+        if s.rule.mono_floor == 1:
             return None
-        return (rendering.extras.detach()[..., 0] / s.initial_beta).clamp(s.mono_floor, 1)
+        return (rendering.extras.detach()[..., 0] / s.initial_beta).clamp(s.rule.mono_floor, 1)
 
     def _reflects_less(self, step: int) -> bool:
-        return step > self._model.schedule.at(self._settings.reflect_alpha_from)
+        return step > self._model.schedule.at(self._settings.rule.reflect_alpha_from)
 
     def _min_beta(self, beta: Tensor) -> Tensor | float:
         """The β [H, W, 1] of an image above which its rays are traced (paper, App. B.2)."""
-        threshold, share = self._settings.beta_threshold, self._settings.beta_filter
+        threshold, share = self._settings.rule.beta_threshold, self._settings.beta_filter
         if share == 0:
             return threshold
         rank = max(1, round(share * beta.numel()))
@@ -194,7 +194,7 @@ class Traced(Light):
     def __init__(
         self,
         model: GaussianModel,
-        settings: TracedSettings,
+        settings: ReflectionSettings,
         name: str,
         origin: Origin | None = None,
     ) -> None:
@@ -221,9 +221,9 @@ class Traced(Light):
     def color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict[str, Statistics]]:
         """Without statistics of an image that nobody differentiates, and of the base set, which has its own."""
         arguments: dict[str, Any] = {
-            "background": self._model.background if self._settings.traced_background == "scene" else None,
-            "t_min": self._settings.traced_near,
-            "sh_direction": self._settings.traced_sh_direction,
+            "background": self._model.background if self._settings.rule.traced_background == "scene" else None,
+            "t_min": self._settings.rule.traced_near,
+            "sh_direction": self._settings.rule.traced_sh_direction,
             "bvh": self._bvh if step is None else None,
             "backend": self._settings.backend,
         }

@@ -34,7 +34,7 @@ class TrainingLoss:
     def began(self, step: int) -> tuple[bool, bool, bool]:
         """Whether L_norm, L_mono and L_perc may count as of a step."""
         s, at = self.settings, self.schedule.at
-        return step > at(s.normal_from), step > at(s.mono_from), step > at(s.perceptual_from)
+        return step > at(s.normal_from), step > at(s.rule.mono_from), step > at(s.rule.perceptual_from)
 
     def terms(
         self,
@@ -71,7 +71,7 @@ class TrainingLoss:
 
     def _pixel_weights(self, rendering: Rendering) -> Tensor | None:
         """What both normal losses count by at each pixel, [H, W]; None: alike everywhere."""
-        match self.settings.normal_weighting:
+        match self.settings.rule.normal_weighting:
             case "depth":
                 return nearness(rendering.depth)
             case "alpha":
@@ -81,16 +81,16 @@ class TrainingLoss:
     def _depth_error(self, rendering: Rendering, view: View, weight: Tensor | None) -> Tensor:
         """Between the rendered normals and those of the depth map (Eq. 7)."""
         reference = depth_normals(rendering.depth, view.camera, backend=self.settings.backend)
-        if self.settings.normal_reference == "alpha":
+        if self.settings.rule.normal_reference == "alpha":
             reference = reference * rendering.alpha.detach()[..., None]
-        normal = unit(rendering.normal) if self.settings.normal_rendered == "unit" else rendering.normal
+        normal = unit(rendering.normal) if self.settings.rule.normal_rendered == "unit" else rendering.normal
         return normal_loss(normal, reference, weight)
 
     def _mono_error(self, rendering: Rendering, reference: Tensor, weight: Tensor | None) -> Tensor:
         """Between the rendered normals and the view's own [H, W, 3] (Eq. 9)."""
-        normal = unit(rendering.normal) if self.settings.mono_rendered == "unit" else rendering.normal
+        normal = unit(rendering.normal) if self.settings.rule.mono_rendered == "unit" else rendering.normal
         error = normal_loss(normal, reference, weight)
-        if self.settings.mono_loss == "l1_cos":
+        if self.settings.rule.mono_loss == "l1_cos":
             error = error + normal_distance(normal, reference, weight)
         return error
 

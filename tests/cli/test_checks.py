@@ -24,7 +24,7 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         (["dataset=colmap", "dataset.root=/no/where"], "dataset.root=/no/where: there is no such folder"),
         (["dataset=toy/glass", "dataset.width=2"], "dataset.width=2: Input should be greater than or equal to 8"),
-        (["method=2dgs,3dgs", "method.settings.mono_loss=l3"], "method 2dgs: mono_loss is 'l3', expected cos or"),
+        (["method=2dgs,3dgs", "method.settings.rules.mono_loss=l3"], "rules.mono_loss is 'l3', expected 'cos' or"),
         (["dataset=colmap", "dataset.root=/a(b)"], "'dataset.root=\"/a(b)\"'"),
         (["dataset=colmap", "dataset.root=/a=b"], "'dataset.root=\"/a=b\"'"),
         (["method=renders", "path=/no/where"], "path=/no/where: there is no such folder of renders"),

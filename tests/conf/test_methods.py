@@ -14,32 +14,34 @@ from fakes.runs import CONF, only_folder, set_environment
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from schedules import begin, due
-from tuned_baselines import TUNED_2DGS, TUNED_3DGS
+from tuned_baselines import TUNED
 
 from envgs_bench.cli import composition
-from envgs_bench.cli.composition import config_names, default_settings, register_choices
+from envgs_bench.cli.composition import config_names, register_choices
 from envgs_bench.cli.main import main
+from envgs_bench.cli.setting_comments import setting_comments
 from envgs_bench.methods import registry
 from envgs_bench.methods.envgs import EnvGS
 from envgs_bench.methods.lighting.settings import ReflectionSettings
+from envgs_bench.methods.recipes import RECIPES, Rules, rules_of
 from envgs_bench.methods.registry import BUILT_IN, create_method, method_class
-from envgs_bench.methods.settings import LEARNING_RATES, make_settings, quickness, setting_comments
+from envgs_bench.methods.settings import LEARNING_RATES, make_settings, quickness
 from envgs_bench.settings import read_settings
 from envgs_bench.testing import tiny_scene
 
 LEAN = {"prune_error": 0.05, "prune_from": 14_000}
 DIFFERENCES = {
     **{kind: {} for kind in BUILT_IN},
-    "2dgs_tuned": TUNED_2DGS,
-    "3dgs_tuned": TUNED_3DGS,
-    "3igs_tuned": TUNED_3DGS | {"sh_degree": 0},
-    "gaussian_shader_tuned": TUNED_3DGS
+    "2dgs_tuned": TUNED,
+    "3dgs_tuned": TUNED,
+    "3igs_tuned": TUNED | {"sh_degree": 0},
+    "gaussian_shader_tuned": TUNED
     | {"rotation_lr_final": 1e-4, "densify_until": 18_000, "densify_every": 300, "min_coverage": 1.5}
-    | {"pixels_per_primitive": 7.0, "mono_weight": 0.05, "mono_loss": "l1_cos"},
+    | {"pixels_per_primitive": 7.0, "mono_weight": 0.05},
     "envgs_no_joint": {"joint": False},
-    "2dgs_lean": TUNED_2DGS | LEAN,
-    "3dgs_lean": TUNED_3DGS | LEAN,
-    "envgs_lean": {"prune_error": 0.05, "reflection_trial": True},
+    "2dgs_lean": TUNED | LEAN,
+    "3dgs_lean": TUNED | LEAN,
+    "envgs_lean": {"prune_error": 0.05, "reflection_pilot": True},
 }
 ABLATIONS = {  # of the published recipe
     "envgs_paper_no_joint": {"joint": False},
@@ -77,8 +79,8 @@ RELEASED = {  # what EnvGS's released code sets apart, by scene
     "shiny_blender/ball": SYNTHETIC | {"initial_beta": 0.8},
 }
 TUNED_RIVALS = {  # where they are not as the environment map
-    "3dgs_dr_tuned": {"min_opacity", "normal_weight", "normal_from", "beta_threshold", "beta_reset"},
-    "ref_gaussian_tuned": {"beta_threshold", "beta_reset"},
+    "3dgs_dr_tuned": {"min_opacity", "normal_weight", "normal_from", "beta_threshold"},
+    "ref_gaussian_tuned": {"beta_threshold"},
 }
 RELEASED_RIVALS = [  # method, scene, steps that are trained at most, and settings that say nothing of how long
     ("3dgs_dr", "ref_real/sedan", 97_000, {"scope_radius": 0.5}),
@@ -102,6 +104,12 @@ def composed(name: str) -> dict[str, Any]:
         content = OmegaConf.to_container(compose("config", [f"method={name}"]).method)
     assert isinstance(content, dict)
     return {str(key): value for key, value in content.items()}
+
+
+def in_force(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings and all rules, those of the recipe that are not overridden among them, side by side."""
+    rules = dataclasses.asdict(rules_of(settings["recipe"], settings["rules"]))
+    return {key: value for key, value in settings.items() if key != "rules"} | rules
 
 
 @pytest.mark.parametrize("name", DIFFERENCES)
@@ -139,7 +147,8 @@ def test_a_tuned_rival_is_given_what_the_environment_map_is(name: str) -> None:
     rival, envmap = composed(name), composed("envmap")
     assert (rival["name"], rival["kind"]) == (name, name.removesuffix("_tuned"))
     create_method(rival["kind"], rival["settings"])
-    unlike = {key for key, value in envmap["settings"].items() if rival["settings"][key] != value}
+    ours, theirs = in_force(envmap["settings"]), in_force(rival["settings"])
+    unlike = {key for key, value in ours.items() if theirs[key] != value}
     assert unlike - {"disturb_until"} == TUNED_RIVALS[name]  # what is never disturbed ends that at no step
 
 
@@ -150,8 +159,9 @@ def test_a_rival_trains_a_scene_as_its_release_does(
     found = run_on(scene, name)
     assert create_method(name, found).training_steps(100_000) == steps
     assert settings.items() <= found.items()
-    assert run_on("toy/chrome_room", name) == composed(name)["settings"]
-    assert run_on(scene, f"{name}_tuned") == composed(f"{name}_tuned")["settings"]  # our own is no release's
+    assert in_force(run_on("toy/chrome_room", name)) == in_force(composed(name)["settings"])
+    tuned = f"{name}_tuned"
+    assert in_force(run_on(scene, tuned)) == in_force(composed(tuned)["settings"])  # our own is no release's
 
 
 def test_ref_gaussian_on_captures_does_everything_at_the_released_steps() -> None:
@@ -213,29 +223,31 @@ def test_the_published_configurations_are_what_was_published() -> None:
             released,
         ),
     ):
-        assert expected.items() <= method["settings"].items()
+        assert expected.items() <= in_force(method["settings"]).items()
         create_method("envgs", method["settings"])
 
 
 def test_the_tuned_baselines_have_the_growth_and_the_colors_of_the_other_methods() -> None:
     shared = dataclasses.asdict(ReflectionSettings()) | {"min_coverage": 1.0, "rotation_lr_final": 1e-3}
-    for kind, differences in {"2dgs": TUNED_2DGS, "3dgs": TUNED_3DGS}.items():
+    for kind in ("2dgs", "3dgs"):
         published, tuned = (composed(name)["settings"] for name in (kind, f"{kind}_tuned"))
-        assert {key for key in published if published[key] != tuned[key]} == set(differences)
-        assert {key: tuned[key] for key in differences} == {key: shared[key] for key in differences}
+        assert {key for key in published if published[key] != tuned[key]} == set(TUNED)
+        assert {key: tuned[key] for key in TUNED} == {key: shared[key] for key in TUNED}
 
 
 @pytest.mark.parametrize("scene", RELEASED)
 def test_the_release_trains_a_scene_as_the_scenes_preset_says(scene: str) -> None:
     settings = run_on(scene, "envgs_released")
-    assert settings == composed("envgs_released")["settings"] | RELEASED[scene]
+    assert in_force(settings) == in_force(composed("envgs_released")["settings"]) | RELEASED[scene]
     create_method("envgs", settings)
-    assert run_on(scene, "envgs_paper") == composed("envgs_paper")["settings"]
+    assert in_force(run_on(scene, "envgs_paper")) == in_force(composed("envgs_paper")["settings"])
 
 
 def test_a_setting_that_is_given_counts_before_the_scenes_release() -> None:
-    given = run_on("shiny_blender/ball", "envgs_released", "method.settings.initial_beta=0.25")
-    assert given == run_on("shiny_blender/ball", "envgs_released") | {"initial_beta": 0.25}
+    overrides = ("method.settings.initial_beta=0.25", "method.settings.rules.mono_from=7")
+    given = in_force(run_on("shiny_blender/ball", "envgs_released", *overrides))
+    expected = {"initial_beta": 0.25, "mono_from": 7}
+    assert given == in_force(run_on("shiny_blender/ball", "envgs_released")) | expected
 
 
 def run_on(scene: str, method: str, *overrides: str) -> dict[str, Any]:
@@ -310,11 +322,10 @@ def test_every_configuration_is_tested() -> None:
     assert tested == set(config_names("method"))
 
 
-@pytest.mark.parametrize("kind", BUILT_IN)
-def test_every_setting_says_what_it_is(kind: str) -> None:
-    settings_type = method_class(kind).Settings
+@pytest.mark.parametrize("settings_type", [Rules, *(method_class(kind).Settings for kind in BUILT_IN)])
+def test_every_setting_says_what_it_is(settings_type: type) -> None:
     comments = setting_comments(settings_type)
-    assert set(comments) == {field.name for field in dataclasses.fields(settings_type)}
+    assert {field.name for field in dataclasses.fields(settings_type)} <= set(comments)
     assert all(len(comment) > 10 for comment in comments.values()), comments
 
 
@@ -389,7 +400,7 @@ def test_an_installed_packages_method_is_offered_with_its_defaults(
 def test_a_method_is_chosen_by_its_import_path(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "method=fakes.methods:MeanColor", "method.settings.rate=1", "--cfg", "job"]) == 0
     shown = capsys.readouterr().out
-    for line in ("name: MeanColor", "kind: fakes.methods:MeanColor", "rate: 1.0", "crash_at: 0"):
+    for line in ("name: MeanColor", "kind: fakes.methods:MeanColor", "rate: 1", "crash_at: 0"):
         assert line in shown
     assert main(["run", "method=fakes.nowhere:Method", "--cfg", "job"]) == 2
     assert "method fakes.nowhere:Method of fakes.nowhere:Method cannot be loaded" in capsys.readouterr().err
@@ -411,12 +422,31 @@ def test_a_stored_configuration_holds_every_setting(tmp_path: Path) -> None:
     }
 
 
-def test_settings_of_types_that_hydra_does_not_know_are_offered_all_the_same() -> None:
+def test_settings_of_any_type_are_offered_and_checked() -> None:
     @dataclass(frozen=True)
     class Settings:
         mode: Literal["a", "b"] = "a"
         sizes: tuple[int, ...] = (1, 2)
+        share: float = 0.5
 
-    node = default_settings(Settings)
-    assert OmegaConf.to_container(node) == {"mode": "a", "sizes": [1, 2]}
-    assert make_settings(Settings, {"sizes": [3]}, "it") == Settings(sizes=(3,))
+    assert make_settings(Settings, {"sizes": [3], "share": 1}, "it: ") == Settings(sizes=(3,), share=1.0)
+    for values in ({"mode": "c"}, {"sizes": [0.5]}, {"share": "much"}, {"share": True}, {"shares": 1.0}):
+        with pytest.raises(ValueError, match=f"it: {next(iter(values))}"):
+            make_settings(Settings, values, "it: ")
+
+
+def test_recipes_are_listed_rule_by_rule(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "recipes"]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert lines[0] == ["rule", *RECIPES]
+    rows = {line[0]: line[1 : 1 + len(RECIPES)] for line in lines[1:] if line}
+    assert rows["oversized"] == ["split", "prune", "prune", "split", "split", "prune", "prune"]
+    assert {field.name for field in dataclasses.fields(Rules)} <= set(rows)
+
+
+def test_a_kind_of_data_set_is_listed_with_defaults_and_comments(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "dataset", "photos"]) == 0
+    shown = capsys.readouterr().out
+    assert ["root", "has", "to", "be", "given"] in [line.split()[:5] for line in shown.splitlines()]
+    assert "feature_size" in shown
+    assert main(["list", "dataset", "polaroids"]) == 2

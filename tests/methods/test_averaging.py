@@ -23,7 +23,7 @@ KINDS = ("2dgs", "envmap", "envgs", "3igs")  # of a set; and a map, a second set
 
 def trained(kind: str, average_from: int, reset_at: int = 0) -> list[dict[str, Tensor]]:
     """All that a method trains, after each step of its run, with reflections from step 5 on where it has any."""
-    settings = {**SMALL[kind], "backend": "cpu", "average_from": average_from}
+    settings = {**SMALL[kind], "backend": "cpu", "rules": {"average_from": average_from}}
     method = create_method(kind, settings | ({"bootstrap": 3_000} if kind.startswith("env") else {}))
     scene = tiny_scene()
     method.initialize(scene, STEPS)
@@ -60,12 +60,12 @@ def test_an_opacity_reset_begins_another_mean() -> None:
 
 @pytest.mark.parametrize("name", ["2dgs", "3dgs", "3dgs_dr", "3igs", "envgs_paper", "envgs_released", "envmap_paper"])
 def test_methods_as_published_average_nothing(name: str) -> None:
-    assert settings_of(name).average_from == 0
+    assert settings_of(name).rule.average_from == 0
 
 
 @pytest.mark.parametrize("name", ["envgs", "envmap", "2dgs_tuned", "3dgs_tuned", "3dgs_dr_tuned", "3igs_tuned"])
 def test_the_others_average_their_last_twelfth(name: str) -> None:
-    assert settings_of(name).average_from == 27_600
+    assert settings_of(name).rule.average_from == 27_600
 
 
 def settings_of(name: str) -> GaussianSettings:

@@ -17,7 +17,7 @@ STEPS = 12
 WITH_MAP = ["envmap", "3dgs_dr", "ref_gaussian", "gaussian_shader"]
 SMALL = {
     **{kind: {"envmap_size": 8} for kind in WITH_MAP},
-    "envgs": {"env_grid": 2, "env_per_cell": 2},
+    "envgs": {"env_grid": 2},
     "3igs": {"field_size": 4},
 }
 CALLS = [

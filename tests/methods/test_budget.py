@@ -8,6 +8,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rules import with_rules
 
 from envgs_bench.core import Rendering, Statistics
 from envgs_bench.methods.gaussian_method import GaussianMethod
@@ -21,7 +22,7 @@ from envgs_bench.testing import tiny_scene
 BASE_BYTES, ENV_BYTES = 4 * 38, 4 * 37
 BOTH = {"base": BASE_BYTES, "env": ENV_BYTES}
 NO_BOUND = {"base": 0, "env": 0}
-GROWS = {"densify_threshold": 1e-9, "min_coverage": 0.0, "min_views": 0.0, "pixels_per_primitive": 0.0}
+GROWS = with_rules(densify_threshold=1e-9, min_coverage=0.0, min_views=0.0, pixels_per_primitive=0.0)
 REFLECTS = {"bootstrap": 300, "densify_until": 30_000, **GROWS}
 METHODS: dict[str, dict[str, Any]] = {
     "2dgs": GROWS,
@@ -29,7 +30,7 @@ METHODS: dict[str, dict[str, Any]] = {
     "envmap": {**REFLECTS, "envmap_size": 16},
     "envgs": {
         **REFLECTS,
-        **{"env_densify_threshold": 1e-9, "env_densify_until": 30_000, "env_grid": 3, "env_per_cell": 9},
+        **{"env_densify_threshold": 1e-9, "env_densify_until": 30_000, "env_grid": 4},
         "env_far_count": 90,
     },
     "envgs_single_set": REFLECTS,

@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 from mirror_ball import facing_angle, mirror_ball
+from rules import with_rules
 from schedules import befall, begin, optimizers_of, steps_of_events
 from torch.nn import functional
 
@@ -22,7 +23,7 @@ CAMERA = tiny_scene().test[0].camera
 
 
 def initialized(steps: int = RUN, **settings) -> DeferredReflection:
-    method = create_method("3dgs_dr", {"envmap_size": 8, **settings})
+    method = create_method("3dgs_dr", with_rules(**{"envmap_size": 8, **settings}))
     assert isinstance(method, DeferredReflection)
     method.initialize(tiny_scene(), steps)
     return method
@@ -130,7 +131,9 @@ def test_reflections_alone_teach_normals_of_a_mirror() -> None:
     """Gaussians that lie on a mirror ball, flat, but turned by 20° on average, come to lie along it."""
     scene = mirror_ball()
     settings = {"envmap_size": 32, "initial_orientation": "surface", "initial_beta": 0.5, "sh_from": 30_000}
-    method = create_method("3dgs_dr", settings | {"densify_until": 0, "disturb_every": 0, "opacity_reset_every": 0})
+    method = create_method(
+        "3dgs_dr", with_rules(**settings) | {"densify_until": 0, "disturb_every": 0, "opacity_reset_every": 0}
+    )
     steps = 400
     method.initialize(scene, steps)
     parameters = method.model.sets["base"].parameters

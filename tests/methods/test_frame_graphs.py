@@ -16,7 +16,7 @@ needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA d
 STEPS = 80
 DRAWN = [
     *((kind, {}) for kind in SMALL),
-    ("envgs", {"beta_filter": 0.5, "reflect_alpha": 0.5}),
+    ("envgs", {"beta_filter": 0.5, "rules": {"reflect_alpha": 0.5}}),
     ("envgs", {"supersampling": 2}),
 ]
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 from finite_differences import assert_gradients_are_differences
 from mirror_ball import gain_of_training, mirror_ball
+from rules import with_rules
 from schedules import begin, optimizers_of
 from torch.nn import functional
 
@@ -22,7 +23,7 @@ CAMERA = tiny_scene().test[0].camera
 
 
 def initialized(scene: Scene, steps: int = 30_000, **settings) -> GaussianShader:
-    method = create_method("gaussian_shader", {"envmap_size": 8, **settings})
+    method = create_method("gaussian_shader", with_rules(**{"envmap_size": 8, **settings}))
     assert isinstance(method, GaussianShader)
     method.initialize(scene, steps)
     return method

@@ -7,7 +7,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from envgs_bench.core import Scene
-from envgs_bench.methods.envgs import EnvGSSettings, environment_box
+from envgs_bench.methods.envgs import environment_box
 from envgs_bench.methods.gaussians.initialization import (
     ORIENTATIONS,
     initial_orientation,
@@ -113,20 +113,11 @@ def test_initial_primitives(axes):
     assert tensors["sh_rest"].shape == (20, 3, 3)
 
 
-def test_the_environment_starts_in_the_quantile_box_unless_a_cube_is_given():
+def test_the_environment_starts_in_the_quantile_box_unless_the_scene_is_bounded():
     points = torch.randn(500, 3, generator=torch.Generator().manual_seed(0))
     unbounded = Scene("points", [], [], points, torch.rand(500, 3))
     bounded = replace(unbounded, bounds=7.0)
-    for corner, expected in zip(
-        environment_box(unbounded, EnvGSSettings(env_box_quantile=0.9)), quantile_box(points, 0.9), strict=True
-    ):
+    for corner, expected in zip(environment_box(unbounded), quantile_box(points, 0.995), strict=True):
         assert torch.equal(corner, expected)
-    for scene, settings, half_edge in (
-        (unbounded, EnvGSSettings(env_box=20.0), 20),
-        (bounded, EnvGSSettings(), 7),
-        (bounded, EnvGSSettings(env_box=20.0), 20),
-    ):
-        low, high = environment_box(scene, settings)
-        assert (low.tolist(), high.tolist()) == ([-half_edge] * 3, [half_edge] * 3)
-    with pytest.raises(ValueError, match="env_box is -1, expected half the edge of a cube"):
-        environment_box(unbounded, EnvGSSettings(env_box=-1.0))
+    low, high = environment_box(bounded)
+    assert (low.tolist(), high.tolist()) == ([-7] * 3, [7] * 3)

@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 from reflection_scenes import HEIGHT, WIDTH, make_camera, mirror
+from rules import with_rules
 
 from envgs_bench.core import Camera, Rendering, Scene, View, depth_normals
 from envgs_bench.methods.registry import create_method
@@ -28,7 +29,7 @@ def shown() -> Rendering:
 def terms(step: int = 100, **settings) -> dict[str, float]:
     """The terms of the loss at that step of 100. L_mono counts ten times its weight in so short a run, and so 1."""
     plain = {"normal_weight": 1.0, "normal_from": 0, "normal_reference": "unit", "mono_weight": 0.1}
-    method = create_method("2dgs", {**plain, **settings})
+    method = create_method("2dgs", with_rules(**{**plain, **settings}))
     image = torch.zeros(HEIGHT, WIDTH, 3, dtype=torch.uint8)
     view = View("view", make_camera(), image, normal=TILTED.expand(HEIGHT, WIDTH, 3).clone())
     method.initialize(Scene("plane", [view], [], torch.rand(8, 3), torch.rand(8, 3)), 100)
@@ -53,7 +54,7 @@ def test_l_norm_takes_normals_as_they_are_or_of_unit_length():
 
 def fog_gradient(opacity: float, **settings: str) -> float:
     """∂L_norm/∂logit of a white surfel that fills the picture before a white background, faced head-on."""
-    method = create_method("2dgs", {"normal_from": 0, "initial_orientation": "world", **settings})
+    method = create_method("2dgs", with_rules(normal_from=0, initial_orientation="world", **settings))
     camera = Camera(torch.eye(4), torch.tensor([[20.0, 0, 10], [0, 20, 8], [0, 0, 1]]), WIDTH, HEIGHT)
     view = View("white", camera, torch.full((HEIGHT, WIDTH, 3), 255, dtype=torch.uint8))
     white = torch.ones(3)
@@ -74,7 +75,7 @@ def test_fog_before_the_background_gains_by_l_norm_in_proportion_to_what_it_hide
     of_unit, of_alpha = (fog_gradient(opacity, normal_reference=reference) for reference in ("unit", "alpha"))
     assert of_unit < 0
     assert of_alpha == pytest.approx(opacity * of_unit, rel=1e-3)
-    published, ours = create_method("2dgs").settings, create_method("envgs").settings
+    published, ours = create_method("2dgs").settings.rule, create_method("envgs").settings.rule
     assert (published.normal_reference, published.normal_rendered) == ("alpha", "blended")
     assert ours.normal_rendered == "unit"
 

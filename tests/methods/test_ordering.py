@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from tuned_baselines import TUNED_2DGS
+from tuned_baselines import TUNED
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
@@ -26,7 +26,7 @@ from envgs_bench.stages.evaluation import normal_error
 
 ROOM = {"kind": "toy", "scene": "chrome_room"}
 # The bound by training pixels is meant for pictures, not for twenty of 64×48: it would be the number of points.
-PRIOR = {"mono_weight": 0.1, "mono_loss": "l1_cos", "pixels_per_primitive": 0.0}
+PRIOR = {"mono_weight": 0.1, "pixels_per_primitive": 0.0}
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def trained(scene: Scene) -> dict[str, Method]:
 def train(scene: Scene, steps: int, **settings: float) -> dict[str, Method]:
     """Three methods with these settings; the environment map and EnvGS learn from normals, too."""
     methods = {}
-    for kind, prior in {"2dgs": TUNED_2DGS, "envmap": PRIOR, "envgs": PRIOR}.items():
+    for kind, prior in {"2dgs": TUNED, "envmap": PRIOR, "envgs": PRIOR}.items():
         method = methods[kind] = create_method(kind, {**prior, **settings})
         method.initialize(scene, steps)
         order = torch.Generator().manual_seed(0)

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 from mirror_ball import gain_of_training, mirror_ball
+from rules import with_rules
 from schedules import begin, steps_of_events
 from torch import Tensor
 from torch.nn import functional
@@ -28,7 +29,7 @@ CAMERA = tiny_scene().test[0].camera
 
 
 def initialized(scene: Scene | None = None, steps: int = RUN, **settings) -> RefGaussian:
-    method = create_method("ref_gaussian", {"envmap_size": 8, **settings})
+    method = create_method("ref_gaussian", with_rules(**{"envmap_size": 8, **settings}))
     assert isinstance(method, RefGaussian)
     method.initialize(scene or tiny_scene(), steps)
     return method

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from reflection_scenes import HEIGHT, WIDTH, make_camera, make_rendering, mirror
+from rules import with_rules
 from schedules import befall, begin, due
 
 from envgs_bench.core import Scene, View
@@ -52,7 +53,7 @@ def test_base_and_reflection_are_blended_by_beta(monkeypatch):
     alpha = shown.alpha.clone()
     alpha[3] = 0
     rendering = make_rendering(shown.depth, shown.normal, alpha, beta)
-    method = EnvMap(EnvMapSettings(envmap_size=4, beta_threshold=0.2))
+    method = EnvMap(EnvMapSettings(envmap_size=4, rules={"beta_threshold": 0.2}))
     method.reflection.light.become(torch.logit(torch.tensor([0.9, 0.5, 0.2])).expand(6, 4, 4, 3).clone())
     method.reflection.begun = True
     monkeypatch.setattr(method.model, "rasterize", lambda camera, step: rendering)
@@ -72,7 +73,7 @@ def test_the_filter_traces_the_pixels_of_the_greatest_beta(monkeypatch, share, t
     beta = torch.linspace(0, 1, WIDTH * HEIGHT).reshape(HEIGHT, WIDTH)
     shown = mirror(make_camera(), torch.tensor([0.0, 0.0, -1.0]), -4.0)
     rendering = make_rendering(shown.depth, shown.normal, shown.alpha, beta)
-    method = EnvMap(EnvMapSettings(envmap_size=4, beta_threshold=0.199, beta_filter=share))
+    method = EnvMap(EnvMapSettings(envmap_size=4, rules={"beta_threshold": 0.199}, beta_filter=share))
     method.reflection.begun = True
     monkeypatch.setattr(method.model, "rasterize", lambda camera, step: rendering)
     image = method.draw(make_camera(), None)[0]
@@ -91,7 +92,7 @@ def test_the_default_threshold_moves_no_pixel_visibly(monkeypatch):
     images = {}
     for name, settings in {
         "default": EnvMapSettings(envmap_size=4),
-        "all": EnvMapSettings(envmap_size=4, beta_threshold=0.0),
+        "all": EnvMapSettings(envmap_size=4, rules={"beta_threshold": 0.0}),
     }.items():
         method = EnvMap(settings)
         method.reflection.light.become(20 * torch.randn(6, 4, 4, 3, generator=torch.Generator().manual_seed(3)))
@@ -119,7 +120,7 @@ def test_envgs_and_envmap_differ_in_the_reflected_color_only():
 
 def test_the_environment_grows_by_the_bases_rule_but_for_its_threshold_and_its_cap():
     settings = {"min_coverage": 2.0, "min_views": 4.0, "env_densify_threshold": 0.5, "env_max_primitives": 7}
-    method = create_method("envgs", settings)
+    method = create_method("envgs", with_rules(**settings))
     base, env = method.model.policies["base"].rule, method.model.policies["env"].rule
     assert env == replace(base, gradient_threshold=0.5, max_primitives=7)
     assert (env.min_coverage, env.min_views) == (2.0, 4.0)
@@ -130,14 +131,15 @@ def test_the_views_own_normals_count_where_something_reflects():
     beta[0, :4] = torch.tensor([0.001, 0.05, 0.1, 0.7])
     shown = mirror(make_camera(), torch.tensor([0.0, 0.0, -1.0]), -4.0)
     rendering = make_rendering(shown.depth, shown.normal, shown.alpha, beta)
-    weights = EnvMap(EnvMapSettings(envmap_size=4, initial_beta=0.1, mono_floor=0.2)).reflection.mono_weights(rendering)
+    method = EnvMap(EnvMapSettings(envmap_size=4, initial_beta=0.1, rules={"mono_floor": 0.2}))
+    weights = method.reflection.mono_weights(rendering)
     torch.testing.assert_close(weights[0, :5], torch.tensor([0.2, 0.5, 1.0, 1.0, 0.2]))
-    assert EnvMap(EnvMapSettings(envmap_size=4, mono_floor=1.0)).reflection.mono_weights(rendering) is None
+    assert EnvMap(EnvMapSettings(envmap_size=4, rules={"mono_floor": 1.0})).reflection.mono_weights(rendering) is None
 
 
 def initialized(steps: int, **settings) -> tuple[EnvMap, View]:
     """An environment-map method after `initialize` over three points, and the view that it trains on."""
-    method = create_method("envmap", settings)
+    method = create_method("envmap", with_rules(**settings))
     view = View("a", make_camera(), torch.zeros(HEIGHT, WIDTH, 3, dtype=torch.uint8))
     method.initialize(Scene("three", [view], [view], torch.eye(3), torch.full((3, 3), 0.5)), steps)
     return method, view

@@ -12,7 +12,7 @@ import torch
 from fakes.runs import set_environment
 from mirror_ball import mirror_ball, sky
 from sweeps import one_run
-from tuned_baselines import TUNED_2DGS
+from tuned_baselines import TUNED
 
 from envgs_bench.core import Scene, View
 from envgs_bench.methods import envgs
@@ -137,7 +137,7 @@ def test_where_nothing_reflects_envgs_is_2dgs_to_the_last_bit(
     budget: Budget | None, short_runs: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     finds_nothing(short_runs)
-    plain, baseline = trained("envgs", budget, **SMALL), trained("2dgs", budget, **TUNED_2DGS)
+    plain, baseline = trained("envgs", budget, **SMALL), trained("2dgs", budget, **TUNED)
     assert_same_sets(plain, baseline)
     camera = tiny_scene().test[0].camera
     drawn = plain.render(camera)

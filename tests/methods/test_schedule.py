@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import pytest
 import torch
+from rules import with_rules
 from schedules import due
 
 from envgs_bench.core import Camera, Scene, View
@@ -20,7 +21,7 @@ SCENE = Scene(
 
 def events(kind: str, steps: int, on_white: bool = False, **settings) -> dict[str, list[int]]:
     """For each event the steps of a run in which it happens, over a white background or not."""
-    method = create_method(kind, settings)
+    method = create_method(kind, with_rules(**settings))
     method.initialize(dataclasses.replace(SCENE, background=torch.full((3,), float(on_white))), steps)
     found: dict[str, list[int]] = {}
     for step in range(1, steps + 1):
@@ -110,8 +111,8 @@ def test_a_longer_run_grows_no_more_often(steps):
 
 
 def test_an_interval_below_the_usual_one_is_refused():
-    with pytest.raises(ValueError, match="settling_interval is 0, expected at least 1"):
-        create_method("envgs", {"settling_interval": 0})
+    with pytest.raises(ValueError, match="settling_interval is 0, expected greater than or equal to 1"):
+        create_method("envgs", {"rules": {"settling_interval": 0}})
 
 
 def test_what_is_switched_off_never_happens():

@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 from recordable import WaitsForTheDevice, pinhole, points_scene
+from rules import with_rules
 from schedules import begin
 from small_methods import SMALL
 
@@ -382,7 +383,7 @@ def test_a_step_that_is_not_finite_is_skipped_from_a_graph_too_cuda():
     ("kind", "settings"),
     [
         *((kind, {}) for kind in SMALL),
-        ("envgs", {"normal_weighting": "depth", "mono_weight": 0.1, "reflect_alpha": 0.5, "normal_reference": "alpha"}),
+        ("envgs", with_rules(normal_weighting="depth", mono_weight=0.1, reflect_alpha=0.5, normal_reference="alpha")),
         ("envgs", {"supersampling": 2}),
         ("envmap", {"supersampling": 2}),
         ("3dgs_dr", {"scope_radius": 1.5}),

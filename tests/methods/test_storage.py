@@ -134,7 +134,7 @@ def test_what_is_not_finite_is_refused(value: float) -> None:
 @pytest.fixture(scope="module")
 def trained() -> dict[str, GaussianMethod]:
     methods = {}
-    for kind, own in (("envgs", {"env_grid": 3, "env_per_cell": 4}), ("envmap", {"envmap_size": 8}), ("3dgs", {})):
+    for kind, own in (("envgs", {"env_grid": 3}), ("envmap", {"envmap_size": 8}), ("3dgs", {})):
         method = create_method(kind, own)
         assert isinstance(method, GaussianMethod)
         scene = tiny_scene()

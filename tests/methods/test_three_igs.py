@@ -8,6 +8,7 @@ import pytest
 import torch
 from finite_differences import assert_gradients_are_differences
 from mirror_ball import gain_of_training, mirror_ball
+from rules import with_rules
 from schedules import begin, optimizers_of
 from torch.nn import functional
 
@@ -23,7 +24,7 @@ CAMERA = tiny_scene().test[0].camera
 
 
 def initialized(scene: Scene, steps: int = 30_000, **settings) -> ThreeIGS:
-    method = create_method("3igs", {"field_size": 8, **settings})
+    method = create_method("3igs", with_rules(**{"field_size": 8, **settings}))
     assert isinstance(method, ThreeIGS)
     method.initialize(scene, steps)
     return method

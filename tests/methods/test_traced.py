@@ -3,6 +3,7 @@
 import pytest
 import torch
 from reflection_scenes import HEIGHT, WIDTH, make_camera
+from rules import with_rules
 from torch import Tensor
 
 from envgs_bench.core import Scene, View
@@ -16,7 +17,7 @@ def facing_a_wall(
     z: float = 3.0, background: tuple[float, ...] = (0.0, 0.0, 0.0), kind: str = "envgs", **settings
 ) -> GaussianMethod:
     """A method whose environment is one wide surfel in the plane of that z, nearly opaque, red from below."""
-    method = create_method(kind, {"backend": "cpu", "sh_degree": 1, **settings})
+    method = create_method(kind, with_rules(backend="cpu", sh_degree=1, **settings))
     assert isinstance(method, GaussianMethod)
     assert isinstance(method.reflection.light, reflection.Traced)
     name = method.reflection.light.name

@@ -5,6 +5,7 @@ import math
 
 import pytest
 import torch
+from rules import with_rules
 from schedules import begin, due, optimizers_of
 from small_methods import SMALL
 
@@ -45,7 +46,7 @@ def scene() -> Scene:
 
 
 def make_method(kind: str, seed: int = 0, **settings) -> Method:
-    return create_method(kind, {**SMALL[kind], **settings}, seed=seed)
+    return create_method(kind, with_rules(**{**SMALL[kind], **settings}), seed=seed)
 
 
 def train(method: Method, scene: Scene, steps: int = STEPS) -> list[dict[str, float]]:
@@ -205,14 +206,14 @@ def scaled(camera: Camera, size: float) -> torch.Tensor:
     return pose
 
 
-@pytest.mark.parametrize(("near", "free_space", "expected"), [(0.2, 0.0, 0.2), (0.2, 100.0, 100.0), (3.0, 1.0, 3.0)])
-def test_nothing_is_drawn_in_the_free_space_of_a_scene(scene, tmp_path, near, free_space, expected):
+@pytest.mark.parametrize(("free_space", "expected"), [(0.0, 0.2), (0.1, 0.2), (100.0, 100.0)])
+def test_nothing_is_drawn_in_the_free_space_of_a_scene(scene, tmp_path, free_space, expected):
     """The scene lies within 5 of the cameras: with a free space of 100, only the background is drawn."""
     background = torch.tensor([0.25, 0.5, 0.75])
-    method = make_method("2dgs", near=near)
+    method = make_method("2dgs")
     method.initialize(dataclasses.replace(scene, free_space=free_space, background=background), STEPS)
     method.save(tmp_path)
-    again = make_method("2dgs", near=near)
+    again = make_method("2dgs")
     again.load(tmp_path)
     for drawn in (method, again):
         assert drawn.near == expected
@@ -324,15 +325,15 @@ def test_a_long_run_stretches_the_schedule_unless_it_is_told_not_to(scene, stret
 
 
 def test_the_environment_starts_in_its_box_and_on_a_sphere_around_it(scene):
-    sphere = {"env_far": 3.0, "env_far_count": 40, "env_initial_opacity": 0.07}
-    method = make_method("envgs", **sphere, bootstrap=0, env_box=2.0, env_from_points=False)
-    method.initialize(scene, STEPS)
+    sphere = {"env_far_count": 40, "env_initial_opacity": 0.07}
+    method = make_method("envgs", **sphere, bootstrap=0, env_from_points=False)
+    method.initialize(dataclasses.replace(scene, bounds=2.0), STEPS)
     begin(method, 1)
     tensors = method.model.sets["env"].parameters.detached()
-    assert len(tensors["means"]) == 3**3 * 2 + 40
+    assert len(tensors["means"]) == 2**3 * 5 + 40
     assert tensors["means"][:-40].abs().max() <= 2
-    torch.testing.assert_close(tensors["means"][-40:].norm(dim=1), torch.full((40,), 3 * 2 * 3**0.5))
-    torch.testing.assert_close(tensors["opacity_logits"].sigmoid(), torch.full((94,), 0.07))
+    torch.testing.assert_close(tensors["means"][-40:].norm(dim=1), torch.full((40,), 4 * 2 * 3**0.5))
+    torch.testing.assert_close(tensors["opacity_logits"].sigmoid(), torch.full((80,), 0.07))
     rates = [
         next(
             group["lr"]
@@ -350,33 +351,38 @@ def test_the_environment_starts_at_the_points_too(scene):
     begin(method, 1)
     env, base = (method.model.sets[name].parameters.detached() for name in ("env", "base"))
     count = len(method.started_from.points)
-    assert len(env["means"]) == 3**3 * 2 + 40 + count
+    assert len(env["means"]) == 2**3 * 5 + 40 + count
     assert torch.equal(env["means"][-count:], base["means"])
     assert torch.equal(env["sh_dc"][-count:], base["sh_dc"])
     assert not torch.equal(env["opacity_logits"][-count:], base["opacity_logits"])
 
 
 def test_unknown_settings_are_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match=r"method envgs has no setting env_gird; its settings are .*env_grid"):
+    with pytest.raises(
+        ValueError, match=r"method envgs: env_gird: there is no such setting; there are .*Did you mean 'env_grid'"
+    ):
         create_method("envgs", {"env_gird": 16})
 
 
 @pytest.mark.parametrize(
     ("kind", "settings", "message"),
     [
-        ("2dgs", {"sh_degree": "two"}, "sh_degree is 'two', expected a value of type int"),
-        ("2dgs", {"near": True}, "near is True, expected a value of type float"),
-        ("2dgs", {"normal_weighting": "far"}, "expected none or depth"),
-        ("envgs", {"mono_loss": "l2"}, "mono_loss is 'l2', expected cos or l1_cos"),
-        ("2dgs", {"perceptual_loss": "vgg"}, "perceptual_loss is 'vgg', expected features or lpips"),
-        ("2dgs", {"normal_reference": "depth"}, "normal_reference is 'depth', expected unit or alpha"),
-        ("2dgs", {"mono_rendered": "raw"}, "mono_rendered is 'raw', expected blended or unit"),
-        ("envmap", {"envmap_size": 1}, "envmap_size is 1, expected at least 2"),
-        ("envmap", {"envmap_doublings": 4}, "envmap_doublings is 4, expected 0 to 3"),
-        ("ref_gaussian", {"initial_roughness": 1.0}, "initial_roughness is 1, expected one between 0 and 1"),
-        ("3dgs_dr", {"beta_reset": "max"}, "beta_reset is 'max', expected lower or raise"),
-        ("envmap", {"initial_beta": 0.0}, "initial_beta is 0, expected a weight between 0 and 1"),
-        ("envmap", {"mono_floor": 1.5}, "mono_floor is 1.5, expected a share from 0 to 1"),
+        ("2dgs", {"sh_degree": "two"}, "method 2dgs: sh_degree is 'two', expected a valid integer"),
+        ("2dgs", {"scale_lr": True}, "method 2dgs: scale_lr is True, expected a valid number"),
+        ("2dgs", {"scale_lr": -1.0}, "scale_lr is -1.0, expected greater than or equal to 0"),
+        ("2dgs", {"recipe": "4dgs"}, "recipe is '4dgs', expected 'ours', '2dgs'"),
+        (
+            "2dgs",
+            {"rules": {"normal_weighting": "far"}},
+            "rules.normal_weighting is 'far', expected 'none'",
+        ),
+        ("envgs", {"rules": {"mono_los": "cos"}}, "rules.mono_los: there is no such setting.*Did you mean 'mono_loss'"),
+        ("envmap", {"envmap_size": 1}, "envmap_size is 1, expected greater than or equal to 2"),
+        ("envmap", {"envmap_doublings": 4}, "envmap_doublings is 4, expected less than or equal to 3"),
+        ("ref_gaussian", {"initial_roughness": 1.0}, "initial_roughness is 1.0, expected less than 1"),
+        ("envmap", {"initial_beta": 0.0}, "initial_beta is 0.0, expected greater than 0"),
+        ("envmap", {"rules": {"mono_floor": 1.5}}, "rules.mono_floor is 1.5, expected less than or equal to 1"),
+        ("envmap", {"beta_filter": 1.0, "joint": 1}, "beta_filter is 1.0, .*\n.*joint is 1, expected a valid boolean"),
     ],
 )
 def test_bad_settings_are_refused(kind, settings, message):

@@ -42,7 +42,7 @@ def test_methods_that_want_it_are_given_the_perceptual_loss(monkeypatch: pytest.
 def test_methods_are_given_the_perceptual_loss_that_they_name(monkeypatch: pytest.MonkeyPatch) -> None:
     named: list[str] = []
     monkeypatch.setattr(execution, "make_perceptual_loss", lambda name, device: named.append(name))
-    for settings in ({}, {"perceptual_loss": "lpips"}):
+    for settings in ({}, {"rules": {"perceptual_loss": "lpips"}}):
         execution.offer_perceptual_loss(create_method("envgs", WITH_PERCEPTUAL | settings))
     assert named == ["features", "lpips"]
 
@@ -103,7 +103,7 @@ def test_what_was_trained_without_is_a_result(monkeypatch: pytest.MonkeyPatch, t
 def test_a_run_that_a_method_ends_sooner_has_the_steps_that_it_trained(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    results = execute("3dgs", {"longest_run": 2}, 5, monkeypatch, tmp_path)
+    results = execute("3dgs", {"rules": {"longest_run": 2}}, 5, monkeypatch, tmp_path)
     assert results.steps == 2
     assert (tmp_path / "curve.csv").read_text().splitlines()[-1].startswith("2,")
 

@@ -14,7 +14,7 @@ import pytest
 import torch
 from torch import Tensor
 from torch.nn import functional
-from tuned_baselines import TUNED_2DGS
+from tuned_baselines import TUNED
 
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.datasets.toy.cameras import look_at
@@ -77,9 +77,9 @@ def trained(kind: str, settings: dict[str, Any], folder: Path) -> tuple[float, f
 
 @pytest.mark.slow
 def test_blended_normals_cover_what_is_empty_and_unit_normals_do_not(tmp_path: Path) -> None:
-    early = TUNED_2DGS | {"normal_from": 0}
-    fog, with_fog = trained("2dgs", early | {"normal_rendered": "blended"}, tmp_path)
-    clear, without = trained("2dgs", early | {"normal_rendered": "unit"}, tmp_path)
+    early = TUNED | {"normal_from": 0}
+    fog, with_fog = trained("2dgs", early | {"rules": {"normal_rendered": "blended"}}, tmp_path)
+    clear, without = trained("2dgs", early | {"rules": {"normal_rendered": "unit"}}, tmp_path)
     _, untouched = trained("2dgs", early | {"normal_weight": 0.0}, tmp_path)
     assert fog > clear + 0.15  # 0.59 and 0.41; after 200 steps 0.70 and 0.31
     assert with_fog < without - 3.0  # 16.3 dB and 20.4

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from rules import with_rules
 from torch_threads import torch_threads
 from toy_scenes import coarse_toys
-from tuned_baselines import TUNED_2DGS
+from tuned_baselines import TUNED
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
@@ -133,10 +134,11 @@ def limit_nothing(patch: pytest.MonkeyPatch) -> None:
 
 
 RATES = ("position_lr", "position_lr_final", "sh_lr", "opacity_lr", "scale_lr", "rotation_lr", "rotation_lr_final")
-FAST = {key: 30 * getattr(create_method("2dgs", TUNED_2DGS).settings, key) for key in RATES}
+FAST = {key: 30 * getattr(create_method("2dgs", TUNED).settings, key) for key in RATES}
 EMPTY = 7.5  # dB, hardly less than pictures of nothing but the background have
 STILL = {"densify_until": 0}  # or pruning ends the run before it is looked at
-GREEDY = {"densify_threshold": 1e-9, "densify_from": 0, "min_coverage": 0.0, "min_views": 0.0}
+GREEDY = with_rules(densify_threshold=1e-9, densify_from=0, min_coverage=0.0, min_views=0.0)
+UNBOUNDED = {"rules": GREEDY["rules"] | {"max_growth": 0.0}}
 HEALTHY = "nothing is wrong"
 CASES = {
     HEALTHY: Case(150, take_all_away),
@@ -144,17 +146,17 @@ CASES = {
     "one primitive's gradient is not finite, once": Case(150, apply_all_steps, breaks=break_gradient(1)),
     "a whole gradient is not finite, once": Case(150, apply_all_steps, breaks=break_gradient(10**9)),
     "no view is finite": Case(150, never_end, spoils=spoil(99)),
-    "a densification prunes all": Case(150, never_count, settings={"min_opacity": 1.1, "densify_from": 0}),
+    "a densification prunes all": Case(150, never_count, settings={"min_opacity": 1.1, "rules": {"densify_from": 0}}),
     "all learning rates × 30": Case(6000, never_look, width=16, settings=FAST),
     "the scales learn 30 times as fast": Case(300, never_look, settings={"scale_lr": FAST["scale_lr"]}),
     "the steps go up the loss": Case(6000, never_look, width=16, settings=STILL, breaks=climb),
     "the loss empties the pictures": Case(6000, never_look, width=16, settings=STILL, breaks=empty_pictures),
-    "everything is to be split": Case(150, limit_nothing, settings=GREEDY, without={"max_growth": 0.0}),
+    "everything is to be split": Case(150, limit_nothing, settings=GREEDY, without=UNBOUNDED),
 }
 
 
 def ending(case: Case, scene: Scene, folder: Path, extra: dict[str, Any] | None = None) -> Ending:
-    method = create_method("2dgs", {**TUNED_2DGS, **(case.settings or {}), **(extra or {})})
+    method = create_method("2dgs", {**TUNED, **(case.settings or {}), **(extra or {})})
     assert isinstance(method, GaussianMethod)
     case.breaks(method)
     training = Training(method, case.spoils(scene), case.steps, seed=0)

@@ -31,11 +31,14 @@ INTERRUPTED_AFTER = (37, 121)
 REFLECTS = {"bootstrap": 300, "densify_until": 30_000, "densify_threshold": 1e-6}
 
 SETTINGS: dict[str, dict[str, Any]] = {
-    "2dgs": {"densify_threshold": 1e-6, "average_from": 27_600},  # from step 116 on, and envmap and envgs alike
+    "2dgs": {
+        "densify_threshold": 1e-6,
+        "rules": {"average_from": 27_600},
+    },  # from step 116 on; others alike
     "3dgs": {"densify_threshold": 1e-6},
     "envmap": {**REFLECTS, "envmap_size": 16},
     "envgs": {
-        **{**REFLECTS, "env_densify_threshold": 1e-9, "env_grid": 3, "env_per_cell": 4, "env_far_count": 30},
+        **{**REFLECTS, "env_densify_threshold": 1e-9, "env_grid": 3, "env_far_count": 30},
         **{"disturb_every": 1, "disturb_until": 30_000},
     },
 }

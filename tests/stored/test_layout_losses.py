@@ -28,7 +28,7 @@ SETTINGS = {
     **{"device": "cpu", "timing": {"frames": 1, "seconds": 0.01}, "timeout_minutes": None, "runs_dir": "runs"},
     **{"cache_dir": "cache", "force": False},
 }
-KINDS = {"envgs": {"env_grid": 3, "env_per_cell": 4}, "2dgs": {}}
+KINDS = {"envgs": {"env_grid": 3}, "2dgs": {}}
 
 
 @pytest.fixture(autouse=True)

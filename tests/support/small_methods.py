@@ -8,7 +8,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "2dgs": {},
     "3dgs": {},
     "envmap": {"envmap_size": 8},
-    "envgs": {"env_grid": 3, "env_per_cell": 2},
+    "envgs": {"env_grid": 2},
     "envgs_single_set": {},
     "3dgs_dr": {"envmap_size": 8},
     "ref_gaussian": {"envmap_size": 8, "shade_until": 9_000, "indirect_from": 15_000},
