@@ -21,6 +21,9 @@ MOST_BYTES = 1_000_000  # of a config.yaml; the settings of a run take a few tho
 PATH_KEYS = ("root", "path")
 
 
+LoggerKind = Literal["tensorboard", "wandb", "mlflow"]
+
+
 class SettingsError(ValueError):
     """A setting that cannot be used; the message names the key, what was given and what was expected."""
 
@@ -74,9 +77,9 @@ class LoggerChoice(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    kind: Literal["tensorboard", "wandb", "mlflow"]
-    every: Annotated[int, Field(ge=1)]  # steps between pictures
-    views: Annotated[int, Field(ge=1)]  # pictures of so many
+    kind: LoggerKind
+    every: Annotated[int, Field(ge=1)] = 500  # steps between pictures of fixed views, with the mean PSNR of these
+    views: Annotated[int, Field(ge=1)] = 3  # pictures of so many
 
 
 class MethodChoice(BaseModel):

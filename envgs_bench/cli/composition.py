@@ -9,7 +9,7 @@ import sys
 from collections.abc import Collection, Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
@@ -27,9 +27,10 @@ from envgs_bench.datasets.registry import BUILT_IN as DATASET_KINDS
 from envgs_bench.datasets.registry import default_settings as default_dataset_settings
 from envgs_bench.methods.registry import method_class, method_names, method_paths
 from envgs_bench.methods.settings import RunGroup, make_settings
-from envgs_bench.settings import MethodChoice, RunSettings, SettingsError, parse_settings
+from envgs_bench.settings import LoggerChoice, LoggerKind, MethodChoice, RunSettings, SettingsError, parse_settings
 
 CONF = Path(__file__).parents[1] / "conf"
+LOGGERS = get_args(LoggerKind)
 SETTING = "method.settings."  # what the key of a method's setting begins with
 
 
@@ -37,7 +38,7 @@ def config_names(group: str) -> list[str]:
     """The options of a configuration group, as they are written behind `<group>=`."""
     root = CONF / group
     files = (path.relative_to(root).with_suffix("").as_posix() for path in root.rglob("*.yaml"))
-    registered = {"method": method_names(), "dataset": list(DATASET_KINDS)}
+    registered = {"method": method_names(), "dataset": list(DATASET_KINDS), "logger": list(LOGGERS)}
     return sorted({*_whole(files), *registered.get(group, [])})
 
 
@@ -79,13 +80,15 @@ def settings_of(config: DictConfig, overrides: list[str]) -> RunSettings:
 
 
 def register_choices(overrides: Iterable[str] = ()) -> None:
-    """Offer every kind of data set as dataset=<kind>, and every method as method=<name>, with their own defaults.
+    """Offer every dataset=<kind>, every logger=<kind> and every method=<name>, with their own defaults.
 
     The methods are the ones built in, those of installed packages, and whatever `overrides` choose by import path, as
     method=package.module:Class.
     """
     for kind in DATASET_KINDS:
         _offer_dataset(kind)
+    for kind in LOGGERS:
+        ConfigStore.instance().store(group="logger", name=kind, node=LoggerChoice(kind=kind).model_dump())
     chosen = [override.partition("=")[2].split(",") for override in overrides if override.startswith("method=")]
     by_path = {path: path for paths in chosen for path in paths if ":" in path}
     for kind, path in {**by_path, **method_paths()}.items():

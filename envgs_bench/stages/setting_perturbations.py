@@ -25,10 +25,10 @@ def _scale_scale_rate(settings: RunSettings, factor: float, rng: np.random.Gener
     return _with_method(settings, {"scale_lr": factor * _required(settings, "scale_lr")})
 
 
-def _cap(settings: RunSettings, most: float, rng: np.random.Generator) -> RunSettings:
+def _limit_sizes(settings: RunSettings, most: float, rng: np.random.Generator) -> RunSettings:
     _required(settings, "max_primitives")
-    caps = [key for key in _method_settings(settings) if key.endswith("max_primitives")]
-    return _with_method(settings, dict.fromkeys(caps, int(most)))
+    limits = [key for key in _method_settings(settings) if key.endswith("max_primitives")]
+    return _with_method(settings, dict.fromkeys(limits, int(most)))
 
 
 def _without_resets(settings: RunSettings, never: float, rng: np.random.Generator) -> RunSettings:
@@ -81,8 +81,8 @@ def _with_method(settings: RunSettings, changes: dict[str, Any]) -> RunSettings:
 PERTURBATIONS: dict[str, Perturbation[RunSettings]] = {
     "rates_up": Perturbation(_scale_rates, (3.0, 10.0, 30.0), "all learning rates × {:g}"),
     "rates_down": Perturbation(_scale_rates, (1 / 3, 1 / 10, 1 / 30), "all learning rates × {:.2g}"),
-    "needles": Perturbation(_scale_scale_rate, (3.0, 10.0, 30.0), "the scales' learning rate × {:g}"),
-    "cap": Perturbation(_cap, (5000, 2000, 1000), "at most {:,} primitives in a set"),
+    "scale_rate_up": Perturbation(_scale_scale_rate, (3.0, 10.0, 30.0), "the scales' learning rate × {:g}"),
+    "size_limit": Perturbation(_limit_sizes, (5000, 2000, 1000), "at most {:,} primitives in a set"),
     "no_resets": Perturbation(_without_resets, (0,), "no resets of the base set's opacities"),
     "no_joint": Perturbation(_without_joint, (0,), "no joint optimization"),
     "blended_normals": Perturbation(_blend_normals, (0,), "L_norm takes normals as they are blended, as long as alpha"),

@@ -34,8 +34,6 @@ class CubeMap(Light):
     """
 
     def __init__(self, model: GaussianModel, settings: MapSettings, doublings: int = 0) -> None:
-        if not 0 <= doublings <= len(DOUBLES_AT):
-            raise ValueError(f"envmap_doublings is {doublings}, expected 0 to {len(DOUBLES_AT)}")
         self._model, self._settings, self._doublings = model, settings, doublings
         self._begun = False
         self.become(torch.zeros(6, settings.envmap_size, settings.envmap_size, 3))

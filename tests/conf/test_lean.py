@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from fakes.runs import set_environment
-from sweeps import one_run, swept
+from sweeps import one_run
 from toy_scenes import coarse_toys
 
 from envgs_bench.core import Scene
@@ -25,21 +25,13 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
     set_environment(monkeypatch)
 
 
-def test_the_sweep_has_every_lean_method_beside_the_full_one_on_the_scenes_of_the_results() -> None:
-    choices = swept("lean")
-    assert set(choices["method"]) == {*FULL, *FULL.values()}
-    assert choices["dataset"] == swept("scores")["dataset"]
-    assert choices["seed"] == ["0", "1", "2"]
-    assert one_run("lean").score_on == "test"
-
-
 @pytest.mark.parametrize("lean", FULL)
 def test_a_lean_method_is_the_full_one_but_for_prunings_and_a_trial(lean: str) -> None:
-    small, full = (one_run("lean", method=name).method for name in (lean, FULL[lean]))
+    small, full = (one_run("scores", method=name).method for name in (lean, FULL[lean]))
     assert (small.name, small.kind) == (lean, full.kind)
     differences = {key for key, value in full.settings.items() if small.settings[key] != value}
     assert "prune_error" in differences
-    assert differences <= {"prune_error", "prune_from" if lean != "envgs_lean" else "reflection_trial"}
+    assert differences <= {"prune_error", "prune_from" if lean != "envgs_lean" else "reflection_pilot"}
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +50,7 @@ def test_half_of_the_primitives_draw_a_small_room_nearly_as_well(lean: str, lost
 
 
 def _trained(name: str, scene: Scene) -> tuple[float, int]:
-    chosen: Any = one_run("lean", method=name).method
+    chosen: Any = one_run("scores", method=name).method
     method = create_method(chosen.kind, chosen.settings, seed=0)
     method.initialize(scene, STEPS)
     for step, view in enumerate(shuffled(scene.train, STEPS, seed=0), 1):

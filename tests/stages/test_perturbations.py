@@ -95,8 +95,8 @@ def test_the_scene_is_perturbed_as_it_is_read_and_the_cache_holds_it_unperturbed
             {"position_lr": 3 * 1.6e-4, "position_lr_final": 3 * 1.6e-6, "beta_lr": 0.03, "scale_lr": 0.03},
         ),
         ("rates_down", 2, {"sh_lr": 2.5e-4, "rotation_lr": 1e-4}),
-        ("needles", 3, {"scale_lr": 0.3}),
-        ("cap", 3, {"max_primitives": 1000, "env_max_primitives": 1000}),
+        ("scale_rate_up", 3, {"scale_lr": 0.3}),
+        ("size_limit", 3, {"max_primitives": 1000, "env_max_primitives": 1000}),
         ("no_resets", 1, {"opacity_reset_every": 0}),
         ("no_joint", 1, {"joint": False}),
     ],
@@ -112,7 +112,7 @@ def test_settings_of_a_method_are_perturbed(kind: str, severity: int, expected: 
 
 @pytest.mark.parametrize(
     ("kind", "severity", "share"),
-    [("rates_down", 1, 1 / 3), ("rates_down", 3, 1 / 30), ("rates_up", 3, 1.0), ("needles", 3, 1.0)],
+    [("rates_down", 1, 1 / 3), ("rates_down", 3, 1 / 30), ("rates_up", 3, 1.0), ("scale_rate_up", 3, 1.0)],
 )
 def test_a_method_is_as_slow_as_most_of_its_rates(kind: str, severity: int, share: float) -> None:
     changed = perturbed_settings(settings(kind, severity)).method.settings
