@@ -16,7 +16,7 @@ from envgs_bench.core import Camera, Rendering, Scene, Statistics, View, torch_o
 from envgs_bench.parts import BASE, MONO
 
 from .gaussians.budget import SharedBudget
-from .gaussians.model import GaussianModel
+from .gaussians.model import NEAR, GaussianModel
 from .gaussians.monitor import GaussianMonitor
 from .gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, base_policy, initial_rates
 from .gaussians.pruning import events_of, prune
@@ -60,6 +60,7 @@ class GaussianMethod(Method):
 
     Settings: ClassVar[type] = GaussianSettings
     settings: GaussianSettings
+    near: ClassVar[float] = NEAR
     axes: ClassVar[int]  # 2: surfels, 3: 3D Gaussians
     cuda_graph: ClassVar[bool] = False
 

@@ -98,6 +98,7 @@ class Method(ABC):
 
     Attributes:
         Settings: the method's frozen settings dataclass; every field has a default.
+        near: what it draws nothing nearer than, world units; a scene's free space raises that.
         card: what reports show of it; None where they are to find a name and a color themselves.
         skipped_steps: training steps that were not applied because a loss or gradient was not finite; a number, or a
             tensor of one.
@@ -113,6 +114,7 @@ class Method(ABC):
 
     Settings: ClassVar[type]
     card: ClassVar[MethodCard | None] = None
+    near: ClassVar[float] = 0.0
     skipped_steps: int | Tensor = 0
 
     def __init__(self, settings: Any, device: torch.device | str = "cpu", seed: int = 0) -> None:

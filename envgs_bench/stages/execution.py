@@ -144,8 +144,8 @@ def _load(settings: RunSettings, results: Results, report: EventListener) -> Sce
 
 
 def near_of(method: Method, scene: Scene) -> float:
-    """What the method draws nothing nearer than, world units; 0 where it says nothing of that."""
-    return max(float(getattr(method.settings, "near", 0.0)), scene.free_space)
+    """What the method draws nothing nearer than in this scene, world units."""
+    return max(method.near, scene.free_space)
 
 
 def check_scene(scene: Scene) -> None:

@@ -25,7 +25,7 @@ from envgs_bench.methods.training.pilot_run import SHORTEST_RUN
 from envgs_bench.methods.training.reflection_pilot import LEAST_GAIN, LEAST_WEIGHT, PLAIN, ReflectionOutcome
 from envgs_bench.testing import tiny_scene
 
-SMALL = {"env_grid": 3, "env_far_count": 50, "reflection_trial": True}
+SMALL = {"env_grid": 3, "env_far_count": 50, "reflection_pilot": True}
 STEPS = 90  # densified every 30; from step 9 on reflections
 
 
@@ -119,7 +119,7 @@ def test_a_run_that_keeps_its_reflections_is_to_the_last_bit_what_it_is_without_
     short_runs: pytest.MonkeyPatch,
 ) -> None:
     short_runs.setattr(reflection_pilot, "LEAST_WEIGHT", 0.0)
-    kept, untried = (trained("envgs", **SMALL | {"reflection_trial": tries}) for tries in (True, False))
+    kept, untried = (trained("envgs", **SMALL | {"reflection_pilot": tries}) for tries in (True, False))
     assert_same_sets(kept, untried)
     assert set(kept.model.sets) == {"base", "env"}
     assert torch.equal(kept.generator.get_state(), untried.generator.get_state())
@@ -174,7 +174,7 @@ def test_short_runs_and_those_that_are_told_not_to_have_no_trial(
     steps: int, asked: bool, tries: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried = finds_nothing(monkeypatch)
-    create_method("envgs", SMALL | {"reflection_trial": asked}).initialize(tiny_scene(), steps)
+    create_method("envgs", SMALL | {"reflection_pilot": asked}).initialize(tiny_scene(), steps)
     assert len(tried) == tries
 
 
