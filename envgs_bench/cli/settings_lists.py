@@ -14,8 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.table import Table
 
-from envgs_bench.datasets.registry import MISSING, SETTINGS, default_settings
-from envgs_bench.import_path import load_import_path
+from envgs_bench.datasets.registry import BUILT_IN, MISSING, default_settings, source_of
 from envgs_bench.methods.recipes import RECIPES, Rules
 from envgs_bench.methods.registry import method_class
 from envgs_bench.methods.settings import setting_groups
@@ -66,10 +65,10 @@ def print_method_settings(name: str) -> int:
 
 def print_dataset_settings(kind: str) -> int:
     """Print a row each setting of dataset=<kind>; returns the exit status, 0, or 2 where there is no such kind."""
-    if kind not in SETTINGS:
-        print(f"envgs-bench list: there is no kind {kind!r} of data set, but {', '.join(SETTINGS)}", file=sys.stderr)
+    if kind not in BUILT_IN:
+        print(f"envgs-bench list: there is no kind {kind!r} of data set, but {', '.join(BUILT_IN)}", file=sys.stderr)
         return WRONG_ARGUMENTS
-    comments = setting_comments(load_import_path(SETTINGS[kind]))
+    comments = setting_comments(source_of(kind).settings or object)
     table = Table("setting", kind, "", box=None, pad_edge=False)
     for key, value in default_settings(kind).items():
         table.add_row(key, "has to be given" if value == MISSING else _as_override(value), comments.get(key, ""))
