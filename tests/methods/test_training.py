@@ -114,7 +114,7 @@ def test_counts_and_bytes(trained, kind):
     assert size["base"] == 4 * floats * primitives["base"]
     expected = dict.fromkeys(("envmap", "3dgs_dr", "ref_gaussian", "gaussian_shader"), 4 * 6 * 8 * 8 * 3)
     expected["envgs"] = 4 * 37 * primitives["env"]
-    expected["3igs"] = method.other_bytes()
+    expected["3igs"] = sum(part.most_bytes() for part in method.parts.values())
     assert size["env"] == expected.get(kind, 0)
 
 
@@ -169,7 +169,7 @@ def test_a_perceptual_loss_counts_once_the_harness_sets_it(scene):
 def test_sh_degrees_are_added_one_by_one(scene):
     method = make_method("2dgs", sh_degree=2)
     method.initialize(scene, 300)
-    assert [method.gaussians("base", step).sh_degree for step in (1, 9, 10, 19, 20, 300)] == [0, 0, 1, 1, 2, 2]
+    assert [method.model.gaussians("base", step).sh_degree for step in (1, 9, 10, 19, 20, 300)] == [0, 0, 1, 1, 2, 2]
 
 
 @pytest.mark.parametrize(
@@ -182,8 +182,8 @@ def test_either_set_adds_sh_degrees_from_a_step_of_its_own(scene, every, base, e
     method.initialize(scene, 300)
     begin(method, 31)
     steps = (39, 40, 50, 59, 60, 70)
-    assert [method.gaussians("base", step).sh_degree for step in steps] == base
-    assert [method.gaussians("env", step).sh_degree for step in steps] == env
+    assert [method.model.gaussians("base", step).sh_degree for step in steps] == base
+    assert [method.model.gaussians("env", step).sh_degree for step in steps] == env
 
 
 @pytest.mark.parametrize("power", [1, 2])
@@ -194,7 +194,8 @@ def test_the_environments_rate_grows_with_a_power_of_the_scene_radius(scene, pow
         views = [dataclasses.replace(view, camera=camera) for view, camera in zip(scene.train, cameras, strict=True)]
         method = make_method("envgs", env_radius_power=power)
         method.initialize(dataclasses.replace(scene, train=views), STEPS)
-        rates[size] = method.position_rate("base", 1), method.position_rate("env", 1)
+        policies, radius = method.model.policies, method.model.radius
+        rates[size] = [policies[name].position_rate(1, radius) for name in ("base", "env")]
     assert rates[3.0][0] == pytest.approx(3 * rates[1.0][0], rel=1e-4)
     assert rates[3.0][1] == pytest.approx(3**power * rates[1.0][1], rel=1e-4)
 
@@ -216,7 +217,7 @@ def test_nothing_is_drawn_in_the_free_space_of_a_scene(scene, tmp_path, free_spa
     again = make_method("2dgs")
     again.load(tmp_path)
     for drawn in (method, again):
-        assert drawn.near == expected
+        assert drawn.model.near == expected
         image = drawn.render(scene.test[0].camera).color
         assert bool((image == background).all()) == (free_space == 100)
 
@@ -350,7 +351,7 @@ def test_the_environment_starts_at_the_points_too(scene):
     method.initialize(scene, STEPS)
     begin(method, 1)
     env, base = (method.model.sets[name].parameters.detached() for name in ("env", "base"))
-    count = len(method.started_from.points)
+    count = len(scene.points)
     assert len(env["means"]) == 2**3 * 5 + 40 + count
     assert torch.equal(env["means"][-count:], base["means"])
     assert torch.equal(env["sh_dc"][-count:], base["sh_dc"])
