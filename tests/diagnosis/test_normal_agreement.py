@@ -122,7 +122,7 @@ def test_a_method_learns_from_what_agrees_and_says_so(estimated: Scene) -> None:
     scene = with_agreed_normals(Diagnosis(estimated))
     terms: dict[str, Tensor] = {}
     for normals in ("agreed", "as_given"):
-        method = create_method("envgs", small | {"normals": normals})
+        method = create_method("envgs", small | {"rules": {"normals": normals}})
         assert method.needs.agreed_normals == (normals == "agreed")
         method.initialize(scene, steps=10)
         terms[normals] = method.training_step(scene.train[0], 1)["mono"]

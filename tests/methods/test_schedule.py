@@ -158,7 +158,7 @@ def test_a_run_without_steps_is_refused():
 
 def check_recovery(steps: int) -> set[str]:
     """Walk through what a run of this length does around its resets; returns the names of all that happens then."""
-    method = create_method("envgs", {"beta_reset_from": 6000, "disturb_every": 1000})
+    method = create_method("envgs", with_rules(beta_reset_from=6000, disturb_every=1000))
     method.initialize(SCENE, steps)
     schedule = method.model.schedule
     resets = [step for step in range(1, steps + 1) if "reset_base_opacity" in due(method, step)]

@@ -100,10 +100,10 @@ def test_only_what_nobody_differentiates_is_traced_for_color_alone(kind, monkeyp
 
 
 def test_an_unknown_background_is_refused():
-    with pytest.raises(ValueError, match="traced_background is 'white', expected scene or black"):
-        create_method("envgs", {"traced_background": "white"})
+    with pytest.raises(ValueError, match="traced_background is 'white', expected 'scene' or 'black'"):
+        create_method("envgs", with_rules(traced_background="white"))
 
 
 def test_an_unknown_direction_of_color_is_refused():
-    with pytest.raises(ValueError, match="traced_sh_direction is 'mean', expected center or ray"):
-        create_method("envgs", {"traced_sh_direction": "mean"})
+    with pytest.raises(ValueError, match="traced_sh_direction is 'mean', expected 'center' or 'ray'"):
+        create_method("envgs", with_rules(traced_sh_direction="mean"))
