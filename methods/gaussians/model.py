@@ -83,8 +83,12 @@ class GaussianModel:
 
     # How large it is, and may be
 
+    def size(self, name: str) -> int:
+        """How many primitives the set `name` has; 0 of a missing one."""
+        return len(self.sets[name].parameters) if name in self.sets else 0
+
     def primitives(self) -> dict[str, int]:
-        return {name: len(self.sets[name].parameters) if name in self.sets else 0 for name in SETS}
+        return {name: self.size(name) for name in SETS}
 
     def model_bytes(self) -> dict[str, int]:
         return {name: self.sets[name].parameters.size_bytes if name in self.sets else 0 for name in SETS}

@@ -85,7 +85,7 @@ class SetPolicy:
         sh_degree, sh_every, sh_from: the color's SH degree, steps until another one is added, from which step on.
         criterion: by which its primitives are cloned or split, [N] of one step's pass.
         rule: when they are; its cap is what the settings let the set have at most, 0: any number.
-        interval: steps of this run between two densifications, as of a step; 0: never.
+        interval: steps of this run between two densifications, as of a step and the set's size; 0: never.
         grows_from, grows_until: step after which, and before which it is densified.
         young_until: step of this run up to which the set is not there, or so new that nothing shows what is needed.
         oversized: what becomes of oversized primitives: split, or prune from the first opacity reset on.
@@ -103,7 +103,7 @@ class SetPolicy:
     sh_from: int
     criterion: Callable[[Statistics, Camera], Tensor]
     rule: DensificationRule
-    interval: Callable[[int], Fraction]
+    interval: Callable[[int, int], Fraction]
     grows_from: int
     grows_until: int
     resets: Resets
@@ -141,13 +141,17 @@ class SetPolicy:
     def is_young(self, step: int) -> bool:
         return step <= self.young_until
 
-    def densification(self, action: Callable[[int], object]) -> Every:
-        """The event of the set's densifications: none while nothing shows what is needed."""
+    def densification(self, action: Callable[[int], object], size: Callable[[], int]) -> Every:
+        """The event of the set's densifications: none while nothing shows what is needed.
+
+        Args:
+            size: how many primitives the set has now.
+        """
         at = self.schedule.at
         return Every(
             f"densify_{self.name}",
             action,
-            self.interval,
+            lambda step: self.interval(step, size()),
             at(self.grows_from),
             at(self.grows_until),
             unless=lambda step: self.is_young(step) or self.resets.recovers(step),
@@ -183,17 +187,22 @@ def base_policy(
     )
 
 
-def regular(schedule: Schedule, interval: int) -> Callable[[int], Fraction]:
-    """The interval of a run of 30,000 between densifications, the same at every step."""
-    return lambda step: schedule.interval(interval, DENSIFY_FLOOR)
+def regular(schedule: Schedule, interval: int) -> Callable[[int, int], Fraction]:
+    """The interval of a run of 30,000 between densifications, the same at every step and size."""
+    return lambda step, size: schedule.interval(interval, DENSIFY_FLOOR)
 
 
-def slowed(usual: Callable[[int], Fraction], times: int, after: int, until: int) -> Callable[[int], Fraction]:
-    """An interval between densifications, `times` as long in a span of steps, or as leaves it ten of them."""
+def slowed(
+    usual: Callable[[int, int], Fraction], times: int, after: int, until: int, above: int
+) -> Callable[[int, int], Fraction]:
+    """An interval between densifications, `times` as long in a span of steps, or as leaves it ten of them.
 
-    def interval(step: int) -> Fraction:
-        every = usual(step)
-        if every == 0 or not after < step <= until:
+    A set of fewer primitives than `above` keeps the usual one.
+    """
+
+    def interval(step: int, size: int) -> Fraction:
+        every = usual(step, size)
+        if every == 0 or not after < step <= until or size < above:
             return every
         longest = (until - after) // (SLOW_DENSIFICATIONS * every)
         return every * max(1, min(times, longest))
@@ -225,9 +234,13 @@ def max_base_primitives(settings: GaussianSettings, scene: Scene) -> int:
     """The most primitives that the base set may have, as many as it starts with at least; 0: any number."""
     if settings.pixels_per_primitive <= 0:
         return settings.max_primitives
-    pixels = sum(view.camera.width * view.camera.height for view in scene.train)
-    bound = max(len(scene.points), int(pixels / settings.pixels_per_primitive))
+    bound = max(len(scene.points), int(training_pixels(scene) / settings.pixels_per_primitive))
     return min(settings.max_primitives or bound, bound)
+
+
+def training_pixels(scene: Scene) -> int:
+    """Pixels of all training views together."""
+    return sum(view.camera.width * view.camera.height for view in scene.train)
 
 
 def _base_resets(s: GaussianSettings, schedule: Schedule, scene: Scene | None) -> Resets:

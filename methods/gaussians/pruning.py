@@ -70,7 +70,7 @@ def events_of(model: GaussianModel, prune_all: Callable[[int], None], of_parts: 
         span = schedule.at(s.prune_from), schedule.at(PRUNE_UNTIL)
         events.append(Every("prune", prune_all, lambda step: every, *span, unless=base.resets.recovers))
     for name, policy in model.policies.items():
-        events.append(policy.densification(partial(model.densify, name)))
+        events.append(policy.densification(partial(model.densify, name), partial(model.size, name)))
         events.append(policy.opacity_reset(partial(model.reset_opacity, name)))
         if name == BASE:
             events += of_parts

@@ -14,7 +14,7 @@ from envgs_bench.parts import BASE
 
 from ..gaussians.model import GaussianModel
 from ..gaussians.parameters import inverse_sigmoid
-from ..gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, base_policy, initial_rates, slowed
+from ..gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, base_policy, initial_rates, slowed, training_pixels
 from ..training.schedule import Every, Part, Schedule
 from .settings import ReflectionSettings
 
@@ -107,12 +107,14 @@ class Disturbance(Part):
 
 
 def reflecting_policy(s: ReflectionSettings, schedule: Schedule, scene: Scene | None) -> SetPolicy:
-    """The policy of a base set with β, which grows more slowly while reflections settle."""
+    """The policy of a base set with β, which grows more slowly while reflections settle, once it is large enough for what the views show."""
     start = Start(INITIAL_OPACITY, s.rule.initial_orientation, beta=s.initial_beta)
     rates = replace(initial_rates(s, schedule), beta=s.beta_lr * schedule.rate_scale)
     policy = base_policy(s, schedule, scene, start=start, rates=rates)
     span = schedule.at(s.bootstrap), schedule.at(s.disturb_until)
-    return replace(policy, interval=slowed(policy.interval, s.rule.settling_interval, *span))
+    pixels = s.rule.settling_pixels
+    above = int(training_pixels(scene) / pixels) if scene is not None and pixels else 0
+    return replace(policy, interval=slowed(policy.interval, s.rule.settling_interval, *span, above))
 
 
 def beta_of(model: GaussianModel) -> Tensor:

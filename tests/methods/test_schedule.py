@@ -103,6 +103,17 @@ def test_the_settling_interval_leaves_the_base_ten_densifications(steps, usual, 
     assert all(step % usual == 0 for step in grows if step > last)
 
 
+def test_a_base_too_small_for_what_the_views_show_grows_as_before_while_reflections_settle():
+    pixels = sum(view.camera.width * view.camera.height for view in SCENE.train)
+    enough, too_few = pixels / len(SCENE.points), 0.9 * pixels / len(SCENE.points)
+    steps = {
+        given: events("envgs", 3000, opacity_reset_every=0, settling_pixels=given)["densify_base"]
+        for given in (enough, too_few)
+    }
+    assert all(step % 150 == 0 for step in steps[enough] if 300 < step <= 1800)
+    assert [step for step in steps[too_few] if 300 < step <= 1800] == list(range(330, 1800, 30))
+
+
 @pytest.mark.parametrize("steps", [3000, 4500, 10_000, 30_000, 60_000])
 def test_a_longer_run_grows_no_more_often(steps):
     """The sets of EnvGS grow as often in every run that is long enough, and so converge for longer in between."""
