@@ -60,7 +60,6 @@ class GaussianMethod(Method):
 
     Settings: ClassVar[type] = GaussianSettings
     settings: GaussianSettings
-    near: ClassVar[float] = NEAR
     axes: ClassVar[int]  # 2: surfels, 3: 3D Gaussians
     cuda_graph: ClassVar[bool] = False
 
@@ -137,6 +136,7 @@ class GaussianMethod(Method):
         s = self.settings
         return Needs(
             perceptual=s.rule.perceptual_loss if s.perceptual_weight > 0 else None,
+            clearance=NEAR,
             agreed_normals=s.rule.normals == "agreed" and s.mono_weight > 0,
         )
 

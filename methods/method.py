@@ -35,10 +35,12 @@ class Needs:
     Attributes:
         perceptual: which perceptual loss it trains with, a key of `envgs_bench.metrics.PERCEPTUAL_LOSSES`; None: none.
         agreed_normals: whether it learns from normals in agreement: the harness then gives `Scene.normals`.
+        clearance: nothing may be nearer to a camera, world units, as it would not be drawn.
     """
 
     perceptual: str | None = None
     agreed_normals: bool = False
+    clearance: float = 0.0
 
 
 class Monitor:
@@ -98,7 +100,6 @@ class Method(ABC):
 
     Attributes:
         Settings: the method's frozen settings dataclass; every field has a default.
-        near: what it draws nothing nearer than, world units; a scene's free space raises that.
         card: what reports show of it; None where they are to find a name and a color themselves.
         skipped_steps: training steps that were not applied because a loss or gradient was not finite; a number, or a
             tensor of one.
@@ -114,7 +115,6 @@ class Method(ABC):
 
     Settings: ClassVar[type]
     card: ClassVar[MethodCard | None] = None
-    near: ClassVar[float] = 0.0
     skipped_steps: int | Tensor = 0
 
     def __init__(self, settings: Any, device: torch.device | str = "cpu", seed: int = 0) -> None:

@@ -57,7 +57,7 @@ def scene_warnings(
             "near_hides",
             hidden > HIDDEN,
             f"{hidden:.0%} of the points in a training view are nearer than {near:g} world units, and nothing is drawn "
-            "there: lower method.near, or dataset.free_space where that is larger",
+            "there: state a smaller dataset.free_space, or give the world larger units",
         ),
         (
             "views_sparse",

@@ -145,7 +145,7 @@ def _load(settings: RunSettings, results: Results, report: EventListener) -> Sce
 
 def near_of(method: Method, scene: Scene) -> float:
     """What the method draws nothing nearer than in this scene, world units."""
-    return max(method.near, scene.free_space)
+    return max(method.needs.clearance, scene.free_space)
 
 
 def check_scene(scene: Scene) -> None:

@@ -107,7 +107,7 @@ class Disturbance(Part):
 
 
 def reflecting_policy(s: ReflectionSettings, schedule: Schedule, scene: Scene | None) -> SetPolicy:
-    """The policy of a base set with β, which grows more slowly while reflections settle, once it is large enough for what the views show."""
+    """The policy of a base set with β, which grows more slowly while reflections settle, once it is large enough."""
     start = Start(INITIAL_OPACITY, s.rule.initial_orientation, beta=s.initial_beta)
     rates = replace(initial_rates(s, schedule), beta=s.beta_lr * schedule.rate_scale)
     policy = base_policy(s, schedule, scene, start=start, rates=rates)

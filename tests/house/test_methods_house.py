@@ -24,10 +24,13 @@ DOOR = {
     "method",
     "registry",
     "settings",
+    "recipes",
+    "validation",
     "configurations",
     "gaussian_method",
 }  # flat beside a file a method
-# Each imports those before it, and the contracts `method` and `settings`, which import no room.
+# Each imports those before it, and the contracts, which import no room.
+CONTRACTS = {"method", "settings", "recipes", "validation"}
 ROOMS = ("training", "gaussians", "lighting", "storage")
 
 
@@ -93,14 +96,14 @@ def test_the_door_has_the_contracts_and_a_file_a_method() -> None:
 def test_rooms_import_those_before_them_only() -> None:
     wrong = []
     for path, room in modules():
-        allowed = {"method", "settings", *ROOMS[: ROOMS.index(room) + 1]} if room else set()
+        allowed = {*CONTRACTS, *ROOMS[: ROOMS.index(room) + 1]} if room else set()
         for name in imported(path) if room else ():
             if name.partition(".")[0] not in allowed:
                 wrong.append(f"{path.relative_to(HOUSE)} imports {name}")
     assert not wrong
 
 
-@pytest.mark.parametrize("contract", ["method", "settings"])
+@pytest.mark.parametrize("contract", sorted(CONTRACTS))
 def test_contracts_import_no_room(contract: str) -> None:
     assert not [name for name in imported(HOUSE / f"{contract}.py") if name.partition(".")[0] in ROOMS]
 
