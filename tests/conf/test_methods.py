@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Any, Literal
 
 import pytest
 import yaml
-from fakes.runs import CONF, only_folder, set_environment
+from fakes.runs import CONF, only_folder, set_environment, without_processes
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from schedules import begin, due
@@ -100,6 +102,11 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def composed(name: str) -> dict[str, Any]:
     """The node `method` of a run with method=<name>."""
+    return copy.deepcopy(_composed(name))
+
+
+@cache  # composing takes a while
+def _composed(name: str) -> dict[str, Any]:
     register_choices()
     with initialize_config_dir(str(composition.CONF), version_base="1.3"):
         content = OmegaConf.to_container(compose("config", [f"method={name}"]).method)
@@ -253,6 +260,11 @@ def test_a_setting_that_is_given_counts_before_the_scenes_release() -> None:
 
 def run_on(scene: str, method: str, *overrides: str) -> dict[str, Any]:
     """The settings of a method on a scene."""
+    return copy.deepcopy(_run_on(scene, method, *overrides))
+
+
+@cache
+def _run_on(scene: str, method: str, *overrides: str) -> dict[str, Any]:
     run = composition.composed([f"dataset={scene}", f"method={method}", *overrides])
     assert "release" not in run.dataset
     return run.method.settings
@@ -415,7 +427,8 @@ def test_a_stored_configuration_holds_every_setting(tmp_path: Path) -> None:
     )
     (tmp_path / "dataset").symlink_to(CONF / "dataset")
     arguments = ["method=mine", "dataset=tiny", "steps=2", "timing.frames=1", "timing.seconds=0.01", "device=cpu"]
-    assert main(["run", "--config-dir", str(tmp_path), *arguments, f"runs_dir={tmp_path / 'runs'}"]) == 0
+    with without_processes():
+        assert main(["run", "--config-dir", str(tmp_path), *arguments, f"runs_dir={tmp_path / 'runs'}"]) == 0
     assert read_settings(only_folder(tmp_path / "runs")).method.settings == {
         "rate": 0.25,
         "crash_at": 0,

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import torch
-from fakes.runs import set_environment
+from fakes.runs import set_environment, without_processes
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
@@ -20,6 +20,7 @@ from envgs_bench.cli import checks
 from envgs_bench.cli.composition import config_names, register_choices
 from envgs_bench.cli.main import main
 from envgs_bench.datasets import DatasetError, load_scene
+from envgs_bench.methods.recipes import rules_of
 from envgs_bench.methods.registry import create_method
 from envgs_bench.records import find_records, read_record
 from envgs_bench.reports.numbers.published import paper_scene, paper_tables
@@ -144,14 +145,18 @@ def test_the_papers_settings_reach_the_run() -> None:
 
 
 def test_a_data_set_states_facts_and_leaves_a_methods_settings_alone() -> None:
-    facts = {}
+    """Beside EnvGS, which is the default; beside 2DGS one of each family."""
+    facts, families = {}, set()
     settings = {method: dataclasses.asdict(create_method(method).settings) for method in ("2dgs", "envgs")}
     for name in [*PRESETS, *CAPTURES, *RENDERED, "toy/chrome_room", "toy/diffuse_room"]:
-        for method in settings:
-            content = composed(f"dataset={name}", f"method={method}")
-            assert content["method"]["settings"] == settings[method]
-            dataset = content["dataset"]
-            facts[name] = dataset.get("free_space", 0.0), dataset.get("bounds", 0.0)
+        content = composed(f"dataset={name}")
+        assert content["method"]["settings"] == settings["envgs"]
+        dataset = content["dataset"]
+        facts[name] = dataset.get("free_space", 0.0), dataset.get("bounds", 0.0)
+        family = name.partition("/")[0]
+        if family not in families:
+            families.add(family)
+            assert composed(f"dataset={name}", "method=2dgs")["method"]["settings"] == settings["2dgs"]
     known = {name: values for name, values in facts.items() if values != (0.0, 0.0)}
     assert known == {
         "captures/gold_cape": (2.2, 0.0),
@@ -178,12 +183,16 @@ def test_a_run_records_the_facts_and_where_to_get_what_is_missing(
     assert "ref_real.zip" in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
     monkeypatch.setattr(checks, "check_source", lambda settings: None)  # as where the data go after the check
-    assert main(["run", *overrides, f"runs_dir={tmp_path / 'runs'}"]) == 1
+    with without_processes():
+        assert main(["run", *overrides, f"runs_dir={tmp_path / 'runs'}"]) == 1
     (path,) = find_records(tmp_path / "runs")
     record = read_record(path)
     assert record.status == "failed"
     assert record.error is not None
     assert "ref_real.zip" in record.error.message
     assert record.config["dataset"]["bounds"] == 20.0
-    assert record.config["method"]["settings"] == dataclasses.asdict(create_method("envgs").settings)
+    settings = create_method("envgs").settings
+    assert record.config["method"]["settings"] == dataclasses.asdict(settings) | {
+        "rules": dataclasses.asdict(rules_of(settings.recipe, settings.rules))
+    }
     assert parse_settings(record.config).dataset["bounds"] == 20.0

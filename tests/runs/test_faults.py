@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from fakes.runs import CONF, QUICK, environment, only_folder, records, run, set_environment
+from fakes.runs import CONF, QUICK, environment, only_folder, records, run, run_here, set_environment
 
 from envgs_bench.cli.main import main
 from envgs_bench.records import read_record
@@ -57,7 +57,7 @@ def test_a_full_disk_is_an_outcome_and_the_sweep_goes_on(small_disk: Path, capsy
     assert shown.count("failed") >= 2
     assert "No space left on device" in shown
     (small_disk / "filler").unlink()
-    assert run(small_disk / "runs", fill, "steps=3", "method.settings.crash_at=9") == 0
+    assert run_here(small_disk / "runs", fill, "steps=3", "method.settings.crash_at=9") == 0
 
 
 def test_a_folder_that_is_deleted_meanwhile_is_an_outcome(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -127,7 +127,7 @@ def test_a_forced_run_that_fails_leaves_the_result(finished: Path, tmp_path: Pat
     assert run(tmp_path, "force=true", "timeout_minutes=0.0001") == 1
     assert (folder / RECORD_NAME).read_bytes() == before
     assert read_record(folder / "replacement").status == "timeout"
-    assert run(tmp_path, "force=true") == 0
+    assert run_here(tmp_path, "force=true") == 0
     assert not (folder / "replacement").exists()
     assert (folder / RECORD_NAME).read_bytes() != before
 
@@ -168,7 +168,7 @@ def test_a_run_under_way_is_no_unreadable_one(tmp_path: Path, start, capsys: pyt
 
 def test_a_dry_run_says_what_would_run(finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
-    assert run(tmp_path, "seed=0", "method.kind=fakes.methods:Raises") == 1
+    assert run_here(tmp_path, "seed=0", "method.kind=fakes.methods:Raises") == 1
     before = sorted(tmp_path.rglob("*"))
     capsys.readouterr()
     assert run(tmp_path, "seed=0,1,2", flags=("-m", "--dry-run")) == 0

@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from fakes.runs import only_folder, run, set_environment
+from fakes.runs import only_folder, run, run_here, set_environment
 
 from envgs_bench.run_lock import LOCK_NAME
 
@@ -32,29 +32,29 @@ def test_a_finished_run_is_reused_unless_forced(
     assert record.read_bytes() == before
 
     (record.parent / "renders" / "old.png").touch()
-    assert run(tmp_path, "force=true") == 0
+    assert run_here(tmp_path, "force=true") == 0
     assert "reused" not in capsys.readouterr().out
     assert record.read_bytes() != before
     assert not (record.parent / "renders" / "old.png").exists()
 
 
 def test_a_failed_run_is_retried_only_when_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(tmp_path, RAISES) == 1
+    assert run_here(tmp_path, RAISES) == 1
     record = only_folder(tmp_path) / "record.json"
     before = record.read_bytes()
     capsys.readouterr()
 
-    assert run(tmp_path, RAISES) == 1
+    assert run_here(tmp_path, RAISES) == 1
     out = capsys.readouterr().out
     assert "failed (not retried)" in out
     assert "RuntimeError: the surfels are in a bad mood (retry=failed runs it again)" in out
     assert record.read_bytes() == before
 
-    assert run(tmp_path, RAISES, "retry=timeout") == 1
+    assert run_here(tmp_path, RAISES, "retry=timeout") == 1
     assert record.read_bytes() == before
     capsys.readouterr()
 
-    assert run(tmp_path, RAISES, "retry=failed") == 1
+    assert run_here(tmp_path, RAISES, "retry=failed") == 1
     assert "not retried" not in capsys.readouterr().out
     assert record.read_bytes() != before
 

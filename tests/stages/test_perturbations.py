@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from fakes.runs import only_folder, records, run, set_environment
+from fakes.runs import only_folder, records, run_here, set_environment
 
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS as OF_SCENES
 from envgs_bench.methods.envgs import EnvGS
@@ -137,7 +137,7 @@ def test_a_sweep_leaves_one_partner_and_records_that_differ_in_the_perturbation_
 ) -> None:
     set_environment(monkeypatch)
     sweep = ("perturb.kind=none,noise,steps_fewer", "perturb.severity=1,2", "steps=6")
-    assert run(tmp_path, *sweep, flags=("-m",)) == 0
+    assert run_here(tmp_path, *sweep, flags=("-m",)) == 0
     assert "ok (reused)" in capsys.readouterr().out
     found = records(tmp_path)
     assert sorted((r.perturbation.kind, r.perturbation.severity) for r in found if r.perturbation) == [
@@ -157,7 +157,7 @@ def test_a_sweep_leaves_one_partner_and_records_that_differ_in_the_perturbation_
 def test_cases_of_any_list_are_one_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     set_environment(monkeypatch)
     cases = "perturb={kind:none,severity:0},{kind:points_fewer,severity:3}"
-    assert run(tmp_path, cases, flags=("-m",)) == 0
+    assert run_here(tmp_path, cases, flags=("-m",)) == 0
     assert [r.perturbation and r.perturbation.kind for r in records(tmp_path)].count("points_fewer") == 1
     assert len(records(tmp_path)) == 2
 
@@ -167,7 +167,7 @@ def test_a_wrong_perturbation_stops_before_anything_runs(
     override: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     set_environment(monkeypatch)
-    assert run(tmp_path, "perturb.kind=noise", override) == 2
+    assert run_here(tmp_path, "perturb.kind=noise", override) == 2
     assert override.replace("nois", "'nois'") in capsys.readouterr().err
     assert records(tmp_path) == []
 
@@ -176,7 +176,7 @@ def test_a_scene_that_lacks_what_is_to_be_perturbed_fails_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     set_environment(monkeypatch)
-    assert run(tmp_path, "perturb.kind=views", "perturb.severity=1") == 1
+    assert run_here(tmp_path, "perturb.kind=views", "perturb.severity=1") == 1
     (record,) = records(tmp_path)
     assert record.status == "failed"
     assert record.error is not None

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import os
+from contextlib import AbstractContextManager
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 
 from envgs_bench.cli.main import main
-from envgs_bench.records import Record, find_records, read_record
+from envgs_bench.loggers.opening import logging_of
+from envgs_bench.records import Failure, Record, Status, find_records, read_record
+from envgs_bench.run_lock import RunLock
+from envgs_bench.runs.display import Display
+from envgs_bench.runs.draft import Draft
+from envgs_bench.runs.interruption import Interruption
+from envgs_bench.settings import RunSettings, read_settings
+from envgs_bench.stages.execution import execute
+from envgs_bench.stages.stop import Stop
 
 SUPPORT = Path(__file__).parents[1]
 CONF = SUPPORT / "fakes" / "conf"
@@ -31,6 +41,36 @@ def set_environment(patch: pytest.MonkeyPatch) -> None:
 def run(runs_dir: Path, *overrides: str, flags: tuple[str, ...] = ()) -> int:
     """The exit status of one call in this process; each run has a process of its own."""
     return main(["run", "--config-dir", str(CONF), *flags, *QUICK, f"runs_dir={runs_dir}", *overrides])
+
+
+def run_here(runs_dir: Path, *overrides: str, flags: tuple[str, ...] = ()) -> int:
+    """run() without processes, of which each imports PyTorch: for tests of what a run leaves, not of how it ends."""
+    with without_processes():
+        return run(runs_dir, *overrides, flags=flags)
+
+
+def without_processes() -> AbstractContextManager[object]:
+    """Within it, runs are carried out in this process: on the CPU, without log.txt and without limits."""
+    return patch("envgs_bench.runs.job.run_process", _carry_out)
+
+
+def _carry_out(
+    folder: Path, _: RunSettings, device: str, lock: RunLock, display: Display, interruption: Interruption
+) -> None:
+    settings = read_settings(folder)
+    assert (device, settings.timeout_minutes, settings.memory_gb) == ("cpu", None, None)
+    draft = Draft(folder, settings)
+    status: Status = "ok"
+    failure = None
+    display.start(folder.name)
+    try:
+        with logging_of(settings, folder) as logger:
+            execute(settings, folder, draft.results, display.update, Stop(), logger)
+    except Exception as error:
+        status, failure = "failed", Failure(type=type(error).__name__, message=str(error), log_tail="")
+    finally:
+        display.stop()
+    draft.write(status, failure)
 
 
 def records(runs_dir: Path) -> list[Record]:
