@@ -1,6 +1,7 @@
-"""What a method and the parts of its models and pictures are called, wherever they are stored, counted or shown."""
+"""What methods, metrics and the parts of models and pictures are called, wherever they are stored, counted or shown."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 BASE = "base"  # the set that a camera sees; the layer of its color alone
 ENV = "env"  # the set, or the cube map, that only reflected rays meet
@@ -45,3 +46,24 @@ class MethodCard:
     step: int = 0
     adds: str = ""
     published: str = ""
+
+
+@dataclass(frozen=True)
+class MetricCard:
+    """What a metric says of itself to whoever shows its values; records carry it.
+
+    Attributes:
+        title: what is printed above its column.
+        places: the decimals that are printed, and compared when ranking.
+        better: the direction in which a method improves.
+        unit: "" where its values have none.
+        explanation: a few words on what it measures.
+        corrected: whether it is taken of color-corrected pictures, beside the plain metric of this title.
+    """
+
+    title: str
+    places: Literal[0, 1, 2, 3, 4, 5, 6]
+    better: Literal["higher", "lower"]
+    unit: str = ""
+    explanation: str = ""
+    corrected: bool = False

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from .parts import MethodCard
+from .parts import MethodCard, MetricCard
 from .regular_file import read_regular_text
 from .run_folder import CONFIG_NAME, LOG_NAME, RECORD_NAME
 
@@ -24,6 +24,7 @@ ScoredOn = Literal["test", "validation"]
 RepairKind = Literal["points", "poses", "exposures", "normals"]  # what a run may repair of its scene; normals: mirrored
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
 Count = Annotated[int, Field(ge=0, le=int(LARGEST))]
+MetricName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,59}$")]  # a part of files' names
 Scores = dict[str, Finite | None]  # metric -> value; None where it could not be computed
 
 
@@ -138,6 +139,7 @@ class Metrics(_Part):
     mean: Scores
     per_view: list[ViewScores]
     not_computed: dict[str, str]  # metric -> why it is None
+    cards: dict[MetricName, MetricCard] = {}  # of the protocol's metrics, in its order; older records have none
     weights: str | None = None  # where those of LPIPS's network come from
 
 

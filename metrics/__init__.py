@@ -1,19 +1,23 @@
 """Metrics: one file a metric, and the protocols that say how they are taken."""
 
+from .metric import Choices, Metric
 from .perceptual import PERCEPTUAL_LOSSES, make_perceptual_loss
-from .protocol import CORRECTED_METRICS, METRICS, PROTOCOLS, Protocol, get_protocol
+from .protocol import PROTOCOLS, Protocol, get_protocol
+from .registry import corrected_metrics, registered_metrics
 from .vgg16 import MINIMUM_SIZE
 from .weights import WeightsUnavailable, find_weights
 
 __all__ = [
-    "CORRECTED_METRICS",
-    "METRICS",
     "MINIMUM_SIZE",
     "PERCEPTUAL_LOSSES",
     "PROTOCOLS",
+    "Choices",
+    "Metric",
     "Protocol",
     "WeightsUnavailable",
+    "corrected_metrics",
     "find_weights",
     "get_protocol",
     "make_perceptual_loss",
+    "registered_metrics",
 ]

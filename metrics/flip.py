@@ -7,6 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from envgs_bench.parts import MetricCard
+
+from .metric import Metric
+
 # The evaluator's default: a 0.7 m wide display of 3840 pixels, 0.7 m away.
 PIXELS_PER_DEGREE = 0.7 * 3840 / 0.7 * np.pi / 180
 
@@ -28,3 +32,11 @@ def flip_map(prediction: Tensor, target: Tensor) -> Tensor:
         *images, "LDR", applyMagma=False, computeMeanError=False, parameters={"ppd": float(PIXELS_PER_DEGREE)}
     )
     return torch.from_numpy(difference[..., 0])
+
+
+METRIC = Metric(
+    MetricCard("FLIP", 3, "lower", explanation="perceived difference, FLIP"),
+    value=lambda prediction, target, mask, _: flip(prediction, target, mask),
+    definition=lambda _: "LDR-FLIP at 67 pixels a degree, of clamped images",
+    constants=["LDR", round(PIXELS_PER_DEGREE, 3)],
+)

@@ -11,8 +11,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .vgg16 import load_vgg16
-from .weights import WeightsUnavailable
+from envgs_bench.parts import MetricCard
+
+from .metric import Metric
+from .vgg16 import load_vgg16, weights_source
+from .weights import TORCHVISION_SHA256, WeightsUnavailable
 
 INPUT_RANGES = ("[0, 1]", "[-1, 1]")
 
@@ -99,3 +102,22 @@ def _network_input(image: Tensor, input_range: str) -> Tensor:
 def _unit(features: Tensor) -> Tensor:
     """[B, C, H, W] scaled to unit length over the channels; where all are zero they stay so, and get no gradient."""
     return features / (features.square().sum(1, keepdim=True).clamp_min(1e-36).sqrt() + 1e-10)
+
+
+def _not_computed() -> str:
+    try:
+        load_heads()
+        weights_source()
+    except WeightsUnavailable as error:
+        return str(error)
+    return ""
+
+
+METRIC = Metric(
+    MetricCard("LPIPS", 3, "lower", explanation="learned perceptual distance"),
+    value=lambda prediction, target, mask, choices: lpips(prediction, target, choices.lpips_input, mask),
+    definition=lambda choices: f"LPIPS-VGG v0.1 on {choices.lpips_input} input",
+    constants=["VGG-16", TORCHVISION_SHA256[:8], "0.1"],
+    not_computed=_not_computed,
+    corrected=True,
+)

@@ -11,69 +11,58 @@
 follows NerfBaselines' protocol "nerf" (its LPIPS of the default protocol is AlexNet's, which is not offered here).
 Neither project masks, so both composite as the EnvGS paper does. FLIP is added to all.
 
-`color_corrected` is `envgs` with three metrics more, `cc_psnr`, `cc_ssim` and `cc_lpips`: of pictures whose colors one
-affine map a view has brought nearest to the photograph (`color_correction.py`), inside regions by the same map.
+`color_corrected` is `envgs` with `cc_psnr`, `cc_ssim` and `cc_lpips` beside them: of pictures whose colors one affine
+map a view has brought nearest to the photograph (`color_correction.py`), inside regions by the same map.
+
+The metrics are those of `registry.py`: what is registered there, every protocol takes.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 
 import torch
 from torch import Tensor
 
-from envgs_bench.core.ssim import K1, K2, SIGMA, WINDOW
+from envgs_bench.parts import MetricCard
 
 from .color_correction import color_corrected
-from .flip import PIXELS_PER_DEGREE, flip
-from .lpips import load_heads, lpips
-from .psnr import CEILING_DB, psnr
-from .ssim import ssim
+from .metric import Choices, Metric
+from .registry import CORRECTED, corrected_metrics, registered_metrics
 from .vgg16 import MINIMUM_SIZE, weights_source
-from .weights import TORCHVISION_SHA256, WeightsUnavailable
-
-METRICS = ("psnr", "ssim", "flip", "lpips")
-CORRECTED_METRICS = ("cc_psnr", "cc_ssim", "cc_lpips")  # of color-corrected pictures, where a protocol has them
 
 _IN_WORDS = {
     "none": "float renders, not clamped",
     "round": "renders clamped to [0, 1] and rounded to 8 bits",
     "truncate": "renders clamped to [0, 1] and truncated to 8 bits",
-    "zero": "zero padding",
-    "valid": "on the valid interior",
     "white": "masked metrics of the region composited on white",
     "normalized": "masked metrics normalized by the mask",
 }
 
 
-@dataclass(frozen=True)
-class Protocol:
+class Protocol(Choices):
     """How a prediction is scored. Numbers of protocols with different hashes do not belong in one table."""
 
-    name: str
-    quantization: str  # "none": scored as rendered; "round" or "truncate": clamped, then made 8 bits so
-    ssim_padding: str  # "zero" or "valid"
-    lpips_input: str  # "[0, 1]" or "[-1, 1]"
-    masking: str  # "white": composite, then score the whole image; "normalized": average over the mask
-    corrects_color: bool = False  # whether there are CORRECTED_METRICS too
+    @property
+    def metrics(self) -> dict[str, Metric]:
+        """What `score` returns of a full image, by name."""
+        return registered_metrics() | (corrected_metrics() if self.corrects_color else {})
 
     @property
-    def metrics(self) -> tuple[str, ...]:
-        """What `score` returns of a full image."""
-        return (*METRICS, *CORRECTED_METRICS) if self.corrects_color else METRICS
+    def cards(self) -> dict[str, MetricCard]:
+        """What each of `metrics` says of itself, for the record."""
+        corrected = corrected_metrics()
+        return {name: replace(metric.card, corrected=name in corrected) for name, metric in self.metrics.items()}
 
     @property
     def hash(self) -> str:
-        """Eight hexadecimal digits of every choice, those that all protocols share included; not of the name."""
-        choices = asdict(self) | {
-            "name": None,
-            "psnr": CEILING_DB,
-            "ssim": [WINDOW, SIGMA, K1, K2],
-            "flip": ["LDR", round(PIXELS_PER_DEGREE, 3)],
-            "lpips": ["VGG-16", TORCHVISION_SHA256[:8], "0.1"],
+        """Eight hexadecimal digits of every choice, the metrics' constants included; not of the name."""
+        constants = {
+            name: metric.constants for name, metric in registered_metrics().items() if metric.constants is not None
         }
+        choices = asdict(self) | {"name": None} | constants
         if choices.pop("corrects_color"):  # protocols without it keep their hashes
             choices |= {"color": ["affine", "least squares a view", "clamped"]}
         return hashlib.sha256(json.dumps(choices, sort_keys=True).encode()).hexdigest()[:8]
@@ -81,26 +70,20 @@ class Protocol:
     @property
     def description(self) -> str:
         """The choices in one sentence."""
-        return (
-            f"{_IN_WORDS[self.quantization]}; PSNR the mean of per-image values; SSIM 11×11 Gaussian σ 1.5, "
-            f"{_IN_WORDS[self.ssim_padding]}; LDR-FLIP at 67 pixels a degree, of clamped images; "
-            f"LPIPS-VGG v0.1 on {self.lpips_input} input; {_IN_WORDS[self.masking]}"
-        ) + ("; cc_: after one affine map of color a view, fitted to the photograph" if self.corrects_color else "")
+        parts = [_IN_WORDS[self.quantization], *(metric.definition(self) for metric in registered_metrics().values())]
+        parts += [_IN_WORDS[self.masking]]
+        parts += ["cc_: after one affine map of color a view, fitted to the photograph"] if self.corrects_color else []
+        return "; ".join(parts)
 
     @property
     def not_computed(self) -> dict[str, str]:
         """Why, for every metric that cannot be had on this machine."""
-        try:
-            load_heads()
-            weights_source()
-        except WeightsUnavailable as error:
-            return {name: str(error) for name in self.metrics if name.endswith("lpips")}
-        return {}
+        return {name: why for name, metric in self.metrics.items() if (why := metric.not_computed())}
 
     @property
     def weights(self) -> str | None:
         """Where the weights of LPIPS's network come from, None where LPIPS is not computed."""
-        return None if self.not_computed else weights_source()
+        return None if "lpips" in self.not_computed else weights_source()
 
     def of_pictures(self) -> Protocol:
         """This protocol for 8-bit pictures, which are clamped and rounded already.
@@ -134,22 +117,17 @@ class Protocol:
         scores = self._inside(prediction, target, mask)
         if self.corrects_color:
             corrected = self._inside(color_corrected(prediction, target), target, mask)
-            scores |= {name: corrected[name.removeprefix("cc_")] for name in CORRECTED_METRICS}
+            scores |= {name: corrected[name.removeprefix(CORRECTED)] for name in corrected_metrics()}
         return scores if mask is None else {**scores, "fraction": float(mask.double().mean())}
 
     def _inside(self, prediction: Tensor, target: Tensor, mask: Tensor | None) -> dict[str, float | None]:
-        """METRICS inside the mask, which is not empty, or of the full image."""
+        """The plain metrics inside the mask, which is not empty, or of the full image."""
         if mask is not None and self.masking == "white":
             prediction, target = (image.where(mask[..., None], 1.0) for image in (prediction, target))
             mask = None
-        return self._scores(prediction, target, mask)
-
-    def _scores(self, prediction: Tensor, target: Tensor, mask: Tensor | None) -> dict[str, float | None]:
         return {
-            "psnr": psnr(prediction, target, mask),
-            "ssim": ssim(prediction, target, self.ssim_padding, mask),
-            "flip": flip(prediction, target, mask),
-            "lpips": None if self.not_computed else lpips(prediction, target, self.lpips_input, mask),
+            name: None if metric.not_computed() else metric.value(prediction, target, mask, self)
+            for name, metric in registered_metrics().items()
         }
 
 

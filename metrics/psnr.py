@@ -8,6 +8,10 @@ from __future__ import annotations
 import numpy as np
 from torch import Tensor
 
+from envgs_bench.parts import MetricCard
+
+from .metric import Metric
+
 CEILING_DB = 100.0  # what equal images score: infinity has no mean and no place in JSON
 
 
@@ -25,3 +29,12 @@ def psnr(prediction: Tensor, target: Tensor, mask: Tensor | None = None) -> floa
     with np.errstate(divide="ignore"):
         decibels = 10 * np.log10(1 / np.mean((expected - drawn) ** 2))
     return min(CEILING_DB, float(decibels))
+
+
+METRIC = Metric(
+    MetricCard("PSNR", 2, "higher", "dB", "peak signal-to-noise ratio, dB"),
+    value=lambda prediction, target, mask, _: psnr(prediction, target, mask),
+    definition=lambda _: "PSNR the mean of per-image values",
+    constants=CEILING_DB,
+    corrected=True,
+)

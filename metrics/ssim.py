@@ -6,7 +6,11 @@ import numpy as np
 from torch import Tensor
 
 from envgs_bench.core.ssim import K1, K2, SIGMA, WINDOW
+from envgs_bench.parts import MetricCard
 
+from .metric import Metric
+
+_BORDER_IN_WORDS = {"zero": "zero padding", "valid": "on the valid interior"}
 _BORDER = WINDOW // 2  # pixels; scikit-image's window ends at 3.5 σ, which is here
 
 
@@ -42,3 +46,12 @@ def ssim(prediction: Tensor, target: Tensor, padding: str, mask: Tensor | None =
     if padding == "valid":
         inside = inside[_BORDER:-_BORDER, _BORDER:-_BORDER]
     return float(similarity[inside].mean()) if inside.any() else None
+
+
+METRIC = Metric(
+    MetricCard("SSIM", 3, "higher", explanation="structural similarity"),
+    value=lambda prediction, target, mask, choices: ssim(prediction, target, choices.ssim_padding, mask),
+    definition=lambda choices: f"SSIM 11×11 Gaussian σ 1.5, {_BORDER_IN_WORDS[choices.ssim_padding]}",
+    constants=[WINDOW, SIGMA, K1, K2],
+    corrected=True,
+)

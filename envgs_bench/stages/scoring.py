@@ -40,7 +40,11 @@ def score_pairs(
             if mask.any():
                 regions.setdefault(region, []).append(_scores(pair, region, _scored(pair, mask, protocol, device)))
     metrics = Metrics(
-        mean=_means(full), per_view=full, not_computed=dict(protocol.not_computed), weights=protocol.weights
+        mean=_means(full),
+        per_view=full,
+        not_computed=protocol.not_computed,
+        cards=protocol.cards,
+        weights=protocol.weights,
     )
     masked = {
         region: MaskedScores.model_validate({"per_view": per_view, **_means(per_view)})

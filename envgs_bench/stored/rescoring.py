@@ -15,7 +15,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from envgs_bench.metrics import CORRECTED_METRICS, METRICS, Protocol
+from envgs_bench.metrics import Protocol, corrected_metrics, registered_metrics
 from envgs_bench.records import (
     RENDERS,
     MaskedScores,
@@ -141,7 +141,7 @@ def _pairs(run: Path, record: Record) -> Iterator[Pair]:
 
 def _others(row: ViewScores) -> Scores:
     """The scores that pictures cannot give again, as the angle between normals."""
-    given = (*METRICS, *CORRECTED_METRICS, "fraction")
+    given = {*registered_metrics(), *corrected_metrics(), "fraction"}
     return {name: value for name, value in row.scores.items() if name not in given}
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from ..tables.columns import ACCURACIES, COSTS, FRAME_MS, PSNR, Column
+from ..tables.columns import COSTS, FRAME_MS, PSNR, Column, accuracy_columns, in_region
 from ..tables.sections import Section
 from .drawn import Canvas, DrawnChart
 from .look import GRAY, RC
@@ -29,7 +29,8 @@ def draw_charts(sections: Sequence[Section], canvas: Canvas, every_pair: bool = 
         What was drawn, nothing where no run finished.
     """
     jobs = {"pareto": _pareto_rows(sections)}
-    for accuracy in ACCURACIES if every_pair else ():
+    known = {column.key: column for section in sections for column in accuracy_columns(section.metrics)}
+    for accuracy in known.values() if every_pair else ():
         for cost in COSTS:
             jobs[f"charts/{accuracy.key}-{cost.key}"] = panel_rows(sections, cost, [accuracy])
     return [_write(rows, canvas, name) for name, rows in jobs.items() if rows]
@@ -48,7 +49,7 @@ def panel_rows(sections: Sequence[Section], cost: Column, accuracies: Sequence[C
 
 
 def _pareto_rows(sections: Sequence[Section]) -> list[list[Panel]]:
-    telling = [column for region in REGIONS for column in ACCURACIES if column.region == region]
+    telling = [in_region(PSNR, region) for region in REGIONS]
     return [row[:2] for row in panel_rows(sections, FRAME_MS, [PSNR, *telling])]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from ..charts.curves import QUANTITIES, training_curves
 from ..charts.palette import styles
 from ..pictures.gallery import Gallery, Shot
-from ..tables.columns import ACCURACIES, COSTS, MAIN_COLUMNS, Column
+from ..tables.columns import COSTS, Column, accuracy_columns, main_columns
 from ..tables.sections import Section
 from ..tables.table import Cell, Row, Table
 from .sizes import png_size
@@ -41,6 +41,7 @@ def _json(content: Any) -> str:
 def _section(section: Section, galleries: Sequence[Gallery]) -> dict[str, Any]:
     overrides = {item.method: _own_overrides(item.run.record.overrides) for item in section.runs}
     subjects = [subject for table in section.subjects if (subject := _subject(table, overrides))["rows"]]
+    accurate = {column.key for column in accuracy_columns(section.metrics)}
     alone = [i for i, subject in enumerate(subjects) if subject["count"] == 1]
     return {
         "columns": {
@@ -48,9 +49,9 @@ def _section(section: Section, galleries: Sequence[Gallery]) -> dict[str, Any]:
                 "title": column.title,
                 "axis": column.axis,
                 "better": column.better,
-                "axis_of": "cost" if column.key in COST_KEYS else "accuracy" if column in ACCURACIES else None,
+                "axis_of": "cost" if column.key in COST_KEYS else "accuracy" if column.key in accurate else None,
             }
-            for column in MAIN_COLUMNS
+            for column in main_columns(section.metrics)
         },
         "subjects": subjects,
         "first": alone[0] if alone else 0,

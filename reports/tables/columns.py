@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import Literal
 
-from envgs_bench.parts import ENV
+from envgs_bench.parts import ENV, MetricCard
 
+from ..numbers.cards import PLAIN
 from ..numbers.decimals import decimal, rounded
 from ..numbers.intervals import Interval
 
@@ -63,21 +64,22 @@ def over(datasets: Iterable[str], columns: Iterable[Column], group: str = "") ->
     return tuple(replace(column, datasets=tuple(datasets), group=group) for column in columns)
 
 
-PSNR = Column("psnr", "full", "PSNR", 2, "higher", "PSNR, dB", "peak signal-to-noise ratio, dB")
-SSIM = Column("ssim", "full", "SSIM", 3, "higher", "SSIM", "structural similarity")
-FLIP = Column("flip", "full", "FLIP", 3, "lower", "FLIP", "perceived difference, FLIP")
-LPIPS = Column("lpips", "full", "LPIPS", 3, "lower", "LPIPS", "learned perceptual distance")
-SCORES = (PSNR, SSIM, FLIP, LPIPS)
-CORRECTED_SCORES = tuple(  # of the protocol color_corrected
-    replace(
+def score_column(name: str, card: MetricCard) -> Column:
+    """The column of a metric, over the full image."""
+    axis = f"{card.title}, {card.unit}" if card.unit else card.title
+    column = Column(name, "full", card.title, card.places, card.better, axis, card.explanation)
+    if not card.corrected:
+        return column
+    return replace(
         column,
-        metric=f"cc_{column.metric}",
-        title=f"{column.title} cc",
-        axis=f"{column.axis}, color-corrected",
-        explanation=f"{column.explanation}, after one affine map of color a view",
+        title=f"{card.title} cc",
+        axis=f"{axis}, color-corrected",
+        explanation=f"{card.explanation}, after one affine map of color a view",
     )
-    for column in (PSNR, SSIM, LPIPS)
-)
+
+
+# Those that studies ask for by name.
+SCORES = PSNR, SSIM, FLIP, LPIPS = tuple(score_column(name, card) for name, card in PLAIN.items())
 
 
 def in_region(column: Column, region: str) -> Column:
@@ -119,19 +121,24 @@ CHECKPOINT_MEGABYTES = Column(
 # those whose PSNR stands beside the full image's
 REGIONS = ("covisible", "reflective", "near_field", "transmissive", "foreground")
 COSTS = (FRAME_MS, TRAIN_SECONDS, MEGABYTES, PRIMITIVES)  # the axes of the charts
-MAIN_COLUMNS = (
-    *SCORES,
-    *CORRECTED_SCORES,
-    *(in_region(PSNR, region) for region in REGIONS),
-    NORMALS,
-    FRAME_MS,
-    TRAIN_SECONDS,
-    PRIMITIVES,
-    ENV_PRIMITIVES,
-    MEGABYTES,
-    FILE_MEGABYTES,
-)
-ACCURACIES = MAIN_COLUMNS[: MAIN_COLUMNS.index(FRAME_MS)]
+
+
+def score_columns(metrics: Mapping[str, MetricCard]) -> tuple[Column, ...]:
+    """The columns of the metrics that are taken of pictures as they are."""
+    return tuple(score_column(name, card) for name, card in metrics.items() if not card.corrected)
+
+
+def accuracy_columns(metrics: Mapping[str, MetricCard]) -> tuple[Column, ...]:
+    """The columns that say how near pictures and normals are to the data."""
+    corrected = (score_column(name, card) for name, card in metrics.items() if card.corrected)
+    return (*score_columns(metrics), *corrected, *(in_region(PSNR, region) for region in REGIONS), NORMALS)
+
+
+def main_columns(metrics: Mapping[str, MetricCard]) -> tuple[Column, ...]:
+    """Everything that is known of a data set."""
+    return (*accuracy_columns(metrics), FRAME_MS, TRAIN_SECONDS, PRIMITIVES, ENV_PRIMITIVES, MEGABYTES, FILE_MEGABYTES)
+
+
 SPEED_COLUMNS = (
     PSNR,
     SSIM,

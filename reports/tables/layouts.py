@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from envgs_bench.parts import MethodCard
+from envgs_bench.parts import MethodCard, MetricCard
 
 from ..numbers.estimates import Numbers
 from ..numbers.labels import Label
@@ -15,18 +15,18 @@ from .columns import (
     FLIP,
     FRAME_MS,
     LPIPS,
-    MAIN_COLUMNS,
     MEGABYTES,
     NORMALS,
     PAPER_SPEED,
     PSNR,
-    SCORES,
     SPEED_COLUMNS,
     SSIM,
     TRAIN_SECONDS,
     Column,
     in_region,
+    main_columns,
     over,
+    score_columns,
 )
 from .table import Table, build_table
 
@@ -43,6 +43,7 @@ class Contents:
         labels: row -> its method's name, with the settings that set it apart from others of that name; in the tables'
             order.
         cards: row -> its method's card.
+        metrics: name -> its card, in the tables' order.
         published: row -> the paper's name of it; None where the protocol is not the paper's.
     """
 
@@ -50,6 +51,7 @@ class Contents:
     subjects: Mapping[str, tuple[str, ...]]
     labels: Mapping[str, Label]
     cards: Mapping[str, MethodCard]
+    metrics: Mapping[str, MetricCard]
     published: Mapping[str, str] | None
 
     @property
@@ -80,7 +82,7 @@ def overview(contents: Contents, everything: str) -> list[Table]:
     whole = tuple(dict.fromkeys(dataset for members in groups.values() for dataset in members))
     if len(whole) < 2:
         return []
-    columns = [c for name, members in groups.items() for c in over(members, SCORES, name)]
+    columns = [c for name, members in groups.items() for c in over(members, score_columns(contents.metrics), name)]
     columns += over(whole, (FRAME_MS, TRAIN_SECONDS, MEGABYTES, FILE_MEGABYTES, *PAPER_SPEED), everything)
     return [contents.table("Overview", "overview", columns)]
 
@@ -89,7 +91,8 @@ def subjects(contents: Contents, _: str) -> list[Table]:
     """Everything that is known of a data set, or of the mean over a family; of a region, over those that have it."""
     tables = []
     for name, members in contents.subjects.items():
-        columns = [replace(c, datasets=contents.numbers.having(members, c.region)) for c in MAIN_COLUMNS]
+        known = main_columns(contents.metrics)
+        columns = [replace(c, datasets=contents.numbers.having(members, c.region)) for c in known]
         tables.append(contents.table(name, "subject", columns))
     return tables
 
@@ -99,7 +102,8 @@ def scenes(contents: Contents, everything: str) -> list[Table]:
     tables = []
     for name, members in contents.families.items():
         if name != everything:
-            for score in (*SCORES, in_region(PSNR, "near_field"), in_region(PSNR, "reflective")):
+            inside = (in_region(PSNR, "near_field"), in_region(PSNR, "reflective"))
+            for score in (*score_columns(contents.metrics), *inside):
                 having = contents.numbers.having(members, score.region)
                 if len(having) < 2:
                     continue
@@ -121,7 +125,8 @@ def regions(contents: Contents, _: str) -> list[Table]:
     for name, members in contents.subjects.items():
         columns: list[Column] = []
         for region in contents.numbers.regions(members):
-            inside = [replace(in_region(score, region), title=score.title) for score in (*SCORES, NORMALS)]
+            accuracies = (*score_columns(contents.metrics), NORMALS)
+            inside = [replace(in_region(score, region), title=score.title) for score in accuracies]
             columns += over(contents.numbers.having(members, region), inside, region.replace("_", "-"))
         tables.append(contents.table(f"{name}: inside the regions", "regions", columns))
     return tables

@@ -10,10 +10,10 @@ from functools import cached_property
 
 import pandas as pd
 
-from envgs_bench.parts import MethodCard
+from envgs_bench.parts import MethodCard, MetricCard
 from envgs_bench.records import ProtocolName, Record, RepairKind, ScoredOn
 
-from ..numbers.cards import newest_cards
+from ..numbers.cards import metric_cards, newest_cards
 from ..numbers.estimates import Numbers
 from ..numbers.labels import Label, label_runs, method_order
 from ..numbers.published import PROTOCOL, paper_method, paper_scene
@@ -106,6 +106,11 @@ class Section:
         return self.cards[self.labels[row].name]
 
     @cached_property
+    def metrics(self) -> dict[str, MetricCard]:
+        """Metric's name -> its card, in the tables' order."""
+        return metric_cards(item.run.record for item in self.runs)
+
+    @cached_property
     def published(self) -> dict[str, str]:
         """Row -> the paper's name of it, its own where the paper has none."""
         kinds = {item.method: item.run.record.kind for item in self.runs}
@@ -120,6 +125,7 @@ class Section:
             self.families | alone,
             {row: self.labels[row] for row in self.methods},
             {row: self.card(row) for row in self.methods},
+            self.metrics,
             self.published if self.protocol.name == PROTOCOL else None,
         )
         return [self.with_dropped_losses(table) for table in layouts(contents, ALL)]

@@ -41,6 +41,11 @@ def with_psnr(value: str) -> str:
     return spoiled(metrics={"mean": {"psnr": "PSNR"}, "per_view": [], "not_computed": {}}).replace('"PSNR"', value)
 
 
+def with_cards(cards: dict[str, Any]) -> dict[str, Any]:
+    return record("toy/chrome_room", "envgs", 0)["metrics"] | {"cards": cards}
+
+
+CARD = {"title": "PSNR", "places": 2, "better": "higher"}
 WHOLE = spoiled()
 BAD = {  # what record.json holds -> what the report says of it
     "nested": ("[" * 50_000 + "]" * 50_000, "not a record: maximum recursion depth"),
@@ -51,6 +56,11 @@ BAD = {  # what record.json holds -> what the report says of it
     "no method": (spoiled(config={"method": [1]}), "config: Value error, method is no JSON object"),
     "psnr": (with_psnr("1e308"), "metrics.mean.psnr: Input should be less than or equal to 1000000000000000000"),
     "nan": (with_psnr("NaN"), "metrics.mean.psnr: Input should be a finite number"),
+    "metric": (spoiled(metrics=with_cards({"../psnr": CARD})), "metrics.cards.../psnr.[key]: String should match"),
+    "places": (
+        spoiled(metrics=with_cards({"psnr": CARD | {"places": 10**9}})),
+        "metrics.cards.psnr.places: Input should",
+    ),
     "count": (
         WHOLE.replace('"skipped_steps": 0', '"skipped_steps": 1' + "0" * 25),
         "cost.skipped_steps: Input should be",
@@ -193,6 +203,7 @@ def places(node: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 def within_budget(primitives: int) -> dict[str, Any]:
     content = record("toy/chrome_room", "envgs", 0)
     content["config"]["budget"] = {"primitives": primitives, "mb": None}
+    content["metrics"] = with_cards({"psnr": CARD, "frame_ms": CARD})  # the latter is another column's name
     return content
 
 

@@ -41,6 +41,7 @@ CONTENT = {
     "kind": "2dgs",
     "card": None,
     "dataset": "room",
+    "data": None,
     "placement": {"shift": [500123.0, -7.0, 0.0], "scale": 0.5},
     "seed": 0,
     "steps": 10,
@@ -58,6 +59,16 @@ CONTENT = {
         "mean": SCORES,
         "per_view": [{"view": "a", **SCORES, "normal_degrees": 3.5}],
         "not_computed": {"lpips": "no weights"},
+        "cards": {
+            "psnr": {
+                "title": "PSNR",
+                "places": 2,
+                "better": "higher",
+                "unit": "dB",
+                "explanation": "",
+                "corrected": False,
+            }
+        },
         "weights": None,
     },
     "masked": {"reflective": {**SCORES, "fraction": 0.25, "per_view": [{"view": "a", **SCORES}]}},
@@ -87,7 +98,17 @@ CONTENT = {
     "repairs": [],
     "provenance": PROVENANCE,
 }
-LATER = ("card", "placement", "scored_on", "notes", "losses", "dropped_losses", "perturbation", "warnings")  # keys
+LATER = (
+    "card",
+    "data",
+    "placement",
+    "scored_on",
+    "notes",
+    "losses",
+    "dropped_losses",
+    "perturbation",
+    "warnings",
+)  # keys
 # that older records lack
 FAILURE = {"type": "RuntimeError", "message": "why", "log_tail": "…"}
 
@@ -107,6 +128,8 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert Record.model_validate(older).scored_on == "test"
     assert Record.model_validate(older).dropped_losses == {}
     assert (Record.model_validate(older).perturbation, Record.model_validate(older).warnings) == (None, [])
+    scores = {key: value for key, value in CONTENT["metrics"].items() if key != "cards"}
+    assert Record.model_validate(CONTENT | {"metrics": scores}).metrics.cards == {}
     cost = {key: value for key, value in CONTENT["cost"].items() if key not in ("checkpoint_bytes", "compact_bytes")}
     unstored = Record.model_validate(CONTENT | {"cost": cost}).cost
     assert (unstored.checkpoint_bytes, unstored.compact_bytes) == (None, None)

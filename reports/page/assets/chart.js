@@ -112,7 +112,7 @@
       const points = all.filter((p) => !hidden.has(p.method) && (p.complete ? pick("dominated").checked || best.includes(p) : pick("failed").checked));
       const log = [pick("log").checked, pick("log-y").checked && points.every((p) => p.y > 0)];
       const ends = (name) => (points.length ? points : all).flatMap((p) => (pick("whiskers").checked ? p[name].slice(0, 3) : [p[name][0]])).filter((value) => value !== null);
-      const shape = layout(`${x.axis} (${x.better} is better)`, `${y.axis} (${y.better} is better)`, "log");
+      const shape = layout(`${escaped(x.axis)} (${x.better} is better)`, `${escaped(y.axis)} (${y.better} is better)`, "log");
       frame(shape.xaxis, ends("vx"), log[0]);
       frame(shape.yaxis, ends("vy"), log[1]);
       const places = pick("names").checked ? namePlaces(points, best, shape, plot) : [];

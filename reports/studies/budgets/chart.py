@@ -17,7 +17,7 @@ from envgs_bench.parts import BASE, ENV
 from ...charts.drawn import Canvas, DrawnChart
 from ...charts.look import INK, RC, SOFT, open_axes, panel_axes
 from ...charts.palette import Style, styles
-from ...tables.columns import MAIN_COLUMNS, in_region
+from ...tables.columns import SCORES, in_region
 from ...tables.sections import Section
 from .budgets import QUANTITIES, BudgetCurve, BudgetMap, Quantity
 
@@ -169,5 +169,5 @@ def _between(count: float, limits: Sequence[int]) -> float:
 
 
 def _axis_name(quantity: Quantity) -> str:
-    column = next(column for column in MAIN_COLUMNS if column.metric == quantity.metric)
+    column = next(column for column in SCORES if column.metric == quantity.metric)
     return column.axis if quantity.region == "full" else in_region(column, quantity.region).axis

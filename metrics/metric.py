@@ -1,0 +1,41 @@
+"""Metric: what a number taken of two images is to protocols and reports, and the choices that it may ask a protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+from envgs_bench.parts import MetricCard
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What a protocol decides, for all metrics alike."""
+
+    name: str
+    quantization: str  # "none": scored as rendered; "round" or "truncate": clamped, then made 8 bits so
+    ssim_padding: str  # "zero" or "valid"
+    lpips_input: str  # "[0, 1]" or "[-1, 1]"
+    masking: str  # "white": composite, then score the whole image; "normalized": average over the mask
+    corrects_color: bool = False  # whether metrics that say so are taken of color-corrected pictures too
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A number taken of a prediction and its photograph."""
+
+    card: MetricCard
+    value: Callable[[Tensor, Tensor, Tensor | None, Choices], float | None]
+    """Of a prediction and a target, [H, W, 3] floats, sRGB, the target's in [0, 1], the prediction's perhaps beyond;
+    inside a mask, [H, W] bool and not empty, or of the full image. None where there is no such number."""
+    definition: Callable[[Choices], str]
+    """Its part of a protocol's description."""
+    constants: Any = None
+    """JSON values that the protocols' hashes cover, and so change all of them; None adds nothing to a hash."""
+    not_computed: Callable[[], str] = lambda: ""
+    """Why it cannot be had on this machine; "" where it can."""
+    corrected: bool = False
+    """Whether protocols that correct colors take it of color-corrected pictures too, as cc_<name>."""
