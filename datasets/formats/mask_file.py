@@ -111,7 +111,8 @@ def _of_colors(image: Image.Image, lossy: bool) -> MaskFile:
 
 
 def _palette(image: Image.Image) -> dict[int, int]:
-    entries = np.frombuffer(image.palette.tobytes() if image.palette.mode == "RGB" else b"", np.uint8)
+    palette = image.palette
+    entries = np.frombuffer(b"" if palette is None or palette.mode != "RGB" else palette.tobytes(), np.uint8)
     if not entries.size:
         entries = np.asarray(image.getpalette("RGB") or [], np.uint8)
     colors = entries[: len(entries) // 3 * 3].reshape(-1, 3).astype(int)
