@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from fakes.runs import run, set_environment
 
+from envgs_bench.metrics import registered_metrics
 from envgs_bench.records import find_records, read_record
 from envgs_bench.run_folder import LOG_NAME
 from envgs_bench.runs import process
@@ -142,7 +143,7 @@ def test_a_successful_run_has_a_complete_record_and_all_files(sweep: Sweep) -> N
     assert "steps=200" in record.overrides
     assert record.metrics is not None
     assert [view.view for view in record.metrics.per_view] == ["view0", "view1"]
-    assert set(record.metrics.mean) == {"psnr", "ssim", "flip", "lpips", "normal_degrees"}
+    assert set(record.metrics.mean) == {*registered_metrics(), "normal_degrees"}
     assert record.metrics.mean["lpips"] is None
     assert "lpips" in record.metrics.not_computed
     assert record.metrics.weights is None
