@@ -36,7 +36,7 @@ class GaussianMonitor(Monitor):
         return self._runner.take_non_finite()
 
     def prunes(self, step: int) -> bool:
-        return any(event.name == "prune" and event.due(step) for event in self._runner.events)
+        return any(event.name == "prune" for event in self._runner.due(step))
 
     def reflected(self, origins: Tensor, directions: Tensor) -> Tensor | None:
         return None if self._reflected is None else self._reflected(origins, directions)

@@ -158,7 +158,7 @@ class SetPolicy:
         )
 
     def opacity_reset(self, action: Callable[[int], object]) -> Every:
-        return Every(f"reset_{self.name}_opacity", action, also=self.resets.due)
+        return Every(f"reset_{self.name}_opacity", action, also=self.resets.due, recovery=self.resets.floor)
 
 
 def base_policy(

@@ -15,7 +15,7 @@ from envgs_bench.parts import BASE
 from ..gaussians.model import GaussianModel
 from ..gaussians.parameters import inverse_sigmoid
 from ..gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, base_policy, initial_rates, slowed, training_pixels
-from ..training.schedule import Every, Part, Schedule
+from ..training.schedule import DISTURB_FLOOR, RESET_FLOOR, Every, Part, Schedule
 from .settings import ReflectionSettings
 
 SABOTAGE_BELOW = 0.05  # β up to which a base color is disturbed
@@ -46,11 +46,11 @@ class Disturbance(Part):
     def events(self) -> Sequence[Every]:
         s, events = self._settings, []
         if s.sabotage and s.disturb_every > 0:
-            events.append(Every("sabotage", self.sabotage, also=self._disturbs))
+            events.append(Every("sabotage", self.sabotage, also=self._disturbs, recovery=DISTURB_FLOOR))
         if s.propagate and s.disturb_every > 0:
-            events.append(Every("propagate", self.propagate, also=self._disturbs))
+            events.append(Every("propagate", self.propagate, also=self._disturbs, recovery=DISTURB_FLOOR))
         if s.rule.beta_reset_from > 0:
-            events.append(Every("reset_beta", self.reset_beta, also=self._resets_beta))
+            events.append(Every("reset_beta", self.reset_beta, also=self._resets_beta, recovery=RESET_FLOOR))
         return events
 
     def sabotage(self, step: int) -> None:

@@ -11,7 +11,8 @@ below a floor, because some things take a number of steps and not a share of the
 | opacity reset | 600 steps, 300 for the environment | opacities rise by 0.05 a step, then colors converge |
 
 A run too short for an interval never does the thing: it could not recover. One of 2,000 steps has every phase, one of
-800 is never disturbed and resets no opacity of the base.
+800 is never disturbed and resets no opacity of the base. For the same reason nothing happens so late that fewer steps
+are left: the floor of a disturbance or a reset, the whole interval of what else happens regularly.
 
 Intervals are kept as fractions of a step and each event is rounded alone, so that events which coincide in the
 reference run coincide in every run, and those that do not keep their distance.
@@ -101,7 +102,8 @@ class Schedule:
         reset = _nearest(count * n, d)
         if reset >= step:
             reset = _nearest((count - 1) * n, d)
-        return 0 < reset < step < reset + RECOVERY and reset < self.at(stop)
+        happened = reset < self.at(stop) and reset + floor <= self.steps
+        return happened and 0 < reset < step < reset + RECOVERY
 
     def disturbs(self, step: int, *, start: int, stop: int, interval: int, reset_interval: int) -> bool:
         """Whether color sabotage and normal propagation, every `interval` in (start, stop], fall on `step`.
@@ -132,7 +134,7 @@ def _disturbances(schedule: Schedule, start: int, stop: int, interval: int, rese
 
 @dataclass(frozen=True)
 class Every:
-    """Something that befalls a model again and again, right after Adam's step.
+    """Something that befalls a model again and again, right after Adam's step, and never too late to recover from it.
 
     Attributes:
         name: what tests and logs call it.
@@ -141,6 +143,7 @@ class Every:
         start, stop: it happens after the one step and before the other, of this run.
         unless: steps at which it is left out.
         also: steps at which it happens besides, whatever the interval.
+        recovery: steps that a run must have left after it; at least one, and at least as many as until the next time.
     """
 
     name: str
@@ -150,10 +153,14 @@ class Every:
     stop: int = 0
     unless: Callable[[int], bool] = lambda step: False
     also: Callable[[int], bool] = lambda step: False
+    recovery: int = 1
 
-    def due(self, step: int) -> bool:
-        """Whether it happens after this step."""
-        regular = self.start < step < self.stop and falls_on(step, self.interval(step)) and not self.unless(step)
+    def due(self, step: int, end: int) -> bool:
+        """Whether it happens after this step of a run that ends with step `end`."""
+        interval = self.interval(step)
+        if step + max(self.recovery, interval) > end:
+            return False
+        regular = self.start < step < self.stop and falls_on(step, interval) and not self.unless(step)
         return regular or self.also(step)
 
 

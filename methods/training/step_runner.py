@@ -93,7 +93,7 @@ class StepRunner:
             numbers = self.learn(view, step)
         self._gradients.add(*numbers.magnitudes())
         self.maps = numbers.maps
-        due = [event for event in self.events if event.due(step)]
+        due = self.due(step)
         if due:
             self.settle()
         with torch.no_grad():
@@ -101,6 +101,10 @@ class StepRunner:
                 event.action(step)
         self._average_parameters(step, anew=bool(due))
         return numbers.losses()
+
+    def due(self, step: int) -> list[Every]:
+        """What befalls the model after a step, in this order."""
+        return [event for event in self.events if event.due(step, self._schedule.steps)]
 
     def learn(self, view: View, step: int) -> StepNumbers:
         """All of a step that happens on the device. It never waits there, not even to learn whether the step counts."""

@@ -20,7 +20,7 @@ def begin(method: GaussianMethod, step: int) -> None:
 
 def due(method: GaussianMethod, step: int) -> set[str]:
     """The names of the events after a step."""
-    return {event.name for event in method.runner.events if event.due(step)}
+    return {event.name for event in method.runner.due(step)}
 
 
 def befall(method: GaussianMethod, step: int, names: Collection[str]) -> None:
