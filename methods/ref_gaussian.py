@@ -158,7 +158,7 @@ class Surfaces(Part):
         at, s = self._model.schedule.at, self._settings
         if self._reflection.begun and not self.deferred and step > at(s.shade_until):
             self.deferred = True
-            if s.shade_until > s.bootstrap:
+            if self._shades_surfels():
                 self._forget_materials()
         self.occluders.traced = self.deferred and step > at(s.indirect_from)
 
@@ -212,9 +212,13 @@ class Surfaces(Part):
         layers = {BASE: base.color, REFLECTION: specular, BETA: metallic}
         return replace(base, color=(1 - metallic) * own + specular + behind, layers=layers)
 
+    def _shades_surfels(self) -> bool:
+        """Whether surfels are shaded before pixels are; the authors' commands for captures leave that out."""
+        return self._settings.shade_until > self._settings.bootstrap
+
     def is_sabotaged(self) -> Tensor:
-        """Whose base color is disturbed, [N]; none before pixels are shaded: there is no base color."""
-        return (beta_of(self._model) <= METALLIC_ABOVE) & self.deferred
+        """Whose base color is disturbed, [N]; none before pixels are shaded, and none where surfels never were."""
+        return (beta_of(self._model) <= METALLIC_ABOVE) & (self.deferred and self._shades_surfels())
 
     def spreads(self) -> Tensor:
         """What normal propagation enlarges, [N]: smooth metal."""

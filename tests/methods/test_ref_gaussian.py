@@ -95,6 +95,13 @@ def test_smooth_metal_grows_and_only_what_pixels_shade_is_sabotaged() -> None:
     assert method.surfaces.is_sabotaged().tolist() == [True, False, False, True] * 50
 
 
+def test_nothing_is_sabotaged_where_surfels_are_never_shaded() -> None:
+    """As in the authors' commands for captures."""
+    method = at_step(18_001, shade_until=0)
+    assert method.surfaces.deferred
+    assert not method.surfaces.is_sabotaged().any()
+
+
 def test_a_pixel_follows_the_split_sum() -> None:
     """Direct light only, against the equation written out with the maps that the core draws."""
     method = at_step(18_001)
