@@ -29,7 +29,7 @@ class Rules:
     initial_orientation: Literal["surface", "random", "world"] = "surface"  # of the base set: surface is the points'
     densify_from: Steps = 500  # step after which the base set is densified
     mean_gradient_over: Literal["drawn", "in_view"] = "drawn"  # steps that drew it, or had it in view, hidden or not
-    mean_gradient_of: Literal["all", "own"] = "all"  # whose gradient: own is without what anti-aliasing draws
+    mean_gradient_of: Literal["all", "own", "color"] = "all"  # own: not of what anti-aliasing draws; color: its alone
     max_growth: Amount = 0.1  # most that either way of growing adds to a set at once, × its size; 0: no limit
     min_views: Amount = 3.0  # primitives that fewer steps since the last densification show are not cloned or split
     max_scale: Amount = 0.5  # most of a scale after an opacity reset, × the distance to a camera that shows it; 0: any
@@ -55,6 +55,7 @@ class Rules:
     reflect_alpha_from: Steps = 0  # step after which that holds in training too
     beta_reset_from: Steps = 0  # step from which opacity resets also reset β; 0: never
     beta_reset: Literal["lower", "raise"] = "lower"  # that bounds β by its start from above, or from below
+    map_start: Literal["gray", "random"] = "gray"  # texels of a cube map, at first
 
     traced_sh_direction: Literal["center", "ray"] = "center"  # along which a color is seen: to its center, or the ray
     traced_near: Length = 0.0  # hits nearer to a reflected ray's start are not drawn, world units
@@ -128,6 +129,7 @@ RECIPES: dict[RecipeName, Rules] = {
     "3dgs_dr": Rules(  # 3DGS-DR's released code
         **OF_3DGS
         | {"stretches": False, "longest_run": 61_000, "sh_from": 10_000, "beta_reset_from": 1, "beta_reset": "raise"}
+        | {"mean_gradient_of": "color", "map_start": "random"}
     ),
     "ref_gaussian": Rules(  # Ref-Gaussian's released code
         **OF_2DGS

@@ -31,6 +31,7 @@ class RasterizeOptions:
     low_pass: bool
     transmittance_min: float
     low_pass_statistics: bool = True
+    color_statistics: bool = False
 
 
 @dataclass(frozen=True)

@@ -74,10 +74,10 @@ class Pass(Protocol):
 class _Draw(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, draw_pass: Pass, slot: list[Statistics], keep: bool, *inputs: Tensor | None
+        ctx: Any, draw_pass: Pass, slot: list[Statistics], keep: bool, color_statistics: bool, *inputs: Tensor | None
     ) -> tuple[Tensor, ...]:
         drawn = draw_pass.forward(keep)
-        ctx.draw_pass, ctx.slot = draw_pass, slot
+        ctx.draw_pass, ctx.slot, ctx.color_statistics = draw_pass, slot, color_statistics
         ctx.save_for_backward(*drawn.planes)
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(drawn.hits, drawn.weights)
@@ -89,20 +89,32 @@ class _Draw(torch.autograd.Function):
         planes = Planes(*ctx.saved_tensors)
         contiguous = tuple(g if g is None else g.contiguous() for g in gradients[:5])
         result = ctx.draw_pass.backward(planes, contiguous)
-        ctx.slot[0].position_gradients = result.position_gradients
+        counted = result.position_gradients
+        if ctx.color_statistics and any(g is not None for g in contiguous[1:]):
+            counted = ctx.draw_pass.backward(planes, (contiguous[0], None, None, None, None)).position_gradients
+        ctx.slot[0].position_gradients = counted
         wanted = (*result.set, result.origins, result.directions)
         return (
             None,
             None,
             None,
-            *(g if need else None for g, need in zip(wanted, ctx.needs_input_grad[3:], strict=True)),
+            None,
+            *(g if need else None for g, need in zip(wanted, ctx.needs_input_grad[4:], strict=True)),
         )
 
 
 def draw(
-    draw_pass: Pass, gaussians: GaussianSet, origins: Tensor | None = None, directions: Tensor | None = None
+    draw_pass: Pass,
+    gaussians: GaussianSet,
+    origins: Tensor | None = None,
+    directions: Tensor | None = None,
+    color_statistics: bool = False,
 ) -> Rendering:
-    """The pass's Rendering, one value a pixel ([P, …]), differentiable in the set and the rays."""
+    """The pass's Rendering, one value a pixel ([P, …]), differentiable in the set and the rays.
+
+    Position gradients are linear in those of the outputs: with `color_statistics` a second backward pass, of color's
+    alone, finds them.
+    """
     inputs = (
         gaussians.means,
         gaussians.quaternions,
@@ -115,6 +127,6 @@ def draw(
     )
     keep = torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in inputs)
     slot: list[Statistics] = []
-    color, alpha, depth, normal, extras, hits, weights = _Draw.apply(draw_pass, slot, keep, *inputs)
+    color, alpha, depth, normal, extras, hits, weights = _Draw.apply(draw_pass, slot, keep, color_statistics, *inputs)
     slot.append(Statistics(weights))
     return Rendering(color.T, alpha, depth, normal.T, extras.T, hits, slot[0])

@@ -22,6 +22,7 @@ def rasterize(
     near: float = 0.2,
     low_pass: bool = True,
     low_pass_statistics: bool = True,
+    color_statistics: bool = False,
     transmittance_min: float = 1e-4,
     backend: str = "auto",
 ) -> Rendering:
@@ -41,6 +42,8 @@ def rasterize(
             screen-space Gaussian of √2/2 px; a 3D Gaussian's projected covariance grows by 0.3 px².
         low_pass_statistics: whether the statistics' position gradients count the pixels in which that screen-space
             Gaussian answers for a surfel; the code of 2D Gaussian Splatting leaves them out.
+        color_statistics: whether they are of the loss's part through color alone, as in 3DGS-DR's code, and not through
+            alpha, depth, normal and extras; then a native backend's backward pass runs twice.
         transmittance_min: a pixel is finished by the hit that takes its transmittance below this.
         backend: "auto" (by device), "cpu", "cuda" or "torch".
 
@@ -52,7 +55,8 @@ def rasterize(
         RuntimeError: the backend does not work on this machine.
     """
     module, options = _checked(gaussians, camera, background, near, low_pass, transmittance_min, backend)
-    return module.rasterize(gaussians, camera, replace(options, low_pass_statistics=low_pass_statistics))
+    counted = {"low_pass_statistics": low_pass_statistics, "color_statistics": color_statistics}
+    return module.rasterize(gaussians, camera, replace(options, **counted))
 
 
 def rasterize_color(

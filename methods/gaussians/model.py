@@ -71,8 +71,9 @@ class GaussianModel:
 
     def rasterize(self, camera: Camera, step: int | None) -> Rendering:
         """The base set alone, [H, W, …]."""
-        counted = self.settings.rule.mean_gradient_of == "all"
-        return rasterize(self.base(camera, step), camera, **self._rasterizing(), low_pass_statistics=counted)
+        of = self.settings.rule.mean_gradient_of
+        counted = {"low_pass_statistics": of == "all", "color_statistics": self._grows_by_color(step)}
+        return rasterize(self.base(camera, step), camera, **self._rasterizing(), **counted)
 
     def rasterize_color(self, camera: Camera) -> Tensor:
         """The color [H, W, 3] of `rasterize` for an image."""
@@ -173,7 +174,12 @@ class GaussianModel:
     def phase(self, step: int) -> Hashable:
         """What the host decides of a step."""
         young = tuple(policy.is_young(step) for policy in self.policies.values())
-        return self._restrains(step), young, *(self.policies[name].sh_degree_at(step) for name in self.sets)
+        return (
+            self._restrains(step),
+            self._grows_by_color(step),
+            young,
+            *(self.policies[name].sh_degree_at(step) for name in self.sets),
+        )
 
     def optimizers(self) -> Sequence[torch.optim.Optimizer]:
         return [trained.parameters.optimizer for trained in self.sets.values()]
@@ -233,6 +239,11 @@ class GaussianModel:
         allowed = torch.add(still, distances, alpha=self.settings.rule.max_scale)
         largest = torch.where(statistics[BASE].weights > 0, allowed, torch.inf).log()
         tensors["log_scales"].clamp_(max=largest[:, None])
+
+    def _grows_by_color(self, step: int | None) -> bool:
+        """Whether a step's gradients are held against a threshold, and are to be of the color alone."""
+        of_color = step is not None and self.settings.rule.mean_gradient_of == "color"
+        return of_color and step < self.schedule.at(self.policies[BASE].grows_until)
 
     def _restrains(self, step: int) -> bool:
         return self.settings.rule.max_scale > 0 and self.policies[BASE].resets.recovers(step)

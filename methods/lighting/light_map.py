@@ -19,6 +19,7 @@ from .prefiltered_cubemap import RoughMap, prefilter_of, rough_map
 from .reflection import Light
 from .settings import MapSettings
 
+RANDOM_LOGIT = 5.0  # largest magnitude of a random map's (3DGS-DR)
 DOUBLES_AT = (7_500, 13_500, 21_000)  # steps of a run of 30,000
 
 
@@ -49,7 +50,12 @@ class CubeMap(Light):
 
     def begin(self) -> None:
         self._begun = True
-        self.become(torch.zeros(6, 2, 2, 3))  # gray; begin_step gives it its size
+        size = self._settings.envmap_size
+        if self._settings.rule.map_start == "random":
+            uniform = torch.rand(6, size, size, 3, generator=self._model.generator)
+            self.become(RANDOM_LOGIT * (2 * uniform - 1))
+        else:
+            self.become(torch.zeros(6, 2, 2, 3))  # gray; begin_step gives it its size
 
     def begin_step(self, step: int) -> None:
         size = self._size_at(step)

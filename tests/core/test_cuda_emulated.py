@@ -101,6 +101,18 @@ def test_a_tile_with_more_surfels_than_a_block_fetches_at_once(emulate, sharing,
         compare(drawn_with(emulate(order), surfels, draw, keep, ()), expected, keep)
 
 
+@pytest.mark.parametrize("columns", [2, 3], ids=["surfels", "gaussians_3d"])
+def test_position_gradients_of_color(emulate, columns):
+    gaussians, camera = random_set(60, columns=columns, seed=3), tilted_camera()
+    keep = torch.ones(camera.height, camera.width) > 0
+
+    def draw(backend: Backend, leaves: GaussianSet, _: list[Tensor]) -> Rendering:
+        return backend.rasterize(leaves, backend.take(camera), color_statistics=True)
+
+    expected = drawn_with(ORACLE, gaussians, draw, keep, ())
+    compare(drawn_with(emulate("shuffled"), gaussians, draw, keep, ()), expected, keep)
+
+
 def test_a_tiles_list_holds_what_its_pixels_see(emulate):
     """One surfel in the middle of the first tile, and one that covers all four."""
     emulate("shuffled")

@@ -10,14 +10,17 @@ import torch
 from core_scenes import (
     C0,
     ORACLE,
+    Backend,
     facing_surfels,
     gradients_of,
     loss_of,
     plain_camera,
     random_rays,
     random_set,
+    relative_error,
     tilted_camera,
 )
+from oracle import TOLERANCE
 from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Rendering
@@ -197,6 +200,40 @@ def test_position_gradients_leave_the_direction_of_color_out(rasterizer, columns
     (positions, means), (fixed_positions, fixed_means) = results
     torch.testing.assert_close(positions, fixed_positions, atol=1e-2, rtol=1e-3)
     assert (means - fixed_means).norm() > 1e-2 * means.norm()
+
+
+@pytest.mark.parametrize("columns", [2, 3], ids=["surfels", "gaussians_3d"])
+def test_position_gradients_of_color_leave_out_what_else_is_drawn(rasterizer, columns):
+    """Of a loss on all outputs they are those of its part on color; the set's gradients stay those of all of it."""
+    gaussians, camera = random_set(30, columns=columns, seed=3), tilted_camera()
+
+    def statistics(backend: Backend, color_alone: bool, **how: bool) -> tuple[Tensor, Tensor]:
+        leaves = backend.take(gaussians)
+        drawn = backend.rasterize(leaves, backend.take(camera), background=backend.take(BACKGROUND), **how)
+        (drawn.color.square().sum() if color_alone else loss_of(drawn) + drawn.color.square().sum()).backward()
+        assert drawn.statistics.position_gradients is not None
+        return drawn.statistics.position_gradients.double().cpu(), leaves.means.grad
+
+    everything, gradient = statistics(rasterizer, False)
+    of_color, same_gradient = statistics(rasterizer, False, color_statistics=True)
+    torch.testing.assert_close(same_gradient, gradient, rtol=1e-4, atol=1e-4)
+    expected, _ = statistics(ORACLE, False, color_statistics=True)
+    assert relative_error(of_color, expected) < TOLERANCE
+    assert relative_error(of_color, everything) > 0.1
+
+
+@pytest.mark.parametrize("columns", [2, 3], ids=["surfels", "gaussians_3d"])
+def test_the_oracles_position_gradients_of_color_are_a_loss_on_color_alones(columns):
+    gaussians, camera = random_set(30, columns=columns, seed=3), tilted_camera()
+    found = []
+    for color_alone in (True, False):
+        leaves = ORACLE.take(gaussians)
+        how = {"background": ORACLE.take(BACKGROUND), "color_statistics": not color_alone}
+        drawn = ORACLE.rasterize(leaves, ORACLE.take(camera), **how)
+        others = drawn.alpha.sum() + drawn.depth.sum() + drawn.normal.sum() + drawn.extras.sum()
+        (drawn.color.square().sum() + (0 if color_alone else others)).backward()
+        found.append(drawn.statistics.position_gradients)
+    torch.testing.assert_close(*found)
 
 
 @pytest.mark.parametrize("scale", [0.01, 0.05, 0.1])  # at some 13 pixels a unit: below the low-pass, about it, above

@@ -33,7 +33,7 @@ def why_unavailable() -> str | None:
 
 
 def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> Rendering:
-    flat = draw(RasterPass(gaussians, camera, options), gaussians)
+    flat = draw(RasterPass(gaussians, camera, options), gaussians, color_statistics=options.color_statistics)
     return flat.map(lambda plane: plane.unflatten(0, (camera.height, camera.width)))
 
 

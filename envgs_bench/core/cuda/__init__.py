@@ -37,7 +37,7 @@ __all__ = [
 
 def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> Rendering:
     with torch.cuda.device(gaussians.device):
-        flat = draw(RasterPass(gaussians, camera, options), gaussians)
+        flat = draw(RasterPass(gaussians, camera, options), gaussians, color_statistics=options.color_statistics)
     return flat.map(lambda plane: plane.unflatten(0, (camera.height, camera.width)))
 
 

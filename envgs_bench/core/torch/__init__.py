@@ -29,7 +29,7 @@ def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions)
     kind = RasterizedSurfels if gaussians.is_surfels else RasterizedGaussians3D
     intersector: Intersector = kind(gaussians, camera, near=options.near, low_pass=options.low_pass)
     hits = all_blended_hits(intersector, options.transmittance_min)
-    return blend_hits(intersector, hits, options.background, options.low_pass_statistics)
+    return blend_hits(intersector, hits, options.background, options.low_pass_statistics, options.color_statistics)
 
 
 def trace(

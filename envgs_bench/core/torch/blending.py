@@ -8,36 +8,47 @@ import torch
 from torch import Tensor
 
 from ..rendering import Rendering, Statistics
-from .intersections import Intersector, alphas
+from .intersections import Intersections, Intersector, alphas
 from .search import BlendedHits, transmittances
 
 
 def blend_hits(
-    intersector: Intersector, hits: BlendedHits, background: Tensor, low_pass_statistics: bool = True
+    intersector: Intersector,
+    hits: BlendedHits,
+    background: Tensor,
+    low_pass_statistics: bool = True,
+    color_statistics: bool = False,
 ) -> Rendering:
     """Blend the hits of each ray front to back; the rendering's fields have the shape of its rays."""
     gaussians, rays, primitives = intersector.gaussians, hits.rays, hits.primitives
-    means = gaussians.means[primitives]  # a copy for each hit, so that a backward pass leaves the gradient of each
-    intersections = intersector.intersect(rays, primitives, means)
-    alpha = alphas(gaussians.opacities[primitives], intersections.rho)
-    weights = transmittances(rays, alpha) * alpha
 
-    def blend(values: Tensor) -> Tensor:
+    def intersected() -> tuple[Tensor, Intersections, Tensor]:
+        """A copy of the means for each hit, so that a backward pass leaves the gradient of each; hits and weights."""
+        means = gaussians.means[primitives]
+        intersections = intersector.intersect(rays, primitives, means)
+        alpha = alphas(gaussians.opacities[primitives], intersections.rho)
+        return means, intersections, transmittances(rays, alpha) * alpha
+
+    def blend(values: Tensor, weights: Tensor) -> Tensor:
         """Σ w·value of each ray, from one value [P, …] a hit."""
         weighted = weights.reshape(-1, *[1] * (values.ndim - 1)) * values
         sums = values.new_zeros(prod(intersector.shape), *values.shape[1:]).index_add(0, rays, weighted)
         return sums.reshape(*intersector.shape, *values.shape[1:])
 
-    total = blend(torch.ones_like(weights))
+    means, intersections, weights = intersected()
+    means_of_color, _, color_weights = intersected() if color_statistics else (means, None, weights)
+    ones = torch.ones_like(weights)
+    total = blend(ones, weights)
     extras = gaussians.means.new_zeros(len(gaussians), 0) if gaussians.extras is None else gaussians.extras
     counts = torch.bincount(rays, minlength=prod(intersector.shape))
     weight_sums = weights.new_zeros(len(gaussians)).index_add(0, primitives, weights.detach())
     rendering = Rendering(
-        color=blend(intersector.colors(rays, primitives)) + (1 - total)[..., None] * background,
+        color=blend(intersector.colors(rays, primitives), color_weights)
+        + (1 - blend(ones, color_weights))[..., None] * background,
         alpha=total,
-        depth=blend(intersections.t) / torch.where(total > 0, total, 1),
-        normal=blend(intersector.axes[primitives] * intersections.facing[:, None]),
-        extras=blend(extras[primitives]),
+        depth=blend(intersections.t, weights) / torch.where(total > 0, total, 1),
+        normal=blend(intersector.axes[primitives] * intersections.facing[:, None], weights),
+        extras=blend(extras[primitives], weights),
         hits=counts.reshape(intersector.shape).to(torch.int32),
         statistics=Statistics(weights=weight_sums),
     )
@@ -45,7 +56,7 @@ def blend_hits(
         t = intersections.t.detach()
         if not low_pass_statistics and intersections.low_pass is not None:
             t = torch.where(intersections.low_pass, 0, t)
-        record_position_gradients(rendering.statistics, means, primitives, t, len(gaussians))
+        record_position_gradients(rendering.statistics, means_of_color, primitives, t, len(gaussians))
     return rendering
 
 
