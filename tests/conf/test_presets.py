@@ -114,6 +114,14 @@ def test_a_rendered_scene_scores_test_views_against_normals_that_training_views_
     assert all(view.normal is not None for view in scene.train)
 
 
+def test_every_data_set_composes() -> None:
+    names = config_names("dataset")
+    assert len(names) > len(PRESETS + CAPTURES + RENDERED)
+    for name in names:
+        root = () if "/" in name else ("++dataset.root=capture",)  # a kind, of which the data have to be said
+        assert composed(f"dataset={name}", *root)["dataset"]["kind"]
+
+
 def test_path_traced_scenes_are_made_at_their_size_whatever_the_data_root() -> None:
     for name in ("path_traced/copper_table", "path_traced/brushed_patio"):
         content = composed(f"dataset={name}")

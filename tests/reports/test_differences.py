@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from reports_runs import record, run_folder, write_failure, write_record, write_runs
+from reports_runs import chapter, record, run_folder, write_failure, write_record, write_runs
 from scipy import stats
 
 from envgs_bench.reports import build_report
@@ -16,6 +16,7 @@ from envgs_bench.reports.numbers.estimates import Numbers
 from envgs_bench.reports.numbers.runs import read_runs
 from envgs_bench.reports.studies.differences.differences import Differences, differences
 from envgs_bench.reports.studies.differences.study import DifferencesToBest
+from envgs_bench.reports.tables.latex import latex
 from envgs_bench.reports.tables.sections import split_sections
 from envgs_bench.reports.tables.table import Table
 
@@ -136,8 +137,8 @@ def test_every_format_has_the_part_with_its_intervals_and_says_how_to_read_it(tm
         hostile = record("toy/sky_ball", "<b>|evil", seed)
         write_record(run_folder(tmp_path / "runs", "toy/sky_ball", "evil", seed), hostile)
     out = tmp_path / "out"
-    page = build_report(tmp_path / "runs", out, for_print=True).page.read_text()
-    markdown, latex = (out / "table.md").read_text(), (out / "table.tex").read_text()
+    report = build_report(tmp_path / "runs", out)
+    page, markdown = report.page.read_text(), (out / "table.md").read_text()
     (section,) = json.loads((out / "table.json").read_text())["sections"]
     whole = next(table for table in section["tables"] if table["kind"] == DifferencesToBest.name)
     (row,) = [row for row in whole["rows"] if row["method"] == "2dgs"]
@@ -150,4 +151,4 @@ def test_every_format_has_the_part_with_its_intervals_and_says_how_to_read_it(tm
         assert "<b>|evil" not in text
     assert "### envgs less the others: PSNR\n" in markdown
     assert ">Differences to the best<" in page
-    assert "envgs less the others" in latex
+    assert "envgs less the others" in latex(list(map(chapter, report.sections)))

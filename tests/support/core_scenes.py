@@ -103,6 +103,13 @@ def colored(colors: Tensor) -> Tensor:
     return ((colors - 0.5) / C0)[:, None, :]
 
 
+def dressed(gaussians: GaussianSet) -> GaussianSet:
+    """With coefficients up to degree 2 and one extra, as random_set() has them."""
+    missing = 9 - gaussians.sh.shape[1]
+    sh = torch.nn.functional.pad(gaussians.sh, (0, 0, 0, missing))
+    return replace(gaussians, sh=sh, extras=torch.rand(len(gaussians), 1, generator=torch.Generator().manual_seed(0)))
+
+
 def facing_surfels(means: Tensor, scale: float = 0.5, opacity: float = 0.5) -> GaussianSet:
     """Surfels in planes of constant z, each of its own gray."""
     count = len(means)
