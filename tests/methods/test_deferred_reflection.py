@@ -61,6 +61,18 @@ def test_its_rules_are_the_released_ones() -> None:
     assert method.training_steps(100_000) == RUN
 
 
+def test_normals_and_reflection_strength_justify_no_growth() -> None:
+    """Nothing asks for the gradient from 30,000 on, when growth has ended."""
+    method, pulled = initialized(), {}
+    for step in (4_000, 30_000):
+        drawn = method.model.rasterize(CAMERA, step)
+        (drawn.normal.sum() + drawn.extras.sum()).backward()
+        assert drawn.statistics.position_gradients is not None
+        pulled[step] = bool(drawn.statistics.position_gradients.any())
+    assert pulled == {4_000: False, 30_000: True}
+    assert method.phase(29_999) != method.phase(30_000)
+
+
 def test_its_map_starts_from_random_logits() -> None:
     """Uniform from −5 to 5, texel by texel."""
     method = initialized(envmap_size=32)
