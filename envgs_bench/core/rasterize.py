@@ -55,8 +55,8 @@ def rasterize(
         RuntimeError: the backend does not work on this machine.
     """
     module, options = _checked(gaussians, camera, background, near, low_pass, transmittance_min, backend)
-    counted = {"low_pass_statistics": low_pass_statistics, "color_statistics": color_statistics}
-    return module.rasterize(gaussians, camera, replace(options, **counted))
+    options = replace(options, low_pass_statistics=low_pass_statistics, color_statistics=color_statistics)
+    return module.rasterize(gaussians, camera, options)
 
 
 def rasterize_color(

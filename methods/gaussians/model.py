@@ -71,9 +71,13 @@ class GaussianModel:
 
     def rasterize(self, camera: Camera, step: int | None) -> Rendering:
         """The base set alone, [H, W, …]."""
-        of = self.settings.rule.mean_gradient_of
-        counted = {"low_pass_statistics": of == "all", "color_statistics": self._grows_by_color(step)}
-        return rasterize(self.base(camera, step), camera, **self._rasterizing(), **counted)
+        return rasterize(
+            self.base(camera, step),
+            camera,
+            low_pass_statistics=self.settings.rule.mean_gradient_of == "all",
+            color_statistics=self._grows_by_color(step),
+            **self._rasterizing(),
+        )
 
     def rasterize_color(self, camera: Camera) -> Tensor:
         """The color [H, W, 3] of `rasterize` for an image."""

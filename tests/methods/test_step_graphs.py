@@ -387,7 +387,7 @@ def test_a_step_that_is_not_finite_is_skipped_from_a_graph_too_cuda():
         ("envgs", {"supersampling": 2}),
         ("envmap", {"supersampling": 2}),
         ("3dgs_dr", {"scope_radius": 1.5}),
-        ("2dgs", {"mean_gradient_over": "in_view"}),
+        ("2dgs", {"rules": {"mean_gradient_over": "in_view"}}),
         ("ref_gaussian", {"smooth_weight": 0.1, "smooth_until": 30_000}),
     ],
 )
