@@ -246,8 +246,9 @@ class GaussianModel:
 
     def _grows_by_color(self, step: int | None) -> bool:
         """Whether a step's gradients are held against a threshold, and are to be of the color alone."""
-        of_color = step is not None and self.settings.rule.mean_gradient_of == "color"
-        return of_color and step < self.schedule.at(self.policies[BASE].grows_until)
+        if step is None or self.settings.rule.mean_gradient_of != "color":
+            return False
+        return step < self.schedule.at(self.policies[BASE].grows_until)
 
     def _restrains(self, step: int) -> bool:
         return self.settings.rule.max_scale > 0 and self.policies[BASE].resets.recovers(step)

@@ -158,7 +158,7 @@ class Every:
     def due(self, step: int, end: int) -> bool:
         """Whether it happens after this step of a run that ends with step `end`."""
         interval = self.interval(step)
-        if step + max(self.recovery, interval) > end:
+        if step + self.recovery > end or step + interval > end:
             return False
         regular = self.start < step < self.stop and falls_on(step, interval) and not self.unless(step)
         return regular or self.also(step)
