@@ -2,7 +2,7 @@
 
 They are frozen. Those of exposures, poses and mirrored normals were counted on 65 scenes that had no part in them
 (docs/stability.md): none of these warned of anything, and no repair changed any. Of what was spoiled on purpose, found
-were exposures by 0.5 stops 65 of 65, poses by 2° 64 of 65, mirrored normals 65 of 65, of which 62 to the last view.
+were exposures by 0.5 stops 65 of 65, poses by 2° 64 of 65, mirrored normals 62 of 65, to the last view.
 """
 
 from __future__ import annotations
