@@ -40,6 +40,9 @@ CONFIGURED: Mapping[str, Mapping[str, Any]] = {
     "envgs_paper_no_perceptual": {"order": 47, "variant_of": "envgs_paper", "published": "w/o lpips loss"},
     "envgs_paper_single_set": {"order": 48, "variant_of": "envgs_paper"},
     "envgs_single_set": {"variant_of": "envgs"},
+    "3dgs_dr": {"published": "3DGS-DR"},
+    "3igs": {"published": "3iGS"},
+    "gaussian_shader": {"published": "GaussianShader"},
 }
 
 

@@ -150,5 +150,5 @@ class RunWorkload(Workload):
         state = method.state()
         method.initialize(self._run.scene, steps)
         method.restore(state)
-        step = next(step for step in range(steps, 0, -1) if not any(event.due(step) for event in method.runner.events))
+        step = next(step for step in range(steps, 0, -1) if not method.runner.due(step))
         return Model(method, list(map(self._resident.on_device, self._run.training_views)), step)

@@ -71,7 +71,7 @@ def test_settings_that_a_methods_file_does_not_name_need_no_plus(
     register_choices()
     arguments = ["--config-dir", str(tmp_path), "method=short", "method.settings.rate=0.25"]
     assert checked(arguments) == [*arguments[:3], "++method.settings.rate=0.25"]
-    with pytest.raises(SettingsError, match=r"unknown key 'method.settings.rats'.*Did you mean 'rate'\?"):
+    with pytest.raises(SettingsError, match=r"method.settings.rats: there is no such setting.*Did you mean 'rate'\?"):
         checked([*arguments[:3], "method.settings.rats=1"])
 
 

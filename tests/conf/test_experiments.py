@@ -6,8 +6,9 @@ import pytest
 from fakes.runs import set_environment
 from sweeps import one_run, swept
 
-from envgs_bench.cli.composition import config_names
+from envgs_bench.cli.composition import composed, config_names
 from envgs_bench.reports.numbers.published import paper_method, paper_scene, paper_tables
+from envgs_bench.runs.descriptions import card_of
 
 BUILT = {
     "3DGS",
@@ -19,6 +20,14 @@ BUILT = {
 }  # of the paper's methods, those that are made here
 ON_THE_PAPERS_SCENES = ("table1", "table3", "table8", "table9")
 WITH_TABLE_1 = ("2", "5", "7")  # tables of the runs of Table 1
+
+
+def printed_name(method: str, swept: str = "") -> str:
+    """The paper's name of a row of that method, or the row's own."""
+    kind = composed([f"method={method}"]).method.kind
+    card = card_of(method, kind)
+    assert card is not None
+    return paper_method(method + swept, card, kind)
 
 
 @pytest.fixture(autouse=True)
@@ -52,14 +61,14 @@ def test_an_experiment_after_a_table_is_on_the_tables_scenes(name: str) -> None:
     assert sorted(paper_scene(dataset) or () for dataset in choices["dataset"]) == sorted(expected)
     methods = choices["method"]
     assert methods[-1] == "envgs"  # ours, beside what the table has
-    assert {paper_method(method) for method in methods[:-1]} == BUILT & set(rows["method"])
+    assert {printed_name(method) for method in methods[:-1]} == BUILT & set(rows["method"])
 
 
 @pytest.mark.parametrize("table", WITH_TABLE_1)
 def test_the_runs_of_table_1_are_those_of_others(table: str) -> None:
     rows = paper_tables()
     ours, printed = swept("table1"), rows[rows["table"] == table]
-    assert BUILT & set(printed["method"]) <= {paper_method(method) for method in ours["method"]}
+    assert BUILT & set(printed["method"]) <= {printed_name(method) for method in ours["method"]}
     scenes = {(row.dataset, row.scene) for row in printed.itertuples() if row.scene != "mean"}
     assert scenes <= {paper_scene(dataset) for dataset in ours["dataset"]}
 
@@ -72,7 +81,7 @@ def test_a_scene_at_the_papers_size_is_a_data_set_of_its_own_name() -> None:
 def test_the_ablations_are_every_row_of_table_4_and_the_single_set() -> None:
     tables = paper_tables()
     methods = swept("table4")["method"]
-    printed = {paper_method(name) for name in methods} - {"envgs_paper_single_set"}
+    printed = {printed_name(name) for name in methods} - {"envgs_paper_single_set"}
     assert printed == set(tables[tables["table"] == "4"]["method"])
     assert len(printed) == len(methods) - 1
 
@@ -80,6 +89,6 @@ def test_the_ablations_are_every_row_of_table_4_and_the_single_set() -> None:
 def test_the_filters_are_those_of_table_6() -> None:
     tables = paper_tables()
     shares = swept("table6")["method.settings.beta_filter"]
-    printed = {paper_method(f"envgs_paper [beta_filter={share}]") for share in shares}
+    printed = {printed_name("envgs_paper", f" [beta_filter={share}]") for share in shares}
     tracers = {"w/ PyTorch", "w/ 1x1-tile rasterizer"}  # `envgs-bench bench tracers`
     assert printed == set(tables[tables["table"] == "6"]["method"]) - tracers

@@ -178,7 +178,7 @@ def test_the_environment_gives_way_where_it_contributes_nothing() -> None:
     method = create_method("envgs", {**METHODS["envgs"], "initial_beta": 1e-6, "beta_lr": 0.0}, seed=1)
     assert isinstance(method, GaussianMethod)
     method.limit(Budget(primitives=400))
-    method.initialize(scene, STEPS)
+    method.initialize(scene, 2 * STEPS)  # an environment that is as new as the run's end is near grows no more
     counts = []
     for step in range(1, 121):
         method.training_step(scene.train[step % len(scene.train)], step)

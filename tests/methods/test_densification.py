@@ -226,4 +226,5 @@ def test_screen_criterion_is_the_gradient_of_the_projected_center():
 
 def test_spatial_criterion_is_half_the_depth_times_the_gradient():
     statistics = Statistics(torch.ones(1), 4.0 * torch.tensor([[0.0, 3.0, -4.0]]))
-    assert spatial_criterion(statistics).tolist() == [10.0]
+    camera = Camera(torch.eye(4), torch.eye(3), width=4, height=4)
+    assert spatial_criterion(statistics, camera).tolist() == [10.0]

@@ -26,7 +26,7 @@ from envgs_bench.methods.training.resident_views import as_given
 from envgs_bench.methods.training.seen_through_pilot import LEAST_GAIN, SeenThroughOutcome, seen_through_pilot
 from envgs_bench.testing import tiny_scene
 
-SETTINGS = {"mono_weight": 0.01, "normals": "agreed"}
+SETTINGS = {"mono_weight": 0.01, "rules": {"normals": "agreed"}}
 
 
 class Flat(MeanColor):
@@ -142,7 +142,7 @@ def test_a_long_run_goes_by_the_pilot_run(
     assert method.notes[:2] == ["first", SeenThroughOutcome(0.5, gain).sentence]
     ((held, free),) = given
     assert type(held) is type(free) is type(method)
-    assert held.settings == free.settings == replace(method.settings, normals="as_given")
+    assert held.settings == free.settings == method.settings.ruled(normals="as_given")
     assert held.generator.initial_seed() == free.generator.initial_seed() == 3
     assert held.generator is not method.generator
     assert torch.equal(held.generator.get_state(), before)

@@ -161,8 +161,8 @@ def test_a_model_is_opened_from_its_compact_file_alone(
     assert isinstance(again, GaussianMethod)
     again.load(tmp_path)
     assert (again.primitives(), again.model_bytes()) == (method.primitives(), method.model_bytes())
-    assert (again.near, again.radius) == (method.model.near, method.model.radius)
-    assert torch.equal(again.background, method.model.background)
+    assert (again.model.near, again.model.radius) == (method.model.near, method.model.radius)
+    assert torch.equal(again.model.background, method.model.background)
     assert decibels(again) > decibels(method) - 0.05
     assert 5 * path.stat().st_size < sum(method.model_bytes().values())
     with pytest.raises(ValueError, match=r"model\.npz holds a model of .*, expected one of TwoDGS"):

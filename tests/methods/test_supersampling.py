@@ -150,7 +150,7 @@ def test_every_reflective_method_learns_by_several_rays_a_pixel(kind):
 
 
 def test_no_ray_a_pixel_is_refused():
-    with pytest.raises(ValueError, match="supersampling is 0, expected at least 1 ray along a pixel's side"):
+    with pytest.raises(ValueError, match="supersampling is 0, expected greater than or equal to 1"):
         create_method("envgs", {"supersampling": 0})
 
 

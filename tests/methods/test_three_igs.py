@@ -135,7 +135,7 @@ def test_its_field_and_network_are_stored_with_it(tmp_path: Path) -> None:
 
 
 def test_a_field_needs_two_samples() -> None:
-    with pytest.raises(ValueError, match="field_size is 1, expected at least 2"):
+    with pytest.raises(ValueError, match="field_size is 1, expected greater than or equal to 2"):
         create_method("3igs", {"field_size": 1})
 
 
