@@ -48,10 +48,10 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     """
     source, stated = _accepted(settings)
     scene = source.load(own_settings(settings), Path(cache_dir))
-    if settings["kind"] != "toy":  # of whose regions some are known to be empty
+    if not source.empty_regions:
         check_regions(scene)
-    if settings["kind"] not in BUILT_IN:
-        scene = placed_scene(scene)  # sources of ours have done so, before anything was float32
+    if not source.places:
+        scene = placed_scene(scene)
     check_scene(scene, str(settings.get("root") or scene.name))
     scene = with_validation(scene) if stated.validation else replace(scene, val=())
     unit = scene.placement.scale

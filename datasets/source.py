@@ -33,3 +33,7 @@ class Source:
     """What the views are made from, as they were taken: masks that are exported follow their lenses and names."""
     model_of: Callable[[Given, Path], Model] | None = None
     """Cameras, poses and points of the photographs, where a capture in COLMAP's layout can be made of them."""
+    places: bool = False
+    """Whether it moves and scales the world itself where that is needed, before anything is float32."""
+    empty_regions: bool = False
+    """Whether a region may be known to be empty in every view; else that is an error."""

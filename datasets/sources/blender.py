@@ -138,4 +138,4 @@ def _with_normal(photograph: Photograph) -> Photograph:
     return replace(photograph, normal=NormalMap(path, rendered=True) if path else None)
 
 
-SOURCE = Source(load_blender, BlenderSettings, files_read, photographs_of=photographs_of)
+SOURCE = Source(load_blender, BlenderSettings, files_read, photographs_of=photographs_of, places=True)

@@ -137,4 +137,4 @@ def _note_without_pose(images: Path, photographs: list[Photograph]) -> None:
         note(f"{images}: {len(others)} images have no pose in the model and are left out: {listed(others)}")
 
 
-SOURCE = Source(load_colmap, ColmapSettings, files_read, photographs_of=photographs_of)
+SOURCE = Source(load_colmap, ColmapSettings, files_read, photographs_of=photographs_of, places=True)

@@ -144,4 +144,4 @@ def _judge(choice: PhotosSettings, images: Path, names: Sequence[str], placed: S
     note(f"{text}; left out: {listed(left_out)}" if left_out else text)
 
 
-SOURCE = Source(load_photos, PhotosSettings, files_read, photographs_of=photographs_of, model_of=model_of)
+SOURCE = Source(load_photos, PhotosSettings, files_read, photographs_of=photographs_of, model_of=model_of, places=True)

@@ -143,4 +143,6 @@ def _random_points(choice: TransformsSettings, file: FrameFile) -> RandomPoints:
     return RandomPoints(choice.random_points, aabb / 2 / scale, (x, y, z))
 
 
-SOURCE = Source(load_transforms, TransformsSettings, files_read, photographs_of=photographs_of, model_of=model_of)
+SOURCE = Source(
+    load_transforms, TransformsSettings, files_read, photographs_of=photographs_of, model_of=model_of, places=True
+)

@@ -44,4 +44,4 @@ def files_read(settings: Mapping[str, Any]) -> list[Path]:
     return []
 
 
-SOURCE = Source(load_toy, ToySettings, files_read)
+SOURCE = Source(load_toy, ToySettings, files_read, places=True, empty_regions=True)
