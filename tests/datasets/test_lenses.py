@@ -78,7 +78,7 @@ def error_of(view: View, camera: pycolmap.Camera) -> np.ndarray:
     return np.abs(truth[: shown.shape[0], : shown.shape[1]] - shown)[inner]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150, deadline=None, derandomize=True)  # the same cameras in every run
 @given(camera=cameras())
 def test_random_lenses_are_undistorted_rightly_or_refused(picture: Path, camera: pycolmap.Camera) -> None:
     """8 bits tell columns an eighth of a pixel apart, so that 0.1 can be asked of the median and not of each."""
