@@ -7,27 +7,34 @@ import threading
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from envgs_bench.core import Scene
 from envgs_bench.import_path import load_import_path
 
-from .consistency.scenes import check_scene
 from .errors import DatasetError
 from .formats.names import PICTURES
-from .placing import placed_scene
-from .regions import check_regions
-from .settings import SceneSettings, parse_dataset_settings, require_folder
+from .settings import SceneSettings, SourceSettings, parse_dataset_settings, require_folder
 from .source import Source
-from .split import with_validation
+from .sources.settings import BlenderSettings, ColmapSettings, PhotosSettings, TransformsSettings
+from .toy.settings import ToySettings
+
+if TYPE_CHECKING:
+    from envgs_bench.core import Scene
 
 ADDRESSES = ("obtain", "download", "photographs")  # where data are to be had: nothing that a scene is made from
 BUILT_IN = {
-    "toy": "envgs_bench.datasets.toy:SOURCE",
+    "toy": "envgs_bench.datasets.toy.source:SOURCE",
     "colmap": "envgs_bench.datasets.sources.colmap:SOURCE",
     "blender": "envgs_bench.datasets.sources.blender:SOURCE",
     "transforms": "envgs_bench.datasets.sources.transforms:SOURCE",
     "photos": "envgs_bench.datasets.sources.photos:SOURCE",
+}
+SETTINGS: dict[str, type[SourceSettings]] = {  # of these, apart from them: composing a run imports no source
+    "toy": ToySettings,
+    "colmap": ColmapSettings,
+    "blender": BlenderSettings,
+    "transforms": TransformsSettings,
+    "photos": PhotosSettings,
 }
 MISSING = "???"  # Hydra's word for what has to be given
 
@@ -46,6 +53,11 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     Raises:
         DatasetError: no such kind, a key the source does not have or of a wrong value, or data that cannot be used.
     """
+    from .consistency.scenes import check_scene  # with torch, which composing settings does without
+    from .placing import placed_scene
+    from .regions import check_regions
+    from .split import with_validation
+
     source, stated = _accepted(settings)
     scene = source.load(own_settings(settings), Path(cache_dir))
     if not source.empty_regions:
@@ -61,10 +73,8 @@ def load_scene(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
 def default_settings(kind: str) -> dict[str, Any]:
     """The settings of a data set of a built-in kind where nobody says otherwise; MISSING what has to be given."""
-    model = source_of(kind).settings
-    if model is None:
-        return {"name": None, "kind": kind}
-    fields = {name: MISSING if field.is_required() else field.default for name, field in model.model_fields.items()}
+    known = SETTINGS[kind].model_fields
+    fields = {name: MISSING if field.is_required() else field.default for name, field in known.items()}
     return {"name": None, **fields, "kind": kind}
 
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from .errors import DatasetError
 
 Length = Annotated[float, Field(ge=0, allow_inf_nan=False)]  # world units; 0 where unknown
+Frame = Literal["world", "camera", "opengl"]  # camera: x right, y down, z forward; opengl: x right, y up, z backward
+MatcherName = Literal["sift", "lightglue"]
+Matching = Literal["exhaustive", "sequential"]
 
 
 class SceneSettings(BaseModel):

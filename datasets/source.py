@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from envgs_bench.core import Scene
+if TYPE_CHECKING:  # torch and pycolmap, which composing settings does without
+    from envgs_bench.core import Scene
 
-from .settings import SourceSettings
-
-if TYPE_CHECKING:  # which import pycolmap: composing settings does without
     from .formats.colmap_model import Model
     from .formats.photograph import Photograph
 
@@ -25,8 +23,6 @@ class Source:
     load: Callable[[Given, Path], Scene]
     """The scene of these settings; what is costly to make is kept in the folder. `val` are those of its training views
     that may validate, as scores are to see them, and still train too."""
-    settings: type[SourceSettings] | None = None
-    """Its keys and their defaults, from which `dataset=<kind>` is made; None: only the source knows."""
     files_read: Callable[[Given], list[Path]] | None = None
     """The files that the scene is made from, by which runs tell whether data have changed; None: only it knows."""
     photographs_of: Callable[[Given, Path], list[Photograph]] | None = None

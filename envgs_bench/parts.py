@@ -18,6 +18,10 @@ MONO = "mono"  # the loss against the views' own normals
 PERCEPTUAL = "perceptual"  # the loss between VGG-16's features
 LOSSES = {MONO: "L_mono", PERCEPTUAL: "L_perc"}  # what cannot be had everywhere, as the paper writes it (Eq. 11)
 
+# Names of what takes torch to import: for whoever lists them.
+PROTOCOL_NAMES = ("envgs", "strict", "inria", "nerfbaselines", "color_corrected")
+LAYOUT_NAMES = ("ply", "compact", "spz", "sog", "compressed-ply", "ply-two-scales")
+
 
 @dataclass(frozen=True)
 class MethodCard:

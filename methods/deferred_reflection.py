@@ -5,7 +5,6 @@ Its normals are the Gaussians' shortest axes, and nothing but the reflected colo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
@@ -20,37 +19,10 @@ from .gaussians.regions import Ball, foreground_ball
 from .lighting.disturbance import Disturbance, reflecting_policy
 from .lighting.light_map import CubeMap
 from .lighting.reflection import Reflection
-from .lighting.settings import Doublings, EnvMapSettings
-from .recipes import RecipeName
-from .settings import PublishedSettings
+from .lighting.settings import DeferredReflectionSettings
 from .training.schedule import Schedule
-from .validation import Amount, Rate, Steps, Weight
 
 SCOPE_WEIGHT = 0.4  # of the loss on what reflects outside the ball that may
-
-
-# PublishedSettings stands first, so that all that every Gaussian method has is as in 3DGS's released code.
-@dataclass(frozen=True)
-class DeferredReflectionSettings(PublishedSettings, EnvMapSettings):
-    """Steps are those of the authors' code, whose runs of 61,000 steps train for 31,000 of them without any event."""
-
-    recipe: RecipeName = "3dgs_dr"
-
-    densify_until: Steps = 30_000
-    min_opacity: Amount = 0.005
-
-    normal_weight: Amount = 0.0
-    mono_weight: Amount = 0.0
-    perceptual_weight: Amount = 0.0
-
-    initial_beta: Weight = 1e-3
-    beta_lr: Rate = 6e-3
-    envmap_doublings: Doublings = 0
-    envmap_lr: Rate = 5e-2
-
-    disturb_every: Steps = 1_000
-    disturb_until: Steps = 24_000
-    scope_radius: Amount = 0.0  # the ball that may reflect, × the cameras' mean distance from its middle; 0: everything
 
 
 class DeferredReflection(GaussianMethod):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import ClassVar
 
 import torch
@@ -17,29 +17,15 @@ from .gaussians.initialization import quantile_box, random_points_in_grid, rando
 from .gaussians.policy import Resets, SetPolicy, Start, regular
 from .lighting.disturbance import Disturbance, reflecting_policy
 from .lighting.reflection import Origin, Reflection, Traced
-from .lighting.settings import ReflectionSettings
+from .lighting.settings import EnvGSSettings
 from .training.pilot_run import SHORTEST_RUN
 from .training.reflection_pilot import BOOTSTRAP, PLAIN, ReflectionOutcome, reflection_pilot
 from .training.schedule import ENV_RESET_FLOOR, RECOVERY, Schedule
-from .validation import Amount, Count, Limit, Steps
 
 REFLECTION = "reflection"  # in `found`: what the pilot run on reflections has shown
 PER_CELL = 5  # K: random primitives in each cell of the box
 BOX_QUANTILE = 0.995  # share of the points' range, on each axis, that the box covers
 FAR = 4.0  # radius of a sphere around the box that primitives start on too, × half its diagonal
-
-
-@dataclass(frozen=True)
-class EnvGSSettings(ReflectionSettings):
-    group: ClassVar[str] = "environment"
-    env_grid: Count = 8  # N: the box is divided into N³ cells, each with random primitives
-    env_far_count: Limit = 2_000  # primitives on a sphere around the box; 0: none
-    env_densify_every: Steps = 1_500  # steps between the environment's densifications
-    env_densify_threshold: Amount = 1e-4  # gradient ½·t·∂L/∂mean above which its primitives are cloned or split
-    env_max_primitives: Limit = 630_000  # largest environment; beyond, those of the least blending weight are pruned
-    env_densify_until: Steps = 21_000  # step before which the environment's densification and opacity resets end
-    env_opacity_reset_every: Steps = 6_000  # steps between the environment's opacity resets; 0: never
-    reflection_pilot: bool = False  # a pilot run finds out what mirrored rays explain; if nothing, train as 2DGS
 
 
 class EnvGS(GaussianMethod):

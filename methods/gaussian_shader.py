@@ -6,8 +6,8 @@ others are the residual one, s its tint, and L the map filtered for its roughnes
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from dataclasses import replace
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -22,36 +22,14 @@ from .gaussians.model import GaussianModel
 from .gaussians.policy import SetPolicy
 from .lighting.brdf_table import specular_weight
 from .lighting.light_map import CubeMap, Filtered
-from .lighting.settings import MapSettings
+from .lighting.settings import GaussianShaderSettings
 from .lighting.shading import colored, mirrored, seen_from
-from .recipes import RecipeName
-from .settings import PublishedSettings
 from .training.schedule import Part, Schedule, set_rate
-from .validation import Amount, Rate, Size
 
 INITIAL_TINT, INITIAL_ROUGHNESS = 0.0, 0.6  # logits
 INITIAL_LIGHT = 0.8
 LEAST_ALPHA = 1e-3  # of the logarithms that make alpha 0 or 1
 MATERIALS = {"tint_logits": 3, "roughness_logits": 1, "outer_residuals": 3, "inner_residuals": 3}  # fields, columns
-
-
-# PublishedSettings stands first, so that all that every Gaussian method has is as in 3DGS's released code.
-@dataclass(frozen=True)
-class GaussianShaderSettings(PublishedSettings, MapSettings):
-    recipe: RecipeName = "3dgs"
-    rules: dict[str, Any] = field(default_factory=lambda: {"normal_weighting": "alpha"}, hash=False)
-    min_opacity: Amount = 0.005
-
-    normal_weight: Amount = 0.2
-    mono_weight: Amount = 0.0
-    perceptual_weight: Amount = 0.0
-    sparse_weight: Amount = 1e-3  # weight of the loss that makes alpha 0 or 1
-    residual_weight: Amount = 1e-3  # weight of the lengths of what normals differ from the shortest axes by
-
-    material_lr: Rate = 1.6e-2  # learning rate of tints, roughnesses and normals at the start; log-linear to the last
-    material_lr_final: Rate = 1.6e-3  # learning rate of those and of the map at the end
-    envmap_size: Size = 64
-    envmap_lr: Rate = 1.6e-2
 
 
 class GaussianShader(GaussianMethod):

@@ -7,7 +7,7 @@ the split-sum approximation, L the map filtered for its roughness, and V how fre
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import torch
@@ -25,50 +25,16 @@ from .lighting.disturbance import Disturbance, beta_of, reflecting_policy
 from .lighting.light_map import CubeMap, Filtered
 from .lighting.occlusion import Occluders
 from .lighting.reflection import Reflection
-from .lighting.settings import Doublings, EnvMapSettings
+from .lighting.settings import RefGaussianSettings
 from .lighting.shading import colored, from_sides, mirrored, reflectance_of, seen_from
 from .lighting.supersampling import averaged, finer
-from .recipes import RecipeName
-from .settings import PublishedSettings
 from .training.losses import edge_aware_smoothness
 from .training.schedule import Part, Schedule
-from .validation import Amount, Rate, Steps, Weight
 
 METALLIC_ABOVE = 0.02  # m from which normals propagate, and up to which base colors are sabotaged
 SMOOTH_BELOW = 0.01  # roughness up to which normals propagate
 ALBEDO, ALBEDO_NOISE = 0.5, 0.025  # that materials start with
 MATERIALS = {"roughness_logits": 1, "albedo_logits": 3, "indirect_dc": 3, "indirect_rest": 45}  # fields, their columns
-
-
-# PublishedSettings stands first, so that all that every Gaussian method has is as in 2DGS's released code.
-@dataclass(frozen=True)
-class RefGaussianSettings(PublishedSettings, EnvMapSettings):
-    """Steps are those of the authors' code, whose runs have 50,000. β is the metallic share m."""
-
-    recipe: RecipeName = "ref_gaussian"
-
-    sh_lr: Rate = 7.5e-3
-    densify_until: Steps = 25_000
-
-    normal_weight: Amount = 0.05
-    mono_weight: Amount = 0.0
-    perceptual_weight: Amount = 0.0
-    smooth_weight: Amount = 0.0  # weight of the edge-aware smoothness of normals
-    smooth_until: Steps = 18_000  # step up to which that counts
-
-    bootstrap: Steps = 0
-    shade_until: Steps = 18_000  # step up to which each surfel is shaded, not each pixel; then materials start anew
-    indirect_from: Steps = 20_000  # step after which what hides the map from a pixel lights it
-    initial_beta: Weight = 1e-2
-    initial_roughness: Weight = 0.1  # roughness that surfels start with
-    beta_lr: Rate = 5e-3
-    roughness_lr: Rate = 5e-3  # learning rate of the roughnesses' logits
-    albedo_lr: Rate = 7.5e-3  # learning rate of the albedos' logits
-    indirect_lr: Rate = 7.5e-3  # learning rate of the indirect light's constant term; 1/20 of it for the others
-    envmap_doublings: Doublings = 0
-
-    disturb_every: Steps = 1_000
-    disturb_until: Steps = 25_000
 
 
 class RefGaussian(GaussianMethod):

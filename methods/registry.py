@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
-
-import torch
+from typing import TYPE_CHECKING, Any
 
 from envgs_bench.import_path import load_import_path
 
-from .method import Method
 from .settings import make_settings
+
+if TYPE_CHECKING:  # composing a run does without torch, which takes longer to import than all else
+    import torch
+
+    from .method import Method
 
 ENTRY_POINT_GROUP = "envgs_bench.methods"
 
@@ -25,6 +27,18 @@ BUILT_IN = {
     "ref_gaussian": "envgs_bench.methods.ref_gaussian:RefGaussian",
     "envgs": "envgs_bench.methods.envgs:EnvGS",
     "envgs_single_set": "envgs_bench.methods.single_set:SingleSet",
+}
+
+SETTINGS = {  # of the methods built in, where composing a run finds them without their classes
+    "2dgs": "envgs_bench.methods.settings:TwoDGSSettings",
+    "3dgs": "envgs_bench.methods.settings:ThreeDGSSettings",
+    "envmap": "envgs_bench.methods.lighting.settings:EnvMapSettings",
+    "3dgs_dr": "envgs_bench.methods.lighting.settings:DeferredReflectionSettings",
+    "gaussian_shader": "envgs_bench.methods.lighting.settings:GaussianShaderSettings",
+    "3igs": "envgs_bench.methods.lighting.settings:ThreeIGSSettings",
+    "ref_gaussian": "envgs_bench.methods.lighting.settings:RefGaussianSettings",
+    "envgs": "envgs_bench.methods.lighting.settings:EnvGSSettings",
+    "envgs_single_set": "envgs_bench.methods.lighting.settings:ReflectionSettings",
 }
 
 
@@ -61,6 +75,14 @@ def create_method(
     return found(make_settings(found.Settings, settings or {}, f"method {kind}: "), device, seed)
 
 
+def settings_type(kind: str) -> type:
+    """The settings dataclass of the class that `method_class` returns, or raises for."""
+    if kind in SETTINGS:
+        found: type = load_import_path(SETTINGS[kind])
+        return found
+    return method_class(kind).Settings
+
+
 def method_class(kind: str) -> type[Method]:
     """The class that `create_method` makes methods of.
 
@@ -79,6 +101,8 @@ def method_class(kind: str) -> type[Method]:
         found = load_import_path(path)
     except ImportError as error:
         raise ValueError(f"method {kind!r} cannot be imported from {path}: {error}") from error
+    from .method import Method
+
     if not (isinstance(found, type) and issubclass(found, Method)):
         raise ValueError(f"method {kind!r}: {path} is not a subclass of envgs_bench.methods.method.Method")
     return found

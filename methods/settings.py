@@ -1,4 +1,7 @@
-"""Settings that Gaussian methods share, in groups: a class a group, and a field belongs to the class that brings it."""
+"""Settings that Gaussian methods share, in groups: a class a group, and a field belongs to the class that brings it.
+
+Settings of methods with reflections are in `lighting/settings.py`. Neither imports torch: runs are composed without it.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,8 @@ from .validation import Amount, Degree, Limit, Rate, Steps, checked
 
 LEARNING_RATES = ("_lr", "_lr_final")  # how the names of settings end that are learning rates
 
+BackendName = Literal["auto", "cpu", "cuda", "torch"]  # of the core
+
 OWN = "own"  # the group of what a method has for itself
 
 S = TypeVar("S", bound="RunGroup")
@@ -26,7 +31,7 @@ class RunGroup:
     group: ClassVar[str] = "run"
     recipe: RecipeName = "ours"  # whose rules: `envgs-bench list recipes`
     rules: dict[str, Any] = field(default_factory=dict, hash=False)  # single rules that are otherwise, by name
-    backend: Literal["auto", "cpu", "cuda", "torch"] = "auto"  # backend of the core
+    backend: BackendName = "auto"  # backend of the core
 
     def __post_init__(self) -> None:
         checked(type(self), {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}, "")
@@ -98,6 +103,28 @@ class PublishedSettings(GaussianSettings):
     sh_degree: Degree = 3
     min_coverage: Amount = 0.0
     max_primitives: Limit = 0
+
+
+@dataclass(frozen=True)
+class ThreeDGSSettings(PublishedSettings):
+    recipe: RecipeName = "3dgs"
+
+    min_opacity: Amount = 0.005
+    normal_weight: Amount = 0.0
+    mono_weight: Amount = 0.0
+    perceptual_weight: Amount = 0.0
+
+
+@dataclass(frozen=True)
+class TwoDGSSettings(PublishedSettings):
+    """Normals are held to the depth map alone, and pictures are compared pixel by pixel."""
+
+    recipe: RecipeName = "2dgs"
+
+    normal_weight: Amount = 0.05
+    normal_from: Steps = 7_000
+    mono_weight: Amount = 0.0
+    perceptual_weight: Amount = 0.0
 
 
 def make_settings(settings_type: type, values: Mapping[str, Any], where: str) -> Any:

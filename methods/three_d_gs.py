@@ -5,25 +5,12 @@ No normal losses: its primitives have no surface.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 from envgs_bench.parts import MethodCard
 
 from .gaussian_method import GaussianMethod
-from .recipes import RecipeName
-from .settings import PublishedSettings
-from .validation import Amount
-
-
-@dataclass(frozen=True)
-class ThreeDGSSettings(PublishedSettings):
-    recipe: RecipeName = "3dgs"
-
-    min_opacity: Amount = 0.005
-    normal_weight: Amount = 0.0
-    mono_weight: Amount = 0.0
-    perceptual_weight: Amount = 0.0
+from .settings import ThreeDGSSettings
 
 
 class ThreeDGS(GaussianMethod):

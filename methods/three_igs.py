@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import torch
@@ -27,12 +27,11 @@ from .gaussians.parameters import SH_DC
 from .gaussians.policy import SetPolicy
 from .lighting import directional_encoding
 from .lighting.directional_encoding import encoded
+from .lighting.settings import ThreeIGSSettings
 from .lighting.shading import colored
 from .lighting.tensor_field import field_components
-from .three_d_gs import ThreeDGSSettings
 from .training.optimizer import adam, detached, optimizer_state, restore_optimizer
 from .training.schedule import Part, Schedule
-from .validation import Degree, Rate, Size, Steps
 
 COMPONENTS = 48  # of each mode of the field
 FEATURES = 48  # of the field at a place, and of a Gaussian's BRDF: as many as 3DGS has spherical harmonics
@@ -43,17 +42,6 @@ BOX_QUANTILE = 0.96  # of the points that the field's box holds along each axis,
 ADAM = {"betas": (0.9, 0.99), "eps": 1e-8}  # of the field and the network
 MATERIALS = {"brdf_logits": FEATURES, "roughness": 1}  # fields, columns; logits, as tanh x is 2·sigmoid(2x) − 1
 GRIDS = ("planes", "lines")
-
-
-@dataclass(frozen=True)
-class ThreeIGSSettings(ThreeDGSSettings):
-    sh_degree: Degree = 0
-
-    diffuse_until: Steps = 3_000  # step up to which there is diffuse color alone
-    brdf_lr: Rate = 2.5e-3  # learning rate of the Gaussians' features and roughnesses
-    field_size: Size = 150  # samples of the illumination field along each axis
-    field_lr: Rate = 2e-2  # learning rate of the field's planes and lines
-    network_lr: Rate = 1e-3  # learning rate of what mixes the field's components, and of the network
 
 
 class ThreeIGS(GaussianMethod):

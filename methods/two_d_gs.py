@@ -2,27 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 from envgs_bench.parts import MethodCard
 
 from .gaussian_method import GaussianMethod
-from .recipes import RecipeName
-from .settings import PublishedSettings
-from .validation import Amount, Steps
-
-
-@dataclass(frozen=True)
-class TwoDGSSettings(PublishedSettings):
-    """Normals are held to the depth map alone, and pictures are compared pixel by pixel."""
-
-    recipe: RecipeName = "2dgs"
-
-    normal_weight: Amount = 0.05
-    normal_from: Steps = 7_000
-    mono_weight: Amount = 0.0
-    perceptual_weight: Amount = 0.0
+from .settings import TwoDGSSettings
 
 
 class TwoDGS(GaussianMethod):

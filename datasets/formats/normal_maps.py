@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
@@ -13,11 +12,11 @@ from numpy.typing import NDArray
 from envgs_bench.core import Camera
 
 from ..errors import DatasetError
+from ..settings import Frame
 from .arrays import open_array
 from .pictures import read_header, read_picture
 from .srgb import to_linear
 
-Frame = Literal["world", "camera", "opengl"]  # camera: x right, y down, z forward; opengl: x right, y up, z backward
 Floats = NDArray[np.float32]
 
 MIN_LENGTH, MAX_LENGTH = 0.5, 1.5  # a decoded vector outside is no normal: a gray, black or white pixel

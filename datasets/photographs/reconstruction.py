@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 import pycolmap
@@ -18,13 +18,11 @@ from ..formats.photograph import Photograph
 from ..formats.pictures import read_header
 from ..placing import origin_near
 from ..progress import report
+from ..settings import MatcherName, Matching
 from .kept_model import kept_model
 from .lightglue import LightGlue
 from .placing import sights_of
 from .sift import Sift
-
-Matching = Literal["exhaustive", "sequential"]
-MatcherName = Literal["sift", "lightglue"]
 
 IMAGES_A_BATCH = 8  # between two reports of progress
 NEIGHBORS = 10  # each image is matched with this many after it, and with those 2, 4, 8 … away

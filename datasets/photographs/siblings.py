@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ..formats.normal_maps import Frame, NormalMap
+from ..formats.normal_maps import NormalMap
 from ..formats.photograph import Photograph
 from ..formats.siblings import Siblings, region_folders
+from ..settings import Frame
 
 
 def with_siblings(photographs: Sequence[Photograph], root: Path, frame: Frame) -> list[Photograph]:

@@ -6,10 +6,9 @@ import glob
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import torch
-from pydantic import Field
 
 from envgs_bench.core import Placement, Scene
 
@@ -26,7 +25,8 @@ from ..settings import parse_dataset_settings, require_folder
 from ..source import Source
 from ..split import validation_of, without_normals
 from ..store.scene_file import on_disk
-from .capture import CaptureSettings, Channel, Missing, cached_capture, files_of, refuse_missing
+from .capture import cached_capture, files_of, refuse_missing
+from .settings import BlenderSettings
 
 VERSION = 4  # raise it with every change that alters a scene
 TRANSFORMS = ("transforms_train.json", "transforms_test.json")
@@ -35,19 +35,6 @@ BOX, CAMERAS_OUT = (
     1.3,
     4.0,
 )  # half the edge of 3DGS's cube of random points, and NeRF's cameras' distance from its middle
-
-
-class BlenderSettings(CaptureSettings):
-    """Settings of `kind: blender`."""
-
-    kind: Literal["blender"]
-    background: tuple[Channel, Channel, Channel] = (1.0, 1.0, 1.0)  # sRGB
-    missing: Missing = "refuse"  # images that the files name and that are not there
-    random_points: Annotated[int, Field(ge=1)] = 100_000  # how many to start from without points3d.ply
-    random_box: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = (
-        None  # half the edge of their cube; None: 1.3, or as much beside the cameras' distance in a world that is moved
-    )
-    train_normals: bool = False  # learn from exact normals too, where there are any; scores always refer to them
 
 
 def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
@@ -138,4 +125,4 @@ def _with_normal(photograph: Photograph) -> Photograph:
     return replace(photograph, normal=NormalMap(path, rendered=True) if path else None)
 
 
-SOURCE = Source(load_blender, BlenderSettings, files_read, photographs_of=photographs_of, places=True)
+SOURCE = Source(load_blender, files_read, photographs_of=photographs_of, places=True)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
 
 import torch
-from pydantic import Field
 
 from envgs_bench.core import Scene
 
@@ -19,36 +17,11 @@ from ..photographs.fitting import fit_to_files
 from ..photographs.normal_estimation import estimator_version, with_estimated_normals
 from ..photographs.placing import placed_cloud, placed_photographs
 from ..photographs.views import read_views
-from ..settings import SourceSettings
 from ..split import split_views, validation_of, without_normals
 from ..store.cache import cached_scene
 from ..store.contents import digest_of
 from ..store.scene_file import on_disk
-
-Missing = Literal["refuse", "skip"]
-MaskLabel = int | Annotated[str, Field(pattern="^#[0-9a-fA-F]{6}$")]  # a number, or a color
-Channel = Annotated[float, Field(ge=0, le=1)]
-
-
-class CaptureSettings(SourceSettings):
-    """Settings of every source of photographs."""
-
-    root: Path
-    downsample: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 1.0  # pictures are this many times smaller
-    background: tuple[Channel, Channel, Channel] = (0.0, 0.0, 0.0)  # sRGB
-    mask_labels: tuple[MaskLabel, ...] = ()  # those inside, where masks hold more than two values
-    normal_estimator: str | None = None  # package.module:function, for the training views
-
-    @property
-    def scene_name(self) -> str:
-        return self.name or self.root.resolve().name
-
-
-class PhotographSettings(CaptureSettings):
-    """Settings of the sources whose views share one list, with masks and normals in folders beside them."""
-
-    exact_normals: bool = False  # whether normals/ hold the truth, to which test views are held, or a guess
-    far_points: Annotated[int, Field(ge=0)] = 0  # added on a sphere around the cameras, to start a background from
+from .settings import CaptureSettings, Missing, PhotographSettings
 
 
 def cached_capture(

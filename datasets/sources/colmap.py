@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from envgs_bench.core import Scene
 
@@ -14,27 +14,16 @@ from ..errors import DatasetError, listed
 from ..formats.colmap_model import Model
 from ..formats.image_files import ImageFiles
 from ..formats.names import PICTURES, visible_files
-from ..formats.normal_maps import Frame
 from ..formats.photograph import Photograph
 from ..notes import note
 from ..photographs.exposure import with_equal_exposure
 from ..photographs.siblings import sibling_files, with_siblings
 from ..settings import parse_dataset_settings, require_folder
 from ..source import Source
-from .capture import Missing, PhotographSettings, cached_capture, make_scene, refuse_missing
+from .capture import cached_capture, make_scene, refuse_missing
+from .settings import ColmapSettings
 
 VERSION = 6  # raise it with every change that alters a scene
-
-
-class ColmapSettings(PhotographSettings):
-    """Settings of `kind: colmap`."""
-
-    kind: Literal["colmap"]
-    equalize_exposure: bool = False  # undo automatic exposure and white balance, as estimated from the points
-    images: str = "images"  # folder below root
-    missing: Missing = "refuse"  # images of the model that are not there
-    model: str | None = None  # folder below root; the largest of sparse/0, sparse/1 …, or else sparse, where None
-    normals_frame: Frame = "world"  # axes of normals/; camera: right, down, forward; opengl: right, up, backward
 
 
 def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
@@ -137,4 +126,4 @@ def _note_without_pose(images: Path, photographs: list[Photograph]) -> None:
         note(f"{images}: {len(others)} images have no pose in the model and are left out: {listed(others)}")
 
 
-SOURCE = Source(load_colmap, ColmapSettings, files_read, photographs_of=photographs_of, places=True)
+SOURCE = Source(load_colmap, files_read, photographs_of=photographs_of, places=True)

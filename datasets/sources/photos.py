@@ -4,44 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-from pydantic import Field
+from typing import Any
 
 from envgs_bench.core import Scene
 
 from ..errors import DatasetError, listed
 from ..formats.colmap_model import Model
 from ..formats.names import PICTURES, visible_files
-from ..formats.normal_maps import Frame
 from ..formats.photograph import Photograph
 from ..formats.pictures import read_picture
 from ..notes import note
 from ..photographs.exposure import with_equal_exposure
-from ..photographs.reconstruction import MIN_IMAGES, MatcherName, Matching, Reconstructor
+from ..photographs.reconstruction import MIN_IMAGES, Reconstructor
 from ..photographs.siblings import sibling_files, with_siblings
 from ..progress import mapped
 from ..settings import parse_dataset_settings, require_folder
 from ..source import Source
 from ..store.contents import digest_of
-from .capture import PhotographSettings, cached_capture, make_scene
+from .capture import cached_capture, make_scene
+from .settings import PhotosSettings
 
 VERSION = 5  # raise it with every change that alters a scene
 MODEL_VERSION = 1  # and this with every change that alters a reconstruction
-
-
-class PhotosSettings(PhotographSettings):
-    """Settings of `kind: photos`."""
-
-    kind: Literal["photos"]
-    equalize_exposure: bool = False  # undo automatic exposure and white balance, as estimated from the points
-    images: str | None = None  # folder below root; images/ where there is one, else root itself, where None
-    matcher: MatcherName = "sift"  # lightglue: learned, for what shines or has little texture; needs weights
-    matching: Matching = "exhaustive"  # sequential: with neighbors in the order of names, as for a video's frames
-    camera_model: Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"] = "OPENCV"
-    feature_size: Annotated[int, Field(ge=100)] = 1600  # pixels along the longer side, for finding features
-    min_registered: Annotated[float, Field(gt=0, le=1)] = 0.5  # share of the images that must be placed
-    normals_frame: Frame = "camera"  # axes of normals/; camera: right, down, forward; opengl: right, up, backward
 
 
 def load_photos(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
@@ -144,4 +128,4 @@ def _judge(choice: PhotosSettings, images: Path, names: Sequence[str], placed: S
     note(f"{text}; left out: {listed(left_out)}" if left_out else text)
 
 
-SOURCE = Source(load_photos, PhotosSettings, files_read, photographs_of=photographs_of, model_of=model_of, places=True)
+SOURCE = Source(load_photos, files_read, photographs_of=photographs_of, model_of=model_of, places=True)

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-from pydantic import Field
+from typing import Any
 
 from envgs_bench.core import Scene
 
 from ..errors import DatasetError, listed
 from ..formats.colmap_model import Model
 from ..formats.names import path_below
-from ..formats.normal_maps import Frame
 from ..formats.photograph import Photograph
 from ..formats.point_clouds import RandomPoints, read_point_cloud
 from ..formats.transforms_json import FrameFile, read_frames, without_common_folder
@@ -24,27 +21,14 @@ from ..photographs.siblings import with_siblings
 from ..settings import parse_dataset_settings, require_folder
 from ..source import Source
 from ..store.contents import digest_of
-from .capture import Missing, PhotographSettings, cached_capture, files_of, make_scene, refuse_missing
+from .capture import cached_capture, files_of, make_scene, refuse_missing
+from .settings import TransformsSettings
 
 VERSION = 5  # raise it with every change that alters a scene
 MODEL_VERSION = 2  # and this with every change that alters a model
 FEATURE_SIZE = 3200  # pixels along the longer side, for finding features: COLMAP's own
 NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # instant-ngp's defaults; aabb_scale enlarges its box [0, 1]³ around the middle
 NGP_RANGE = 1e-6, 1e6  # of its scales
-
-
-class TransformsSettings(PhotographSettings):
-    """Settings of `kind: transforms`."""
-
-    kind: Literal["transforms"]
-    file: str = "transforms.json"  # below root
-    missing: Missing = "refuse"  # images that the file names and that are not there
-    images: str | None = None  # folder below root in place of the first one in each file_path, as images_4
-    normals_frame: Frame = "world"  # axes of normals/; camera: right, down, forward; opengl: right, up, backward
-    random_points: Annotated[int, Field(ge=1)] = 100_000  # how many to start from where the file names no point cloud
-    random_box: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = (
-        None  # half the edge of the cube that random points fill; None: from aabb_scale
-    )
 
 
 def load_transforms(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
@@ -143,6 +127,4 @@ def _random_points(choice: TransformsSettings, file: FrameFile) -> RandomPoints:
     return RandomPoints(choice.random_points, aabb / 2 / scale, (x, y, z))
 
 
-SOURCE = Source(
-    load_transforms, TransformsSettings, files_read, photographs_of=photographs_of, model_of=model_of, places=True
-)
+SOURCE = Source(load_transforms, files_read, photographs_of=photographs_of, model_of=model_of, places=True)

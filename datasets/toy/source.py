@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
-
-from envgs_bench.core import Scene
+from typing import TYPE_CHECKING, Any
 
 from ..settings import parse_dataset_settings
 from ..source import Source
-from ..store.cache import cached_scene
 from .settings import ToySettings
+
+if TYPE_CHECKING:
+    from envgs_bench.core import Scene
 
 VERSION = 10  # raise it with every change that alters a scene
 
@@ -28,6 +28,8 @@ def load_toy(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     """
     choice = parse_dataset_settings(ToySettings, settings)
     name = choice.name or f"toy/{choice.scene}"
+    from ..store.cache import cached_scene  # with torch, which settings are checked without
+
     key = {"source": "toy", "version": VERSION, **choice.model_dump(), "name": name}
 
     def make() -> Scene:
@@ -44,4 +46,4 @@ def files_read(settings: Mapping[str, Any]) -> list[Path]:
     return []
 
 
-SOURCE = Source(load_toy, ToySettings, files_read, places=True, empty_regions=True)
+SOURCE = Source(load_toy, files_read, places=True, empty_regions=True)

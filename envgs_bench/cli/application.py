@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from typing import TYPE_CHECKING
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -16,14 +17,12 @@ from rich.console import Console
 from envgs_bench.plain_text import plain
 from envgs_bench.runs.display import make_display
 from envgs_bench.runs.interruption import INTERRUPTION
-from envgs_bench.runs.job import located, run_job
 from envgs_bench.runs.output import unbreakable_output
 from envgs_bench.settings import SettingsError
 from envgs_bench.stages.stop import INTERRUPTED
 
-from .checks import check_choices, checked
+from .checks import checked
 from .composition import CONF, explain, register_choices, settings_of
-from .plan import Plan
 from .sweep_summary import (
     SWEEP_VARIABLE,
     Sweep,
@@ -37,6 +36,9 @@ from .sweep_summary import (
     stop_file,
     time_left,
 )
+
+if TYPE_CHECKING:  # with torch, which a composition is shown without
+    from .plan import Plan
 
 _plan: Plan | None = None  # of a dry run
 
@@ -52,6 +54,8 @@ def run(arguments: list[str], dry: bool = False) -> int:
     with unbreakable_output():
         if not dry:
             return _run(arguments)
+        from .plan import Plan
+
         _plan = Plan()
         try:
             code = _run([one for one in arguments if not one.startswith(("hydra/launcher=", "hydra.launcher."))])
@@ -115,6 +119,10 @@ def _application(config: DictConfig) -> None:
 
 def _run_composed(config: DictConfig) -> None:
     """The job of this configuration: its run, its outcome in the summary."""
+    from envgs_bench.runs.job import located, run_job
+
+    from .choices import check_choices
+
     settings = settings_of(config, list(HydraConfig.get().overrides.task))
     check_choices(settings)
     alone = runs_here(DictConfig({"hydra": HydraConfig.get()}))

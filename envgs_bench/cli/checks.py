@@ -12,16 +12,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
 
-from envgs_bench.datasets import DatasetError
-from envgs_bench.datasets.registry import check_source
-from envgs_bench.loggers.opening import require_logger
-from envgs_bench.methods.registry import BUILT_IN, create_method
-from envgs_bench.metrics import WeightsUnavailable, find_weights, get_protocol
-from envgs_bench.records import RENDERS
-from envgs_bench.runs.job import resolve_device
-from envgs_bench.settings import RunSettings, SettingsError
-from envgs_bench.stages.budget import check_budget
-from envgs_bench.stages.perturbations import perturbation_of, perturbed_settings
+from envgs_bench.settings import SettingsError
 
 from .composition import CONF, SETTING, settings_of
 
@@ -47,6 +38,8 @@ def checked(arguments: list[str]) -> list[str]:
         )
     if options.cfg or any(argument.startswith("-") for argument in given):
         return arguments
+    from .choices import check_run, tell_of_weights  # with torch, which a composition is shown without
+
     overrides = OverridesParser.create().parse_overrides(given)
     swept = [override for override in overrides if override.is_sweep_override()]
     if swept and not options.multirun:
@@ -64,38 +57,9 @@ def checked(arguments: list[str]) -> list[str]:
             arguments = ["-m", *arguments]
         for choices in _each_choice(axes):
             lines = [*fixed, *choices]
-            _check(settings_of(compose("config", lines), lines))
-    _tell_of_weights()
+            check_run(settings_of(compose("config", lines), lines))
+    tell_of_weights()
     return arguments
-
-
-def check_choices(settings: RunSettings) -> None:
-    """Raise a SettingsError where a run with these settings asks for what there is not, whatever its data are."""
-    try:
-        get_protocol(settings.protocol)
-    except ValueError as error:
-        raise SettingsError(f"protocol={settings.protocol}: {error}") from error
-    perturbation_of(settings)  # refuses a kind or a severity that there is not,
-    check_budget(perturbed_settings(settings))  # and one that changes what the method does not have
-    require_logger(settings)
-
-
-def _check(settings: RunSettings) -> None:
-    check_choices(settings)
-    resolve_device(settings.device)
-    actual = perturbed_settings(settings)
-    try:
-        check_source(actual.dataset)
-        if settings.method.kind in BUILT_IN:  # what is somebody else's says itself, in a record
-            create_method(settings.method.kind, actual.method.settings)
-        elif settings.method.kind == RENDERS and not Path(str(settings.method.settings.get("path"))).is_dir():
-            raise SettingsError(f"path={settings.method.settings.get('path')}: there is no such folder of renders")
-    except DatasetError as error:
-        raise SettingsError(str(error)) from error
-    except SettingsError:
-        raise
-    except ValueError as error:
-        raise SettingsError(f"method {settings.method_name}: {error}") from error
 
 
 def _parameters(overrides: list[Override], search: list[str]) -> dict[str, str]:
@@ -157,10 +121,3 @@ def _several(override: Override) -> str:
 
 def _experiment(overrides: list[Override]) -> str:
     return next(f"{one.input_line}" for one in overrides if one.get_key_element() == "experiment")
-
-
-def _tell_of_weights() -> None:
-    try:
-        find_weights()
-    except WeightsUnavailable as error:
-        print(f"LPIPS will read n/c, and no perceptual loss is trained with: {error}", file=sys.stderr)

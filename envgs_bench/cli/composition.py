@@ -25,7 +25,7 @@ from omegaconf.errors import (
 
 from envgs_bench.datasets.registry import BUILT_IN as DATASET_KINDS
 from envgs_bench.datasets.registry import default_settings as default_dataset_settings
-from envgs_bench.methods.registry import method_class, method_names, method_paths
+from envgs_bench.methods.registry import method_names, method_paths, settings_type
 from envgs_bench.methods.settings import RunGroup, make_settings
 from envgs_bench.settings import LoggerChoice, LoggerKind, MethodChoice, RunSettings, SettingsError, parse_settings
 
@@ -93,7 +93,7 @@ def register_choices(overrides: Iterable[str] = ()) -> None:
     by_path = {path: path for paths in chosen for path in paths if ":" in path}
     for kind, path in {**by_path, **method_paths()}.items():
         try:
-            _offer(kind, method_class(kind).Settings)
+            _offer(kind, settings_type(kind))
         except Exception as error:
             print(f"method {kind} of {path} cannot be loaded: {error}", file=sys.stderr)
 
@@ -104,8 +104,8 @@ def _offer_dataset(kind: str) -> None:
 
 
 @cache  # the store lives as long as the process
-def _offer(kind: str, settings_type: type) -> None:
-    node = {"name": kind.rpartition(":")[2], "kind": kind, "settings": dataclasses.asdict(settings_type())}
+def _offer(kind: str, settings: type) -> None:
+    node = {"name": kind.rpartition(":")[2], "kind": kind, "settings": dataclasses.asdict(settings())}
     ConfigStore.instance().store(group="method", name=kind, node=node)
 
 
@@ -116,13 +116,13 @@ def _accepted(method: MethodChoice, release: Mapping[str, Any], overrides: Itera
         SettingsError: a setting that the method does not have, or another value than it takes.
     """
     try:
-        settings_type = method_class(method.kind).Settings
+        found = settings_type(method.kind)
     except Exception:
         return method  # a folder of renders; or what cannot be loaded, as the run itself will say
     given = {override.lstrip("+").partition("=")[0] for override in overrides}
     values = _with_release(method.settings, release.get(method.name) or {}, given)
     try:
-        settings = make_settings(settings_type, values, SETTING)
+        settings = make_settings(found, values, SETTING)
     except ValueError as error:
         raise SettingsError(str(error)) from error
     written = dataclasses.asdict(settings)

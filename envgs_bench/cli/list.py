@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from typing import get_args
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -35,25 +36,23 @@ def _list_names() -> int:
     from rich.console import Console
     from rich.table import Table
 
-    from envgs_bench.core import available_backends
     from envgs_bench.datasets.registry import BUILT_IN
-    from envgs_bench.methods.storage.layouts import LAYOUTS
-    from envgs_bench.metrics import PROTOCOLS
+    from envgs_bench.methods.settings import BackendName
+    from envgs_bench.parts import LAYOUT_NAMES, PROTOCOL_NAMES
     from envgs_bench.stages.perturbations import OF_SCENES, OF_SETTINGS
 
     from .composition import config_names
 
-    backends = [name if reason is None else f"{name} (not here)" for name, reason in available_backends().items()]
     table = Table("key", "values", show_header=False, box=None)
     table.add_row("method=", ", ".join(config_names("method")))
     table.add_row("dataset=", ", ".join(config_names("dataset")))
     table.add_row("dataset.kind=", ", ".join(BUILT_IN))
     table.add_row("perturb.kind=", ", ".join(["none", *OF_SCENES, *OF_SETTINGS]))
-    table.add_row("protocol=", ", ".join(PROTOCOLS))
+    table.add_row("protocol=", ", ".join(PROTOCOL_NAMES))
     for group in ("experiment", "suite", "size"):
         table.add_row(f"{group}=", ", ".join(config_names(group)))
-    table.add_row("backends", ", ".join(backends))
-    table.add_row("layouts of models", ", ".join(LAYOUTS))
+    table.add_row("method.settings.backend=", ", ".join(get_args(BackendName)))
+    table.add_row("layouts of models", ", ".join(LAYOUT_NAMES))
     Console(width=120).print(table, highlight=False)
     return 0
 

@@ -14,9 +14,9 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.table import Table
 
-from envgs_bench.datasets.registry import BUILT_IN, MISSING, default_settings, source_of
+from envgs_bench.datasets.registry import MISSING, SETTINGS, default_settings
 from envgs_bench.methods.recipes import RECIPES, Rules
-from envgs_bench.methods.registry import method_class
+from envgs_bench.methods.registry import settings_type
 from envgs_bench.methods.settings import setting_groups
 from envgs_bench.records import RENDERS
 from envgs_bench.stages.renders import RendersSettings
@@ -41,15 +41,15 @@ def print_method_settings(name: str) -> int:
     try:
         with initialize_config_dir(str(CONF), version_base="1.3"):
             method = compose("config", [chosen]).method
-        settings_type = RendersSettings if method.kind == RENDERS else method_class(method.kind).Settings
+        found = RendersSettings if method.kind == RENDERS else settings_type(method.kind)
     except (CompactHydraException, OmegaConfBaseException, ValueError) as error:
         print(f"envgs-bench list: {explain(error)}", file=sys.stderr)
         return WRONG_ARGUMENTS
     values: Any = OmegaConf.to_container(method.settings)
-    defaults, comments = dataclasses.asdict(settings_type()), setting_comments(settings_type)
+    defaults, comments = dataclasses.asdict(found()), setting_comments(found)
     of_its_own = method.name != method.kind.rpartition(":")[2]
     table = Table("setting", name, *([method.kind] if of_its_own else []), "", box=None, pad_edge=False)
-    for group, keys in setting_groups(settings_type).items():
+    for group, keys in setting_groups(found).items():
         shown = [key for key in keys if not of_its_own or values.get(key) != defaults[key]]
         if shown and not of_its_own:
             table.add_row(f"# {group}")
@@ -65,10 +65,10 @@ def print_method_settings(name: str) -> int:
 
 def print_dataset_settings(kind: str) -> int:
     """Print a row each setting of dataset=<kind>; returns the exit status, 0, or 2 where there is no such kind."""
-    if kind not in BUILT_IN:
-        print(f"envgs-bench list: there is no kind {kind!r} of data set, but {', '.join(BUILT_IN)}", file=sys.stderr)
+    if kind not in SETTINGS:
+        print(f"envgs-bench list: there is no kind {kind!r} of data set, but {', '.join(SETTINGS)}", file=sys.stderr)
         return WRONG_ARGUMENTS
-    comments = setting_comments(source_of(kind).settings or object)
+    comments = setting_comments(SETTINGS[kind])
     table = Table("setting", kind, "", box=None, pad_edge=False)
     for key, value in default_settings(kind).items():
         table.add_row(key, "has to be given" if value == MISSING else _as_override(value), comments.get(key, ""))

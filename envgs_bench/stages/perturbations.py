@@ -6,9 +6,8 @@ beside them: a perturbed run and its unperturbed partner differ in nothing else.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from envgs_bench.core import Scene
 from envgs_bench.datasets.perturbations.perturbation import Perturbation
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS as OF_SCENES
 from envgs_bench.datasets.registry import load_scene
@@ -16,6 +15,9 @@ from envgs_bench.records import Perturbed
 from envgs_bench.settings import RunSettings, SettingsError
 
 from .setting_perturbations import PERTURBATIONS as OF_SETTINGS
+
+if TYPE_CHECKING:
+    from envgs_bench.core import Scene
 
 
 def load_run_scene(settings: RunSettings) -> Scene:

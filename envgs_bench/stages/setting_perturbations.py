@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from envgs_bench.datasets.perturbations.perturbation import Perturbation
-from envgs_bench.methods.registry import method_class
+from envgs_bench.methods.registry import settings_type
 from envgs_bench.methods.settings import LEARNING_RATES
 from envgs_bench.records import RENDERS
 from envgs_bench.settings import RunSettings, SettingsError
@@ -62,7 +62,7 @@ def _resize(settings: RunSettings, factor: float, rng: np.random.Generator) -> R
 def _method_settings(settings: RunSettings) -> dict[str, Any]:
     if settings.method.kind == RENDERS:
         raise SettingsError("method renders trains nothing, so that none of its settings can be perturbed")
-    defaults = dataclasses.asdict(method_class(settings.method.kind).Settings())
+    defaults = dataclasses.asdict(settings_type(settings.method.kind)())
     return {**defaults, **settings.method.settings}
 
 

@@ -1,14 +1,15 @@
-"""Settings of a base set with reflections, and of what it reflects."""
+"""Settings of methods with reflections, and of what is reflected. Nothing here imports torch."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
-from ..settings import GaussianSettings
-from ..validation import Amount, Count, Rate, Size, Steps, Weight
+from ..recipes import RecipeName
+from ..settings import GaussianSettings, PublishedSettings, ThreeDGSSettings
+from ..validation import Amount, Count, Degree, Limit, Rate, Size, Steps, Weight
 
 Doublings = Annotated[int, Field(ge=0, le=3)]
 
@@ -55,3 +56,101 @@ class MapSettings(GaussianSettings):
 class EnvMapSettings(ReflectionSettings, MapSettings):
     group: ClassVar[str] = "environment"
     envmap_doublings: Doublings = 3  # times that the map's size doubles in training, 0 to 3
+
+
+@dataclass(frozen=True)
+class EnvGSSettings(ReflectionSettings):
+    group: ClassVar[str] = "environment"
+    env_grid: Count = 8  # N: the box is divided into N³ cells, each with random primitives
+    env_far_count: Limit = 2_000  # primitives on a sphere around the box; 0: none
+    env_densify_every: Steps = 1_500  # steps between the environment's densifications
+    env_densify_threshold: Amount = 1e-4  # gradient ½·t·∂L/∂mean above which its primitives are cloned or split
+    env_max_primitives: Limit = 630_000  # largest environment; beyond, those of the least blending weight are pruned
+    env_densify_until: Steps = 21_000  # step before which the environment's densification and opacity resets end
+    env_opacity_reset_every: Steps = 6_000  # steps between the environment's opacity resets; 0: never
+    reflection_pilot: bool = False  # a pilot run finds out what mirrored rays explain; if nothing, train as 2DGS
+
+
+# PublishedSettings stands first, so that all that every Gaussian method has is as in 3DGS's released code.
+@dataclass(frozen=True)
+class DeferredReflectionSettings(PublishedSettings, EnvMapSettings):
+    """Steps are those of the authors' code, whose runs of 61,000 steps train for 31,000 of them without any event."""
+
+    recipe: RecipeName = "3dgs_dr"
+
+    densify_until: Steps = 30_000
+    min_opacity: Amount = 0.005
+
+    normal_weight: Amount = 0.0
+    mono_weight: Amount = 0.0
+    perceptual_weight: Amount = 0.0
+
+    initial_beta: Weight = 1e-3
+    beta_lr: Rate = 6e-3
+    envmap_doublings: Doublings = 0
+    envmap_lr: Rate = 5e-2
+
+    disturb_every: Steps = 1_000
+    disturb_until: Steps = 24_000
+    scope_radius: Amount = 0.0  # the ball that may reflect, × the cameras' mean distance from its middle; 0: everything
+
+
+# PublishedSettings stands first, so that all that every Gaussian method has is as in 2DGS's released code.
+@dataclass(frozen=True)
+class RefGaussianSettings(PublishedSettings, EnvMapSettings):
+    """Steps are those of the authors' code, whose runs have 50,000. β is the metallic share m."""
+
+    recipe: RecipeName = "ref_gaussian"
+
+    sh_lr: Rate = 7.5e-3
+    densify_until: Steps = 25_000
+
+    normal_weight: Amount = 0.05
+    mono_weight: Amount = 0.0
+    perceptual_weight: Amount = 0.0
+    smooth_weight: Amount = 0.0  # weight of the edge-aware smoothness of normals
+    smooth_until: Steps = 18_000  # step up to which that counts
+
+    bootstrap: Steps = 0
+    shade_until: Steps = 18_000  # step up to which each surfel is shaded, not each pixel; then materials start anew
+    indirect_from: Steps = 20_000  # step after which what hides the map from a pixel lights it
+    initial_beta: Weight = 1e-2
+    initial_roughness: Weight = 0.1  # roughness that surfels start with
+    beta_lr: Rate = 5e-3
+    roughness_lr: Rate = 5e-3  # learning rate of the roughnesses' logits
+    albedo_lr: Rate = 7.5e-3  # learning rate of the albedos' logits
+    indirect_lr: Rate = 7.5e-3  # learning rate of the indirect light's constant term; 1/20 of it for the others
+    envmap_doublings: Doublings = 0
+
+    disturb_every: Steps = 1_000
+    disturb_until: Steps = 25_000
+
+
+# PublishedSettings stands first, so that all that every Gaussian method has is as in 3DGS's released code.
+@dataclass(frozen=True)
+class GaussianShaderSettings(PublishedSettings, MapSettings):
+    recipe: RecipeName = "3dgs"
+    rules: dict[str, Any] = field(default_factory=lambda: {"normal_weighting": "alpha"}, hash=False)
+    min_opacity: Amount = 0.005
+
+    normal_weight: Amount = 0.2
+    mono_weight: Amount = 0.0
+    perceptual_weight: Amount = 0.0
+    sparse_weight: Amount = 1e-3  # weight of the loss that makes alpha 0 or 1
+    residual_weight: Amount = 1e-3  # weight of the lengths of what normals differ from the shortest axes by
+
+    material_lr: Rate = 1.6e-2  # learning rate of tints, roughnesses and normals at the start; log-linear to the last
+    material_lr_final: Rate = 1.6e-3  # learning rate of those and of the map at the end
+    envmap_size: Size = 64
+    envmap_lr: Rate = 1.6e-2
+
+
+@dataclass(frozen=True)
+class ThreeIGSSettings(ThreeDGSSettings):
+    sh_degree: Degree = 0
+
+    diffuse_until: Steps = 3_000  # step up to which there is diffuse color alone
+    brdf_lr: Rate = 2.5e-3  # learning rate of the Gaussians' features and roughnesses
+    field_size: Size = 150  # samples of the illumination field along each axis
+    field_lr: Rate = 2e-2  # learning rate of the field's planes and lines
+    network_lr: Rate = 1e-3  # learning rate of what mixes the field's components, and of the network

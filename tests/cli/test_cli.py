@@ -165,7 +165,6 @@ def test_list_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
         "strict",
         "demo",
         "torch",
-        "embree",
     ):
         assert name in shown
 

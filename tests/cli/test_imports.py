@@ -7,6 +7,14 @@ import sys
 
 import pytest
 
+from envgs_bench.datasets.registry import BUILT_IN as SOURCES
+from envgs_bench.datasets.registry import SETTINGS
+from envgs_bench.methods.registry import BUILT_IN as METHODS
+from envgs_bench.methods.registry import method_class, settings_type
+from envgs_bench.methods.storage.layouts import LAYOUTS
+from envgs_bench.metrics import PROTOCOLS
+from envgs_bench.parts import LAYOUT_NAMES, PROTOCOL_NAMES
+
 SLOW = {"torch", "hydra", "matplotlib", "pandas", "scipy", "kornia"}
 CALL = """
 import contextlib, io, sys
@@ -36,6 +44,19 @@ def imported(code: str) -> set[str]:
 @pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["report", "--help"]], ids=" ".join)
 def test_help_waits_for_no_large_library(arguments: list[str]) -> None:
     assert not imported(CALL.format(arguments=arguments)) & SLOW
+
+
+@pytest.mark.parametrize(
+    "arguments", [["list"], ["run", "--cfg", "job", "method=envgs", "dataset=colmap"]], ids=" ".join
+)
+def test_runs_are_listed_and_composed_without_torch(arguments: list[str]) -> None:
+    assert not imported(CALL.format(arguments=arguments)) & (SLOW | {"pycolmap"}) - {"hydra"}
+
+
+def test_what_is_listed_without_torch_is_what_there_is() -> None:
+    assert {kind: settings_type(kind) for kind in METHODS} == {kind: method_class(kind).Settings for kind in METHODS}
+    assert (tuple(PROTOCOLS), tuple(LAYOUTS)) == (PROTOCOL_NAMES, LAYOUT_NAMES)
+    assert list(SETTINGS) == list(SOURCES)
 
 
 def test_training_steps_wait_neither_for_a_compiler_nor_for_charts() -> None:

@@ -6,15 +6,15 @@ import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 import torch
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import DatasetError, load_scene
-from envgs_bench.datasets.registry import BUILT_IN, MISSING, default_settings, files_read, source_of
-from envgs_bench.datasets.settings import parse_dataset_settings
+from envgs_bench.datasets.registry import MISSING, SETTINGS, default_settings, files_read
+from envgs_bench.datasets.settings import SourceSettings, parse_dataset_settings
 from envgs_bench.datasets.source import Source
 from envgs_bench.datasets.split import split_views
 from envgs_bench.datasets.store.cache import cached_scene
@@ -131,11 +131,10 @@ def test_a_crash_while_making_leaves_nothing(tmp_path: Path) -> None:
     assert not list(tmp_path.rglob("*.*"))
 
 
-@pytest.mark.parametrize("kind", BUILT_IN)
-def test_defaults_hold_every_setting_and_are_the_sources_own(kind: str) -> None:
+@pytest.mark.parametrize(("kind", "model"), SETTINGS.items())
+def test_defaults_hold_every_setting_and_are_the_sources_own(kind: str, model: type[SourceSettings]) -> None:
     given = default_settings(kind)
-    model = source_of(kind).settings
-    assert model is not None
+    assert get_args(model.model_fields["kind"].annotation) == (kind,)
     assert set(given) == set(model.model_fields)
     required = {key: "chrome_room" for key, value in given.items() if value == MISSING}
     assert parse_dataset_settings(model, given | required) == model(kind=kind, **required)

@@ -1,0 +1,55 @@
+"""Choices of a run: whether there is what its settings ask for."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from envgs_bench.datasets import DatasetError
+from envgs_bench.datasets.registry import check_source
+from envgs_bench.loggers.opening import require_logger
+from envgs_bench.methods.registry import BUILT_IN, create_method
+from envgs_bench.metrics import WeightsUnavailable, find_weights, get_protocol
+from envgs_bench.records import RENDERS
+from envgs_bench.runs.job import resolve_device
+from envgs_bench.settings import RunSettings, SettingsError
+from envgs_bench.stages.budget import check_budget
+from envgs_bench.stages.perturbations import perturbation_of, perturbed_settings
+
+
+def check_choices(settings: RunSettings) -> None:
+    """Raise a SettingsError where a run with these settings asks for what there is not, whatever its data are."""
+    try:
+        get_protocol(settings.protocol)
+    except ValueError as error:
+        raise SettingsError(f"protocol={settings.protocol}: {error}") from error
+    perturbation_of(settings)  # refuses a kind or a severity that there is not,
+    check_budget(perturbed_settings(settings))  # and one that changes what the method does not have
+    require_logger(settings)
+
+
+def check_run(settings: RunSettings) -> None:
+    """Raise a SettingsError where a run with these settings cannot start on this machine, with these data."""
+    check_choices(settings)
+    resolve_device(settings.device)
+    actual = perturbed_settings(settings)
+    try:
+        check_source(actual.dataset)
+        if settings.method.kind in BUILT_IN:  # what is somebody else's says itself, in a record
+            create_method(settings.method.kind, actual.method.settings)
+        elif settings.method.kind == RENDERS and not Path(str(settings.method.settings.get("path"))).is_dir():
+            raise SettingsError(f"path={settings.method.settings.get('path')}: there is no such folder of renders")
+    except DatasetError as error:
+        raise SettingsError(str(error)) from error
+    except SettingsError:
+        raise
+    except ValueError as error:
+        raise SettingsError(f"method {settings.method_name}: {error}") from error
+
+
+def tell_of_weights() -> None:
+    """Say on standard error what a run does without where VGG-16's weights are not to be had."""
+    try:
+        find_weights()
+    except WeightsUnavailable as error:
+        print(f"LPIPS will read n/c, and no perceptual loss is trained with: {error}", file=sys.stderr)
