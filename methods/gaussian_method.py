@@ -20,6 +20,7 @@ from .gaussians.model import NEAR, GaussianModel
 from .gaussians.monitor import GaussianMonitor
 from .gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, base_policy, initial_rates
 from .gaussians.pruning import events_of, prune
+from .gaussians.relocation import PositionNoise
 from .lighting.reflection import Reflection
 from .method import Budget, Method, Needs
 from .settings import GaussianSettings
@@ -118,7 +119,7 @@ class GaussianMethod(Method):
         """
         trusted = None if self.reflection is None else self.reflection.mono_weights
         perceptual = self.perceptual if self.needs.perceptual else None
-        return self.loss.terms(rendering, target, view, step, trusted, perceptual)
+        return self.loss.terms(rendering, target, view, step, trusted, perceptual) | self.model.losses()
 
     def phase(self, step: int) -> Hashable:
         """What the host decides of a step: steps of equal phases launch the same kernels, whatever the numbers are.
@@ -169,6 +170,9 @@ class GaussianMethod(Method):
         if s.exposure == "affine":
             self.runner.exposure = AffineExposure([view.name for view in scene.train], self.device)
             self.parts["exposure"] = self.runner.exposure
+        if s.rule.growth == "mcmc":
+            self.model.noise = PositionNoise(self.device, self.generator.initial_seed())
+            self.parts["noise"] = self.model.noise
         for part in self.parts.values():
             part.start(scene)
         _forget_prepared(self)

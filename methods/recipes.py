@@ -27,6 +27,7 @@ class Rules:
     sh_every: Steps = 0  # steps after which another SH degree is added; 0: all at once
     sh_from: Steps = 0  # step up to which the base set's color is the same from everywhere, SH degree 0
     initial_orientation: Literal["surface", "random", "world"] = "surface"  # of the base set: surface is the points'
+    growth: Literal["gradient", "mcmc"] = "gradient"  # the base set's; mcmc: to its size limit, with noise
     densify_from: Steps = 500  # step after which the base set is densified
     mean_gradient_over: Literal["drawn", "in_view"] = "drawn"  # steps that drew it, or had it in view, hidden or not
     mean_gradient_of: Literal["all", "own", "color"] = "all"  # own: not of what anti-aliasing draws; color: its alone

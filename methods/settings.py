@@ -95,6 +95,11 @@ class LossesGroup:
 class GaussianSettings(LossesGroup, GrowthGroup, RatesGroup, RunGroup):
     """Settings that all Gaussian methods share."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.rule.growth == "mcmc" and not (self.max_primitives or self.pixels_per_primitive):
+            raise ValueError("growth mcmc fills a size limit: set max_primitives or pixels_per_primitive above 0")
+
 
 @dataclass(frozen=True)
 class PublishedSettings(GaussianSettings):

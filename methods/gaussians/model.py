@@ -18,9 +18,11 @@ from .frustum import in_view
 from .initialization import Orientation, evenly_thinned, half_diagonal, initial_orientation, initial_tensors
 from .parameters import GaussianParameters
 from .policy import SetPolicy
+from .relocation import PositionNoise
 from .trained_set import TrainedSet
 
 NEAR = 0.2  # hits nearer to the camera are not drawn, world units; a scene's free space raises it
+OPACITY_WEIGHT, SCALE_WEIGHT = 0.01, 0.01  # of what MCMC growth minimizes: mean opacity; mean scale ÷ scene radius
 FULL = 0.95  # share of its size limit from which a set is held back by it: some are pruned between two densifications
 
 
@@ -32,6 +34,7 @@ class GaussianModel:
         sets: the trained sets by name; BASE once a training has started.
         policies: how each set is trained, of every set that there may be.
         prepared: the sets as images draw them, activated, by name; empty until `prepare` and again after a step.
+        noise: what moves the base set's positions besides Adam; None: nothing.
         shade: what a camera sees of the base set at a step, or in an image (None); None: the set is drawn as it is.
         schedule: the clock of this run, see `Schedule`.
         radius: the scene's, world units.
@@ -45,6 +48,7 @@ class GaussianModel:
         self.sets: dict[str, TrainedSet] = {}
         self.policies: dict[str, SetPolicy] = {}
         self.prepared: dict[str, GaussianSet] = {}
+        self.noise: PositionNoise | None = None
         self.shade: Callable[[GaussianSet, Camera, int | None], GaussianSet] | None = None
         self.schedule = Schedule(1)
         self.radius = 1.0
@@ -157,6 +161,9 @@ class GaussianModel:
         if self.budget is not None:
             self.budget.decide()
         policy = self.policies[name]
+        if policy.growth == "mcmc":
+            self.sets[name].relocate(self.bound(name), self.generator)
+            return
         rule = policy.rule.of_at_most(self.bound(name))
         self.sets[name].densify(rule, self.radius, self.generator, policy.oversized_at(step))
 
@@ -174,6 +181,8 @@ class GaussianModel:
             if trained.held_until is not None:
                 held = step <= trained.held_until
                 parameters.set_learning_rate("opacity_logits", 0.0 if held else policy.rates.opacity)
+        if self.noise is not None:
+            self.noise.draw(self.size(BASE), self.policies[BASE].position_rate(step, self.radius))
 
     def phase(self, step: int) -> Hashable:
         """What the host decides of a step."""
@@ -193,6 +202,16 @@ class GaussianModel:
         for name, trained in self.sets.items():
             for field, values in trained.parameters.tensors.items():
                 yield f"{name}.{field}", values
+
+    def losses(self) -> dict[str, Tensor]:
+        """What a step minimizes of the sets themselves, weighted, by name: of growth that fills a size limit."""
+        if self.policies[BASE].growth != "mcmc":
+            return {}
+        tensors = self.sets[BASE].parameters.tensors
+        return {
+            "opacity": OPACITY_WEIGHT * tensors["opacity_logits"].sigmoid().mean(),
+            "scale": SCALE_WEIGHT / self.radius * tensors["log_scales"].exp().mean(),
+        }
 
     def record(
         self, rendering: Rendering, statistics: Mapping[str, Statistics], camera: Camera, step: int, counts: Tensor
@@ -227,21 +246,23 @@ class GaussianModel:
         return {name: (color - other).abs().sum() for name, other in without.items()}
 
     @torch.no_grad()
-    def restrain(self, camera: Camera, statistics: Mapping[str, Statistics], step: int, still: Tensor) -> None:
-        """While opacities recover from a reset, nothing that a view shows is larger than its distance allows.
+    def restrain(self, camera: Camera, statistics: Mapping[str, Statistics], step: int, counts: Tensor) -> None:
+        """After Adam: MCMC growth's noise; and while opacities recover from a reset, no larger than distances allow.
 
         All are alike transparent then, and what covers a view from near by hides the others before they can tell what
         they are needed for: they get no gradient any more, and nothing takes its place.
 
         Args:
-            still: a scalar that is 0, or infinite where nothing may change.
+            counts: whether the step counts, a truth on the device; else nothing changes.
         """
+        if self.noise is not None:
+            self.noise.move(self.sets[BASE].parameters.tensors, counts)
         if not self._restrains(step):
             return
         tensors = self.sets[BASE].parameters.tensors
         distances = (tensors["means"] - camera.center).norm(dim=1)
-        allowed = torch.add(still, distances, alpha=self.settings.rule.max_scale)
-        largest = torch.where(statistics[BASE].weights > 0, allowed, torch.inf).log()
+        allowed = self.settings.rule.max_scale * distances
+        largest = torch.where(counts & (statistics[BASE].weights > 0), allowed, torch.inf).log()
         tensors["log_scales"].clamp_(max=largest[:, None])
 
     def _grows_by_color(self, step: int | None) -> bool:

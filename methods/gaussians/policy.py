@@ -89,6 +89,7 @@ class SetPolicy:
         grows_from, grows_until: step after which, and before which it is densified.
         young_until: step of this run up to which the set is not there, or so new that nothing shows what is needed.
         oversized: what becomes of oversized primitives: split, or prune from the first opacity reset on.
+        growth: by gradients, or by mcmc, which fills the size limit.
         cap: the size limit that the settings name; 0: none.
     """
 
@@ -112,6 +113,7 @@ class SetPolicy:
     radius_power: int = 1
     oversized: str = "split"
     young_until: int = 0
+    growth: str = "gradient"
 
     def primitive_bytes(self, axes: int) -> int:
         """Bytes of one primitive as float32."""
@@ -184,6 +186,7 @@ def base_policy(
         resets=_base_resets(s, schedule, scene),
         cap=s.max_primitives,
         oversized=s.rule.oversized,
+        growth=s.rule.growth,
     )
 
 
@@ -246,8 +249,10 @@ def training_pixels(scene: Scene) -> int:
 def _base_resets(s: GaussianSettings, schedule: Schedule, scene: Scene | None) -> Resets:
     """With 3DGS's reset over a white background, of what has been put before it for nothing.
 
-    A run that is too short for any other reset has none of these either.
+    A run that is too short for any other reset has none of these either; nor has growth that needs none.
     """
+    if s.rule.growth == "mcmc":
+        return Resets(schedule, 0, s.densify_until)
     on_white = scene is not None and bool((scene.background == 1).all())
     resets = 0 < schedule.interval(s.opacity_reset_every, RESET_FLOOR) < schedule.at(s.densify_until)
     besides = schedule.at(s.rule.densify_from) if s.rule.reset_on_white and on_white and resets else 0

@@ -71,7 +71,8 @@ def events_of(model: GaussianModel, prune_all: Callable[[int], None], of_parts: 
         events.append(Every("prune", prune_all, lambda step: every, *span, unless=base.resets.recovers))
     for name, policy in model.policies.items():
         events.append(policy.densification(partial(model.densify, name), partial(model.size, name)))
-        events.append(policy.opacity_reset(partial(model.reset_opacity, name)))
+        if policy.growth == "gradient":
+            events.append(policy.opacity_reset(partial(model.reset_opacity, name)))
         if name == BASE:
             events += of_parts
     return events

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from .densification import DensificationRecord, DensificationRule, Oversized, densify
 from .parameters import GaussianParameters
+from .relocation import relocate
 
 RESET_OPACITY = 0.01
 PROPAGATED_OPACITY = 0.9
@@ -43,6 +44,10 @@ class TrainedSet:
     ) -> None:
         """Grow and shrink by the rule and what the last steps recorded, with `densify`'s arguments."""
         self.record = densify(self.parameters, self.record, rule, radius, generator, oversized)
+
+    def relocate(self, most: int, generator: torch.Generator) -> None:
+        """Grow to at most so many primitives by MCMC, with `relocate`'s arguments."""
+        self.record = relocate(self.parameters, most, generator)
 
     def keep(self, rows: Tensor) -> None:
         """Keep only the primitives that a mask [N] names, with what was recorded of them."""

@@ -36,8 +36,7 @@ class Work:
         parameters: all that they move, by name.
         record: what later changes of the sets will ask: of the picture, the statistics, the camera, the step, and
             whether the step counts, a truth on the device.
-        restrain: after Adam, hold back what runs away: of the camera, the statistics, the step, and a scalar on the
-            device that is 0, or infinite where nothing may move.
+        restrain: after Adam, hold back what runs away: of the camera, the statistics, the step, and whether it counts.
     """
 
     draw: Callable[[Camera, int], tuple[Rendering, dict[str, Statistics]]]
@@ -123,7 +122,7 @@ class StepRunner:
         work.record(rendering, statistics, camera, step, counts)  # before Adam moves what was drawn
         optimizers = work.optimizers()
         self.skipped += step_together(optimizers, counts)
-        work.restrain(camera, statistics, step, self._still)
+        work.restrain(camera, statistics, step, counts)
         for optimizer in optimizers:
             optimizer.zero_grad(set_to_none=True)
 

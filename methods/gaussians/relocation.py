@@ -1,0 +1,122 @@
+"""MCMC growth: dead primitives move to live ones, sets fill their size limit, positions drift (Kheradmand et al. 2024).
+
+Gradients decide nothing: a primitive is drawn from with its opacity as probability, and shares what it shows with its
+copies. The equations are those of *3D Gaussian Splatting as Markov Chain Monte Carlo*, NeurIPS 2024.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from envgs_bench.core.torch.rotation import rotation_matrices
+
+from ..training.schedule import Part
+from .densification import DensificationRecord
+from .parameters import GaussianParameters, RowDraft, inverse_sigmoid
+
+DEAD = 0.005  # opacity up to which a primitive is moved
+GROWTH = 1.05  # × the set that one growth leaves at most
+MOST_SHARES = 51  # in which one primitive is divided at once
+NOISE = 5e5  # × the positions' rate, of the noise along a primitive's own covariance
+GATE = 100.0  # how sharply the noise ends with opacity: sigmoid(GATE·(DEAD − opacity))
+
+
+def shared(opacities: Tensor, scales: Tensor, shares: Tensor) -> tuple[Tensor, Tensor]:
+    """Opacities [K] and scales [K, A] of each of `shares` [K] equal parts that look together like the whole (Eq. 9).
+
+    1 − (1 − o')ⁿ = o in the middle; and along any line through it, the integral of what n parts stop is what one did.
+    """
+    n, o = shares[:, None].double(), opacities[:, None].double()
+    part = 1 - (1 - o) ** (1 / n)
+    k = torch.arange(1, MOST_SHARES + 1, device=o.device, dtype=torch.float64)
+    log_binomial = torch.lgamma(n + 1) - torch.lgamma(k + 1) - torch.lgamma((n - k).clamp_min(0) + 1)
+    terms = (-1) ** (k - 1) * (log_binomial + k * part.log()).exp() / k.sqrt()
+    integral = torch.where(k <= n, terms, 0).sum(1, keepdim=True)
+    return part[:, 0].to(opacities), (scales.double() * o / integral).to(scales)
+
+
+def relocate(parameters: GaussianParameters, most: int, generator: torch.Generator) -> DensificationRecord:
+    """Move what is dead to where live primitives are, then grow by a twentieth, up to `most`; the new, empty record.
+
+    What was moved, and what it shares with, starts Adam's moments anew. A set that is larger than `most` loses its most
+    transparent primitives.
+    """
+    draft = parameters.draft()
+    if len(draft) > most:
+        draft.keep(draft.tensors["opacity_logits"].topk(most).indices.sort().values)
+    opacities = draft.tensors["opacity_logits"].sigmoid()
+    dead = opacities <= DEAD
+    if len(draft) and not bool(dead.all()):
+        rows = torch.nonzero(dead)[:, 0]
+        sources = _drawn(torch.where(dead, 0, opacities), len(rows), generator)
+        _divide(draft, sources)
+        draft.tensors = {name: values.index_copy(0, rows, values[sources]) for name, values in draft.tensors.items()}
+        draft.origins[rows] = -1
+        new = min(most, math.ceil(GROWTH * len(draft))) - len(draft)
+        sources = _drawn(draft.tensors["opacity_logits"].sigmoid(), new, generator)
+        _divide(draft, sources)
+        draft.append(draft.rows(sources))
+    parameters.become(draft)
+    return DensificationRecord(len(parameters), opacities.device)
+
+
+class PositionNoise(Part):
+    """Noise on a set's positions after every step that counts: along each primitive's covariance, if it is transparent.
+
+    It is drawn before the step, so that a CUDA graph finds it in place.
+    """
+
+    def __init__(self, device: torch.device, seed: int) -> None:
+        self._generator = torch.Generator(device).manual_seed(seed)
+        self._drawn = torch.zeros(0, 3, device=device)
+
+    def draw(self, count: int, rate: float) -> None:
+        """The noise of a step for `count` primitives; `rate` is the positions' learning rate, world units."""
+        if len(self._drawn) != count:
+            self._drawn = self._drawn.new_empty(count, 3)
+        self._drawn.normal_(generator=self._generator).mul_(NOISE * rate)
+
+    @torch.no_grad()
+    def move(self, tensors: Mapping[str, Tensor], counts: Tensor) -> None:
+        """Move `GaussianParameters`' means by the noise, where `counts`, a truth on the device."""
+        axes = rotation_matrices(tensors["quaternions"])[..., : tensors["log_scales"].shape[1]]
+        along = torch.einsum("nij,ni->nj", axes, self._drawn) * (2 * tensors["log_scales"]).exp()
+        gate = (GATE * (DEAD - tensors["opacity_logits"].sigmoid())).sigmoid()
+        tensors["means"] += torch.where(counts, gate[:, None] * torch.einsum("nij,nj->ni", axes, along), 0.0)
+
+    def training_state(self) -> dict[str, Any]:
+        return {"generator": self._generator.get_state()}
+
+    def restore_training(self, state: Mapping[str, Any]) -> None:
+        self._generator.set_state(state["generator"])
+
+
+def _drawn(opacities: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """`count` rows, with opacity as probability and with replacement."""
+    if not count:
+        return torch.zeros(0, dtype=torch.long, device=opacities.device)
+    total = opacities.double().cumsum(0).cpu()
+    places = torch.rand(count, generator=generator, dtype=torch.float64) * total[-1]
+    rows = torch.searchsorted(total, places, right=True).clamp_max(len(total) - 1)
+    return rows.to(opacities.device)
+
+
+def _divide(draft: RowDraft, sources: Tensor) -> None:
+    """Let each of the rows `sources` have the opacity and scales of as many parts as it is named, and one."""
+    shares = (torch.bincount(sources, minlength=len(draft)) + 1).clamp_max(MOST_SHARES)
+    rows = torch.nonzero(shares > 1)[:, 0]
+    tensors = draft.tensors
+    opacities, scales = shared(
+        tensors["opacity_logits"][rows].sigmoid(), tensors["log_scales"][rows].exp(), shares[rows]
+    )
+    logits = inverse_sigmoid(opacities.clamp_min(DEAD))
+    draft.tensors = tensors | {
+        "opacity_logits": tensors["opacity_logits"].index_copy(0, rows, logits),
+        "log_scales": tensors["log_scales"].index_copy(0, rows, scales.log()),
+    }
+    draft.origins[rows] = -1
