@@ -128,7 +128,14 @@ def in_force(settings: dict[str, Any]) -> dict[str, Any]:
 def test_a_configuration_holds_every_setting(name: str) -> None:
     method = composed(name)
     assert method["name"] == name
-    assert method["kind"] in (name, name.removesuffix("_tuned"), name.removesuffix("_lean"), "envgs", "envmap")
+    assert method["kind"] in (
+        name,
+        name.removesuffix("_tuned"),
+        name.removesuffix("_lean"),
+        name.removesuffix("_mcmc"),
+        "envgs",
+        "envmap",
+    )
     defaults = dataclasses.asdict(create_method(method["kind"]).settings)
     assert method["settings"] == defaults | DIFFERENCES[name]
 
