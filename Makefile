@@ -1,4 +1,4 @@
-# make install | tools | weights | demo | test | test-slow | lint | api | bench | clean. Needs Python 3.11+, a C++ compiler and make.
+# make install | tools | weights | demo | test | test-slow | lint | docs | bench | clean. Needs Python 3.11+, a C++ compiler and make.
 PYTHON ?= python3
 VENV ?= .venv
 # Waiting threads sleep: two programs that spin on one machine slow each other tenfold.
@@ -12,7 +12,7 @@ WEIGHTS := $(VENV)/.weights
 SOURCES := pyproject.toml constraints.txt CMakeLists.txt \
 	$(wildcard envgs_bench/core/cpu/*.cpp envgs_bench/core/cpu/*.h envgs_bench/core/kernels/*.h)
 
-.PHONY: install tools weights demo test test-slow lint api bench clean
+.PHONY: install tools weights demo test test-slow lint docs bench clean
 .NOTPARALLEL: # one installation at a time
 
 install: $(RUNTIME)
@@ -62,12 +62,10 @@ lint: $(TOOLS)
 	$(BIN)/codespell
 	MYPYPATH=. $(BIN)/mypy -p envgs_bench
 
-# A page of what other code may build on: the core, the contracts between folders, the methods' base classes.
-API := build/api
-api: $(TOOLS)
-	$(BIN)/python -m pdoc --docformat google -o $(API) \
-		envgs_bench.core '!envgs_bench.core.' $(addprefix envgs_bench.,parts records settings testing) \
-		$(addprefix envgs_bench.methods.,method gaussian_method gaussians.model gaussians.policy lighting.reflection)
+# The documentation, as pages that open from disk: build/site/index.html. A warning is an error.
+SITE := build/site
+docs: $(TOOLS)
+	$(BIN)/python -m sphinx -q -W --keep-going -c envgs_bench/docs/site envgs_bench/docs $(SITE)
 
 bench: install
 	$(BIN)/envgs-bench bench core

@@ -16,7 +16,10 @@ from envgs_bench.cli.main import COMMANDS
 from envgs_bench.metrics import PROTOCOLS
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "envgs_bench" / "docs").glob("*.md"))]
+DOCS = ROOT / "envgs_bench" / "docs"
+NOTEBOOK = sorted((DOCS / "notebook").glob("*.md"))  # entries speak of the names of their day
+PAGES = sorted(set(DOCS.rglob("*.md")) - set(NOTEBOOK))
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES]
 ROOMS = ("methods", "datasets", "metrics", "reports", "tests", "envgs_bench")  # folders of sources
 SOURCE = re.compile(r"[\w./*-]+\.(py|cpp|h|cu|cuh)")
 ELSEWHERE = {"eval.py", "metrics.py", "render.py", "utils.py"}  # another program's, and what is said not to be
@@ -68,17 +71,43 @@ def link_exists(link: str, document: Path) -> bool:
 
 
 def problems(text: str, document: Path) -> list[str]:
-    links = [link for link in LINK.findall(CODE.sub("", text)) if "://" not in link]
     return [
         *(path for path in sorted(named_paths(text)) if not path_exists(path)),
         *(name for name in MODULE.findall(text) if not module_exists(name)),
-        *(link for link in links if not link_exists(link, document)),
+        *broken_links(text, document),
     ]
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.stem)
+def broken_links(text: str, document: Path) -> list[str]:
+    links = [link for link in LINK.findall(CODE.sub("", text)) if "://" not in link]
+    return [link for link in links if not link_exists(link, document)]
+
+
+def name_of(document: Path) -> str:
+    return str(document.relative_to(ROOT).with_suffix(""))
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name_of)
 def test_what_a_document_names_is_there(document: Path) -> None:
     assert problems(document.read_text(encoding="utf-8"), document) == []
+
+
+def test_links_of_the_notebook_lead_somewhere() -> None:
+    broken = {path.name: broken_links(path.read_text(encoding="utf-8"), path) for path in NOTEBOOK}
+    assert {name: links for name, links in broken.items() if links} == {}
+
+
+ENTRY = re.compile(
+    r"# .+\?\n\n\* \*\*Date:\*\* (\d{4}-\d\d-\d\d)\n"
+    r"\* \*\*Expected:\*\* .+\n\* \*\*Seen:\*\* .+\n\* \*\*Kept:\*\* .+\n"
+)
+
+
+@pytest.mark.parametrize("entry", [path for path in NOTEBOOK if path.stem != "index"], ids=lambda path: path.stem)
+def test_an_entry_has_one_question_a_date_and_what_became_of_it(entry: Path) -> None:
+    head = ENTRY.match(entry.read_text(encoding="utf-8"))
+    assert head is not None
+    assert entry.name.startswith(f"{head[1]}-")
 
 
 @pytest.mark.parametrize(
@@ -98,7 +127,7 @@ def test_what_a_document_names_is_there(document: Path) -> None:
     ],
 )
 def test_what_is_not_there_is_found(text: str) -> None:
-    assert len(problems(text, ROOT / "envgs_bench" / "docs" / "core.md")) == 1
+    assert len(problems(text, DOCS / "reference" / "core.md")) == 1
 
 
 CHOICE = re.compile(r"\b(method|dataset|experiment|suite|size|protocol)=([^\s`'\")…]+)")
@@ -117,7 +146,7 @@ def names_that_are_none(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    "document", [path for path in DOCUMENTS if path.stem != "migration"], ids=lambda path: path.stem
+    "document", [path for path in DOCUMENTS if path.stem != "migration"], ids=name_of
 )  # that page names what there was
 def test_every_name_that_a_document_gives_a_command_is_one(document: Path) -> None:
     assert names_that_are_none(document.read_text(encoding="utf-8")) == []

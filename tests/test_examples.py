@@ -107,7 +107,7 @@ def test_readmes_method_conforms_and_runs_by_readmes_command(tmp_path: Path, mon
 def test_another_programs_pictures_come_into_the_tables_as_the_page_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page, _, _ = (DOCS / "other_programs.md").read_text(encoding="utf-8").partition("\n## ")
+    page, _, _ = (DOCS / "how_to" / "other_programs.md").read_text(encoding="utf-8").partition("\n## ")
     export, program, score, ours, report = re.findall(r"^ {4}(\S.*)$", page, re.MULTILINE)
     assert ours == "envgs-bench run method=2dgs_tuned dataset=toy/chrome_room"
     assert report == "envgs-bench report runs --out report"

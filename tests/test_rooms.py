@@ -1,4 +1,4 @@
-"""Rooms import in one direction, as docs/architecture.md draws it."""
+"""Rooms import in one direction, as docs/reference/architecture.md draws it."""
 
 from __future__ import annotations
 

@@ -20,8 +20,8 @@ Train, render, score and time methods on data sets; one folder and one record.js
 Keys of every run:
   method, dataset     see `envgs-bench list`; their settings are method.settings.<key>=, dataset.<key>=
                       (`envgs-bench list method NAME` lists a method's)
-  perturb.kind, perturb.severity      what is wrong on purpose: docs/stability.md
-  budget.primitives, budget.mb        the most that the model may have at any step: docs/budgets.md
+  perturb.kind, perturb.severity      what is wrong on purpose: docs/reference/perturbations.md
+  budget.primitives, budget.mb        the most that the model may have at any step: docs/reference/budgets.md
   protocol, seed, steps, device=auto|cpu|cuda|cuda:1
   runs_dir=runs, cache_dir, timing.frames, timing.seconds
   timeout_minutes, memory_gb, device_memory_fraction   limits of a run: it ends with status timeout or out_of_memory

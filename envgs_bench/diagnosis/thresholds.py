@@ -1,8 +1,9 @@
 """Thresholds of all warnings and repairs: what each is compared with, and in which unit.
 
 They are frozen. Those of exposures, poses and mirrored normals were counted on 65 scenes that had no part in them
-(docs/stability.md): none of these warned of anything, and no repair changed any. Of what was spoiled on purpose, found
-were exposures by 0.5 stops 65 of 65, poses by 2° 64 of 65, mirrored normals 62 of 65, to the last view.
+(docs/notebook/2026-11-27-false-alarms.md): none of these warned of anything, and no repair changed any. Of what was
+spoiled on purpose, found were exposures by 0.5 stops 65 of 65, poses by 2° 64 of 65, mirrored normals 62 of 65, to the
+last view.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from torch import Tensor
 from ..gaussians.ordering import codes_on, grid_of, grid_points
 from .planes import planes_of, planes_of_steps, values_of, whole_numbers
 
-# The sizes of the steps, chosen by what they cost and lose one by one (docs/storage.md).
+# The sizes of the steps, chosen by what they cost and lose one by one (docs/reference/layouts.md).
 POSITION_STEP = 0.1  # of the median over the primitives of their smallest scale
 STEPS = {"log_scales": 1 / 20, "quaternions": 1 / 256, "_dc": 1 / 16, "_rest": 1 / 16}  # by the ends of fields' names
 LARGEST = 88.0  # logarithm of a scale: float32 knows none that is larger

@@ -12,7 +12,9 @@ from envgs_bench.cli.composition import CONF
 from envgs_bench.reports.numbers.comparison import FEWEST_SEEDS
 from envgs_bench.stages.budget import check_budget
 
-MAP = (CONF.parent / "docs" / "budgets.md").read_text(encoding="utf-8").split("experiment=budget_curve")[2]
+MAP = (
+    (CONF.parent / "docs" / "reference" / "budgets.md").read_text(encoding="utf-8").split("experiment=budget_curve")[2]
+)
 
 
 def of_the_map(key: str) -> list[int]:

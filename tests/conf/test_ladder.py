@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import re
-
 from sweeps import one_run, swept
 
-from envgs_bench.cli.composition import CONF
 from envgs_bench.methods.configurations import CONFIGURED
 from envgs_bench.reports.numbers.comparison import FEWEST_SEEDS
 
@@ -23,10 +20,3 @@ def test_the_sweep_has_every_variant_on_enough_seeds() -> None:
 def test_it_is_short_unless_told_otherwise() -> None:
     assert one_run("ladder").steps == 800
     assert one_run("ladder", size="full").steps == 3000
-
-
-def test_the_results_suite_is_the_scenes_of_the_results() -> None:
-    text = (CONF.parent / "docs" / "results.md").read_text(encoding="utf-8")
-    table = text.split("## What holds")[1].split("What does not hold")[0]
-    scenes = set(re.findall(r"^\| (?:held out: )?`(\w+)`", table, re.MULTILINE))
-    assert {dataset.rpartition("/")[2] for dataset in swept("scores")["dataset"]} == scenes

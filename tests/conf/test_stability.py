@@ -13,7 +13,7 @@ from envgs_bench.settings import PerturbationChoice
 from envgs_bench.stages.perturbations import perturbation_of, perturbed_settings
 from envgs_bench.stages.setting_perturbations import PERTURBATIONS as OF_SETTINGS
 
-PAGE = (CONF.parent / "docs" / "stability.md").read_text(encoding="utf-8")
+PAGE = (CONF.parent / "docs" / "reference" / "perturbations.md").read_text(encoding="utf-8")
 
 
 def test_every_case_can_be_run_and_has_its_partner() -> None:
@@ -60,7 +60,7 @@ def test_no_kind_is_forgotten() -> None:
 
 
 def test_the_study_fits_into_three_hours_on_two_cores() -> None:
-    """By processor time as docs/stability.md says it was measured: seconds of one run, start to record."""
+    """By the processor time that docs/reference/perturbations.md states: seconds of one run, start to record."""
     seconds = {"2dgs_tuned": 8, "3dgs_tuned": 8, "envmap": 10, "envgs": 33, "envgs_single_set": 20}
     choices = swept("stability")
     cases = 1 + (len(choices["perturb.kind"]) - 1) * len(choices["perturb.severity"])

@@ -1,4 +1,4 @@
-"""The suites of docs/tuning.md: what is in them, and that none is tuned on what it is judged by."""
+"""The suites of docs/explanation/settings.md: what is in them, and that none is tuned on what it is judged by."""
 
 from __future__ import annotations
 

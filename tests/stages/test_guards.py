@@ -1,6 +1,7 @@
 """Each guard of a training on and off, on a case that it is for: what the run becomes with it, and what without.
 
-As a script it prints the table of docs/stability.md: PYTHONPATH=tests/support python tests/stages/test_guards.py
+As a script it prints the table of docs/notebook/2026-11-22-guards.md:
+PYTHONPATH=tests/support python tests/stages/test_guards.py
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The CUDA backend: CUDA C++ compiled at first use, on torch's current stream. See docs/performance_gpu.md."""
+"""The CUDA backend: CUDA C++ compiled at first use, on torch's current stream. See docs/explanation/core.md."""
 
 from __future__ import annotations
 

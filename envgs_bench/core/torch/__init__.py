@@ -1,7 +1,7 @@
 """The oracle: rasterize and trace in plain PyTorch, differentiated by autograd, in any floating-point dtype.
 
 It is written to be read. Every pixel or ray is tested against every primitive; the few pairs that are blended are then
-computed once more with gradients. What the faster backends draw is what this one says, see docs/core.md.
+computed once more with gradients. What the faster backends draw is what this one says, see docs/reference/core.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The CUDA backend without a GPU: kernels compiled as C++, run thread by thread, launched by the backend's own Python.
 
 Threads synchronize at barriers and at the operations of a warp as CUDA says. In between, their order is free: a kernel
-that depends on it gives different results in different `ORDERS`. docs/performance_gpu.md says what cannot be seen here.
+that depends on it gives different results in different `ORDERS`. What cannot be seen here:
+docs/notebook/2026-11-21-gpu-correctness.md.
 """
 
 from __future__ import annotations
