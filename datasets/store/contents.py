@@ -23,14 +23,14 @@ def digest_of(files: Iterable[Path], root: Path, cache_dir: Path) -> str:
     """
     paths = sorted(set(files))
     memory = cache_dir / "digests" / f"{hashlib.sha256(str(root.resolve()).encode()).hexdigest()[:16]}.json"
-    known = _remembered(memory)
+    known = remembered(memory)
     stamps = {path: _stamp(path) for path in paths}
     names = {path: os.path.relpath(path, root) for path in paths}
     changed = [path for path in paths if known.get(names[path], [None])[0] != stamps[path]]
     for path, digest in zip(changed, mapped("checking files", _hash, changed), strict=True):
         known[names[path]] = [stamps[path], digest]
     if changed:
-        _remember(memory, known)
+        remember(memory, known)
     text = json.dumps([[names[path], known[names[path]][1]] for path in paths])
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -50,8 +50,8 @@ def _hash(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _remembered(memory: Path) -> dict[str, list[Any]]:
-    """Path -> stamp and digest; without what else a damaged file may hold."""
+def remembered(memory: Path) -> dict[str, list[Any]]:
+    """A file's name -> what it was known by, and its hash; without what else a damaged memory may hold."""
     try:
         content = json.loads(memory.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
@@ -60,8 +60,8 @@ def _remembered(memory: Path) -> dict[str, list[Any]]:
     return {name: pair for name, pair in pairs if isinstance(pair, list) and len(pair) == 2}
 
 
-def _remember(memory: Path, known: dict[str, list[Any]]) -> None:
-    """Where nothing can be written, files are read again the next time; storing the scene itself says so."""
+def remember(memory: Path, known: dict[str, list[Any]]) -> None:
+    """Keep `known` for `remembered`. Where nothing can be written, it is found out again the next time."""
     part = memory.with_name(f"{memory.stem}-{uuid.uuid4().hex}.part")
     try:
         memory.parent.mkdir(parents=True, exist_ok=True)

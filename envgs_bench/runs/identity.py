@@ -18,7 +18,7 @@ from envgs_bench.records import RENDERS
 from envgs_bench.settings import PATH_KEYS, RunSettings
 from envgs_bench.stages.renders import rendered_files
 
-from .source_fingerprint import SOURCES, source_fingerprint
+from .source_fingerprint import SOURCES, source_fingerprint, source_fingerprints
 
 # The rooms whose code can change a result: all that `stages.execution.execute` does lies in them.
 RESULT_CODE = ("core", "datasets", "diagnosis", "methods", "metrics", "stages")
@@ -46,7 +46,7 @@ def run_id(settings: RunSettings, device: str) -> str:
         "timing": settings.timing.model_dump(),
         "device": device,
         "vgg16": _has_vgg16(),
-        "code": code_version(),
+        "code": code_version(settings.cache_dir),
         "extensions": [_extension_hash(path) for path in _extensions(settings)],
     }
     digest = hashlib.sha256(json.dumps(determining, sort_keys=True, default=str).encode()).hexdigest()
@@ -54,18 +54,22 @@ def run_id(settings: RunSettings, device: str) -> str:
 
 
 @cache
-def code_version() -> str:
+def code_version(cache_dir: Path) -> str:
     """A hash of what the sources in RESULT_CODE mean: neither comments count nor in which file of a room code lies.
 
     Python finds a module by its name, and so do its imports, which count: code that is moved and imported from its new
     place is another code all the same. C++ files are included by their names, which count too.
+
+    Args:
+        cache_dir: where it is kept what each file means.
     """
+    rooms = {path: room for room in RESULT_CODE for path in _location(room).rglob("*") if path.suffix in SOURCES}
+    here = hashlib.sha256(str(Path(__file__)).encode()).hexdigest()[:16]
+    fingerprints = source_fingerprints(list(rooms), cache_dir / "digests" / f"code-{here}.json")
     parts = []
-    for room in RESULT_CODE:
-        for path in _location(room).rglob("*"):
-            if path.suffix in SOURCES:
-                name = "" if path.suffix == ".py" else path.name
-                parts.append(f"{room}/{name}\0".encode() + source_fingerprint(path))
+    for (path, room), fingerprint in zip(rooms.items(), fingerprints, strict=True):
+        name = "" if path.suffix == ".py" else path.name
+        parts.append(f"{room}/{name}\0".encode() + fingerprint)
     return hashlib.sha256(b"".join(sorted(parts))).hexdigest()
 
 

@@ -5,8 +5,12 @@ from __future__ import annotations
 import ast
 import hashlib
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
+from envgs_bench.datasets.store.contents import remember, remembered
+
+FINGERPRINT = re.compile("[0-9a-f]{64}")
 SOURCES = {".py", ".h", ".cpp", ".cu", ".cuh"}
 # A string or a character, which is kept; or comments and white space.
 C_TOKENS = re.compile(
@@ -14,6 +18,21 @@ C_TOKENS = re.compile(
     re.DOTALL,
 )
 C_RAW_STRING = re.compile(r'\bR"')
+
+
+def source_fingerprints(paths: Sequence[Path], memory: Path) -> list[bytes]:
+    """`source_fingerprint` of each file, from `memory` where its content is known there: parsing all takes a second."""
+    known, found = remembered(memory), {}
+    own = Path(__file__).read_bytes()  # another way to take fingerprints makes others
+    for path in paths:
+        content = hashlib.sha256(own + path.read_bytes()).hexdigest()
+        before, fingerprint = known.get(str(path), [None, None])
+        if before != content or not FINGERPRINT.fullmatch(str(fingerprint)):
+            fingerprint = source_fingerprint(path).hex()
+        found[str(path)] = [content, fingerprint]
+    if found != known:
+        remember(memory, found)
+    return [bytes.fromhex(fingerprint) for _, fingerprint in found.values()]
 
 
 def source_fingerprint(path: Path) -> bytes:

@@ -18,9 +18,10 @@ from PIL import Image
 from envgs_bench.methods import registry
 from envgs_bench.records import Failure
 from envgs_bench.runs import identity, provenance
+from envgs_bench.runs import source_fingerprint as fingerprint_module
 from envgs_bench.runs.draft import Draft
 from envgs_bench.runs.identity import code_version, run_id
-from envgs_bench.runs.source_fingerprint import source_fingerprint
+from envgs_bench.runs.source_fingerprint import source_fingerprint, source_fingerprints
 from envgs_bench.settings import RunSettings, SettingsError, default_cache_dir, parse_settings
 
 
@@ -85,7 +86,7 @@ def test_equal_repairs_are_one_run_however_they_are_written() -> None:
 def test_the_device_and_the_code_change_the_identity(monkeypatch: pytest.MonkeyPatch) -> None:
     before = run_id(settings(), "cpu")
     assert run_id(settings(), "cuda") != before
-    monkeypatch.setattr(identity, "code_version", lambda: "another")
+    monkeypatch.setattr(identity, "code_version", lambda cache_dir: "another")
     assert run_id(settings(), "cpu") != before
 
 
@@ -129,8 +130,8 @@ def test_data_count_by_what_lies_there_and_not_by_where(tmp_path: Path) -> None:
     assert identity_of(tmp_path / "there") != before
 
 
-def test_the_code_version_covers_methods_and_kernels() -> None:
-    assert len(code_version()) == 64
+def test_the_code_version_covers_methods_and_kernels(tmp_path: Path) -> None:
+    assert len(code_version(tmp_path)) == 64
     folders = {part: identity._location(part) for part in identity.RESULT_CODE}
     assert all(path.exists() for path in folders.values())
     assert (folders["methods"] / "registry.py").is_file()
@@ -179,6 +180,22 @@ def test_code_counts_by_what_it_means(tmp_path: Path, suffix: str) -> None:
     expected = fingerprint(text)
     assert [fingerprint(other) == expected for other in same] == [True] * len(same)
     assert [fingerprint(other) == expected for other in others] == [False] * len(others)
+
+
+def test_code_is_parsed_again_only_where_it_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    memory, paths = tmp_path / "memory" / "code.json", [tmp_path / "a.py", tmp_path / "b.py", tmp_path / "c.h"]
+    for number, path in enumerate(paths):
+        path.write_text(f"x = {number};\n")
+    expected = [source_fingerprint(path) for path in paths]
+    assert source_fingerprints(paths, memory) == expected
+    parsed: list[Path] = []
+    monkeypatch.setattr(fingerprint_module, "source_fingerprint", lambda path: parsed.append(path) or b"\1" * 32)
+    assert source_fingerprints(paths, memory) == expected
+    paths[1].write_text("x = 2;\n")
+    assert source_fingerprints(paths, memory) == [expected[0], b"\1" * 32, expected[2]]
+    assert parsed == [paths[1]]
+    memory.write_text(json.dumps({str(paths[0]): 3, str(paths[2]): ["", None]}))
+    assert source_fingerprints(paths, memory) == [b"\1" * 32] * 3
 
 
 def test_every_file_of_this_code_is_parsed() -> None:
