@@ -37,6 +37,7 @@ ROOMS_OF_REPORTS = {
     "charts": {"numbers", "tables", "charts"},
     "pictures": {"numbers", "tables", "pictures"},
     "page": {"numbers", "tables", "charts", "pictures", "page"},
+    "kept": {"numbers", "tables", "kept"},
 }
 STUDIES = sorted(path.parent.name for path in Path(reports.__file__ or "").parent.glob("studies/*/study.py"))
 

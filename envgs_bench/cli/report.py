@@ -29,8 +29,44 @@ def main(arguments: Sequence[str]) -> int:
         dest="for_print",
         help="also what a paper takes: LaTeX tables, a PDF beside every chart, and charts of every pair of columns",
     )
+    parser.add_argument(
+        "--keep",
+        type=Path,
+        metavar="FILE.csv",
+        help="write no report: add a row for each run to this file, in place of an earlier row of the same run",
+    )
+    parser.add_argument(
+        "--fill",
+        type=Path,
+        metavar="PAGE.md",
+        help="write no report: make the tables of this page anew from the kept runs, CSV files in the folder RUNS",
+    )
     options = parser.parse_args(arguments)
+    if options.fill:
+        return explained("report", lambda: _fill(options.fill, options.runs))
+    if options.keep:
+        return explained("report", lambda: _keep(options))
     return explained("report", lambda: _report(options))
+
+
+def _fill(page: Path, folder: Path) -> int:
+    from envgs_bench.records import write_atomically
+    from envgs_bench.reports.kept.page import fill_page
+
+    write_atomically(page, fill_page(page, folder))
+    print(page)
+    return 0
+
+
+def _keep(options: argparse.Namespace) -> int:
+    from envgs_bench.reports.kept.runs_file import keep_runs
+    from envgs_bench.reports.numbers.runs import read_runs
+
+    found, broken = read_runs(options.runs, options.only, options.exclude)
+    print(f"{len(found)} runs, {keep_runs(found, options.keep)} in {options.keep}")
+    for record in broken:
+        print(f"envgs-bench report: {record.path}: {record.reason}", file=sys.stderr)
+    return int(bool(broken) or not found)
 
 
 def _report(options: argparse.Namespace) -> int:

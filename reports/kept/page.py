@@ -1,0 +1,78 @@
+"""A Markdown page whose tables and sentences are filled from files of kept runs.
+
+A table stands between two comments, of which the first says what it shows:
+
+    <!-- table: gains of=envgs records=photographs.csv steps=7000 metric=psnr -->
+    <!-- end of table -->
+
+and a number in a sentence likewise, `<!-- number: of=envgs less=2dgs_tuned records=… -->+0.3<!-- end -->`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from .runs_file import read_kept
+from .tables import FULL, KeptRuns, TableError, column_of, costs, difference, gains, scores
+
+TABLE = re.compile(r"(<!-- table: (\w+) (.*?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
+NUMBER = re.compile(r"(<!-- number: (.*?) -->).*?(<!-- end -->)", re.DOTALL)
+CHOICES = ("scene", "method", "steps", "split", "protocol", "device")
+KINDS: dict[str, Callable[..., str]] = {"scores": scores, "gains": gains, "costs": costs}
+
+
+def fill_page(page: Path, folder: Path) -> str:
+    """The page's text with every table and number made anew from the files in the folder.
+
+    Raises:
+        TableError: a comment asks for what is not there; the message names the page and the comment.
+        RunsFileError: a file that a comment names cannot be used.
+    """
+    text = page.read_text(encoding="utf-8")
+
+    def explained(asked: str, make: Callable[[], str]) -> str:
+        try:
+            return make()
+        except TableError as error:
+            raise TableError(f"{page}: {asked}: {error}") from None
+
+    def table(found: re.Match[str]) -> str:
+        head, kind, asked, end = found.groups()
+        return f"{head}\n{explained(f'{kind} {asked}', lambda: _table(kind, asked, folder))}\n{end}"
+
+    def number(found: re.Match[str]) -> str:
+        head, asked, end = found.groups()
+        return f"{head}{explained(asked, lambda: _number(asked, folder))}{end}"
+
+    return NUMBER.sub(number, TABLE.sub(table, text))
+
+
+def _table(kind: str, asked: str, folder: Path) -> str:
+    if kind not in KINDS:
+        raise TableError(f"there is no table {kind!r}, but {', '.join(KINDS)}")
+    runs, rest = _chosen(asked, folder)
+    try:
+        return KINDS[kind](runs, **rest)
+    except TypeError as error:
+        raise TableError(f"{kind} cannot be asked so: {error}") from None
+
+
+def _number(asked: str, folder: Path) -> str:
+    runs, rest = _chosen(asked, folder)
+    column = column_of(rest.get("metric", "psnr"), rest.get("region", FULL))
+    if missing := [key for key in ("of", "less") if key not in rest]:
+        raise TableError(f"say {missing[0]}=<method>")
+    found = runs.compared(column, rest["of"], rest["less"], runs.having(column))
+    return difference(column, found).replace("*", "")
+
+
+def _chosen(asked: str, folder: Path) -> tuple[KeptRuns, dict[str, str]]:
+    """The rows that a comment asks for, and what else it says."""
+    pairs = dict(word.partition("=")[::2] for word in asked.split())
+    if "records" not in pairs:
+        raise TableError("say records=<file>, a CSV of kept runs")
+    name = pairs.pop("records")
+    wanted = {key: pairs.pop(key) for key in CHOICES if key in pairs}
+    return KeptRuns.chosen(name, read_kept(folder / name), wanted), pairs

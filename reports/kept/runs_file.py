@@ -1,0 +1,126 @@
+"""The CSV of kept runs: one row a run, with its scores, its costs, and what is needed to run it again."""
+
+from __future__ import annotations
+
+import csv
+import io
+import shlex
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import pandas as pd
+
+from envgs_bench.plain_text import no_formula
+from envgs_bench.records import Record, write_atomically
+
+from ..numbers.cards import card_of
+from ..numbers.labels import SET_UP
+from ..numbers.runs import Run
+from ..numbers.tidy import COSTS, TIMES
+
+IDENTITY = ("scene", "method", "steps", "split", "protocol", "seed")  # a run of the same replaces a row
+FACTS = (*IDENTITY, "order", "status", "width", "height", "device", "commit", "command")
+NUMBERS = ("psnr", "ssim", "lpips", "flip")  # the full image's come first, regions' and costs follow
+DIGITS = 6  # of a number: more than any table prints
+NOT_KEPT = ("checkpoint_bytes", "peak_host_bytes", "peak_device_bytes", "skipped_steps", "prepare_ms")
+
+PLACES_OF_DATA = ("data_root", "dataset.root", "path")
+PLACES_OF_OUTPUT = ("runs_dir=", "cache_dir=")
+
+
+class RunsFileError(ValueError):
+    """A CSV of kept runs that cannot be used; the message names the file and what is wrong with it."""
+
+
+def row_of(run: Run) -> dict[str, str]:
+    """A run as a row: facts, then every score as `<metric>` or `<metric>_<region>`, then its costs."""
+    record = run.record
+    timing, provenance = record.timing, record.provenance
+    commit = f"{(provenance.commit or 'unknown')[:10]}{'-dirty' if provenance.dirty else ''}"
+    facts = (
+        record.dataset, method_of(record), record.steps, record.scored_on, record.protocol.name, record.seed,
+        card_of(record).order, record.status, timing.width if timing else "", timing.height if timing else "",
+        run.device, commit, command_of(record),
+    )  # fmt: skip
+    row = {name: no_formula(str(value)) for name, value in zip(FACTS, facts, strict=True)}
+    return row | {name: f"{value:.{DIGITS}g}" for name, value in numbers_of(record).items()}
+
+
+def method_of(record: Record) -> str:
+    """Its name, and what its overrides change."""
+    changed = [each.lstrip("+~") for each in record.overrides]
+    changed = [each for each in changed if each.startswith(SET_UP) and not each.startswith("method.name=")]
+    return f"{record.method} [{', '.join(each.rsplit('.', 1)[-1] for each in changed)}]" if changed else record.method
+
+
+def command_of(record: Record) -> str:
+    """The command that does the run again at its commit; places on the machine that it ran on read FOLDER."""
+    overrides = [each for each in record.overrides if not each.startswith(PLACES_OF_OUTPUT)]
+    keys = [each.partition("=")[0] for each in overrides]
+    overrides = [f"{key}=FOLDER" if key in PLACES_OF_DATA else each for key, each in zip(keys, overrides, strict=True)]
+    return shlex.join(["envgs-bench", "run", *overrides])
+
+
+def numbers_of(record: Record) -> dict[str, float]:
+    """Every score and cost that the record has."""
+    found: dict[str, float | None] = dict(record.metrics.mean) if record.metrics else {}
+    for region, masked in record.masked.items():
+        found |= {f"{metric}_{region}": value for metric, value in masked.scores.items()}
+    if record.cost is not None:
+        found |= {"primitives": sum(record.cost.primitives.values())}
+        found |= {f"primitives_{name}": count for name, count in record.cost.primitives.items()}
+    for part, names in ((record.cost, COSTS), (record.timing, TIMES)):
+        found |= {name: getattr(part, name, None) for name in names if name not in NOT_KEPT}
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def keep_runs(runs: Iterable[Run], path: Path) -> int:
+    """Add a row for each run to the file, in place of an earlier row of the same `IDENTITY`; how many rows it has.
+
+    Raises:
+        RunsFileError: the file that is there is no CSV of kept runs.
+    """
+    kept = {} if not path.exists() else {_identity(row): row for row in _rows(path)}
+    kept |= {_identity(row): row for row in map(row_of, runs)}
+    rows = sorted(kept.values(), key=lambda row: (row["scene"], int(row["steps"]), int(row["order"]), _identity(row)))
+    names = dict.fromkeys(name for row in rows for name in row)
+    columns = [*FACTS, *NUMBERS, *sorted(set(names) - {*FACTS, *NUMBERS})]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_atomically(path, text.getvalue())
+    return len(rows)
+
+
+def read_kept(path: Path) -> pd.DataFrame:
+    """The rows of a file of kept runs; numbers that a run has not are NaN.
+
+    Raises:
+        RunsFileError: there is no such file, or it is no CSV of kept runs.
+    """
+    rows = _rows(path)
+    frame = pd.DataFrame(rows)
+    numbers = [name for name in frame.columns if name not in FACTS or name in ("steps", "seed", "order")]
+    frame[numbers] = frame[numbers].apply(pd.to_numeric)
+    return frame
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    try:
+        with path.open(encoding="utf-8", newline="") as stream:
+            rows = list(csv.DictReader(stream))
+    except (OSError, UnicodeDecodeError) as error:
+        raise RunsFileError(f"{path}: cannot be read: {error}") from error
+    absent = [name for name in FACTS if not rows or name not in rows[0]]
+    if absent:
+        raise RunsFileError(
+            f"{path}: expected a CSV of kept runs with the columns {', '.join(FACTS)}; it has no {absent[0]}. "
+            f"Make one with `envgs-bench report RUNS --keep {path}`"
+        )
+    return rows
+
+
+def _identity(row: Mapping[str, str]) -> tuple[str, ...]:
+    return tuple(row[name] for name in IDENTITY)

@@ -1,0 +1,162 @@
+"""Kept runs: a CSV of one row a run, and the pages whose tables are made from it."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from reports_runs import write_failure, write_runs
+from scipy import stats
+
+from envgs_bench.cli.main import main
+from envgs_bench.records import find_runs, read_record
+from envgs_bench.reports.kept.page import fill_page
+from envgs_bench.reports.kept.runs_file import FACTS, RunsFileError, read_kept
+from envgs_bench.reports.kept.tables import TableError
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "envgs_bench" / "docs"
+RECORDS = DOCS / "records"
+FILLED = [
+    path
+    for path in (ROOT / "README.md", *DOCS.rglob("*.md"))
+    if re.search(r"<!-- (table|number): ", path.read_text(encoding="utf-8"))
+]
+SCENES = ("toy/chrome_room", "toy/sky_ball")
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> Path:
+    """A folder with runs.csv, of two scenes, four methods and three seeds, one of which failed."""
+    write_runs(tmp_path / "runs", SCENES, pictures=False)
+    write_failure(tmp_path / "runs", "toy/sky_ball", "envgs", 3, "diverged", "loss is nan")
+    assert main(["report", str(tmp_path / "runs"), "--keep", str(tmp_path / "kept" / "runs.csv")]) == 0
+    return tmp_path / "kept"
+
+
+def rows(kept: Path) -> list[dict[str, str]]:
+    with (kept / "runs.csv").open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def filled(kept: Path, comment: str) -> str:
+    page = kept / "page.md"
+    page.write_text(f"# Page\n\n<!-- {comment} -->\nold\n<!-- end of table -->\n", encoding="utf-8")
+    return fill_page(page, kept)
+
+
+def test_a_row_has_the_records_numbers_and_the_command(kept: Path) -> None:
+    records = [read_record(folder) for folder in find_runs(kept.parent / "runs")]
+    found = rows(kept)
+    assert len(found) == len(records) == 25
+    by_run = {(row["scene"], row["method"], row["seed"]): row for row in found}
+    for record in records:
+        row = by_run[record.dataset, record.method, str(record.seed)]
+        assert row["command"] == f"envgs-bench run method={record.method} dataset={record.dataset} seed={record.seed}"
+        if record.metrics is None or record.cost is None:
+            assert (row["status"], row["psnr"]) == ("diverged", "")
+            continue
+        assert float(row["psnr"]) == pytest.approx(record.metrics.mean["psnr"], rel=1e-5)
+        assert float(row["psnr_near_field"]) == pytest.approx(record.masked["near_field"].scores["psnr"], rel=1e-5)
+        assert float(row["primitives"]) == sum(record.cost.primitives.values())
+
+
+def test_kept_again_the_file_is_the_same_and_a_new_run_takes_the_old_ones_place(kept: Path, tmp_path: Path) -> None:
+    before = (kept / "runs.csv").read_text(encoding="utf-8")
+    assert main(["report", str(tmp_path / "runs"), "--keep", str(kept / "runs.csv")]) == 0
+    assert (kept / "runs.csv").read_text(encoding="utf-8") == before
+    write_runs(tmp_path / "newer", SCENES[:1], ("envgs",), (0,), pictures=False, steps=1500, overrides=["seed=0"])
+    assert main(["report", str(tmp_path / "newer"), "--keep", str(kept / "runs.csv")]) == 0
+    assert len(rows(kept)) == 25
+    assert "envgs-bench run seed=0" in {row["command"] for row in rows(kept)}
+
+
+def test_where_something_lay_is_no_part_of_a_command(tmp_path: Path) -> None:
+    given = ["data_root=/home/me/data", "runs_dir=/scratch/runs", "method=envgs"]
+    write_runs(tmp_path / "runs", SCENES[:1], ("envgs",), (0,), pictures=False, overrides=given)
+    main(["report", str(tmp_path / "runs"), "--keep", str(tmp_path / "runs.csv")])
+    assert rows(tmp_path)[0]["command"] == "envgs-bench run data_root=FOLDER method=envgs"
+
+
+def test_scores_are_means_over_seeds_and_the_mean_is_of_the_scenes(kept: Path) -> None:
+    frame = read_kept(kept / "runs.csv")
+    table = filled(kept, "table: scores records=runs.csv metric=psnr")
+    assert "| method | `chrome_room` | `sky_ball` | mean |" in table
+    (line,) = [line for line in table.splitlines() if line.startswith("| `2dgs` |")]
+    values = [frame[(frame.method == "2dgs") & (frame.scene == scene)].psnr for scene in SCENES]
+    expected = [f"{each.mean():.2f} ± {each.std(ddof=1):.2f}" for each in values]
+    assert [cell.strip(" *") for cell in line.split("|")[2:-1]] == [
+        *expected,
+        f"{np.mean([each.mean() for each in values]):.2f}",
+    ]
+    assert "(3/4)" in table  # of EnvGS's four on sky_ball one failed
+    assert "1,500 steps, test views, protocol `envgs`, seeds 0, 1, 2, 3" in table
+
+
+def test_gains_are_paired_and_have_students_interval(kept: Path) -> None:
+    frame = read_kept(kept / "runs.csv")
+    table = filled(kept, "table: gains of=envgs records=runs.csv scene=toy/chrome_room")
+    pairs = [
+        frame[(frame.method == name) & (frame.scene == SCENES[0])].sort_values("seed").psnr.to_numpy()
+        for name in ("envgs", "2dgs")
+    ]
+    low, high = stats.ttest_rel(*pairs).confidence_interval()
+    assert f"**+{(pairs[0] - pairs[1]).mean():.2f}** [+{low:.2f}, +{high:.2f}]" in table
+
+
+def test_costs_are_of_one_device(kept: Path) -> None:
+    assert "| primitives | environment primitives | train s | frame ms |" in filled(
+        kept, "table: costs records=runs.csv"
+    )
+    text = (kept / "runs.csv").read_text(encoding="utf-8")
+    device = rows(kept)[0]["device"]
+    (kept / "runs.csv").write_text(text.replace(device, "another device", 1), encoding="utf-8")
+    with pytest.raises(TableError, match="several device"):
+        filled(kept, "table: costs records=runs.csv")
+
+
+@pytest.mark.parametrize(
+    ("comment", "message"),
+    [
+        ("table: scores metric=psnr", "say records=<file>"),
+        ("table: scores records=runs.csv metric=psrn", "no metric 'psrn', but psnr"),
+        ("table: scores records=runs.csv steps=7", "no run with steps=7"),
+        ("table: sums records=runs.csv", "no table 'sums', but scores, gains, costs"),
+        ("table: gains records=runs.csv of=envgz", "no method 'envgz' here, but"),
+        ("table: scores records=runs.csv colour=red", "cannot be asked so"),
+    ],
+)
+def test_what_cannot_be_filled_is_said(kept: Path, comment: str, message: str) -> None:
+    with pytest.raises(TableError, match=message):
+        filled(kept, comment)
+
+
+def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n", encoding="utf-8")
+    with pytest.raises(RunsFileError, match="it has no scene"):
+        read_kept(tmp_path / "other.csv")
+
+
+def test_a_number_in_a_sentence_is_filled(kept: Path) -> None:
+    page = kept / "page.md"
+    page.write_text("By <!-- number: of=envgs less=2dgs records=runs.csv -->?<!-- end --> dB.", encoding="utf-8")
+    assert re.search(r"--> ?\+\d\.\d\d \[\+\d\.\d\d, \+\d\.\d\d\]<!-- end --> dB\.", fill_page(page, kept))
+
+
+@pytest.mark.parametrize("page", FILLED, ids=lambda path: path.stem)
+def test_the_pages_are_in_step_with_their_records(page: Path) -> None:
+    """Where this fails: envgs-bench report envgs_bench/docs/records --fill <page>"""
+    assert fill_page(page, RECORDS) == page.read_text(encoding="utf-8")
+
+
+def test_records_are_small_and_of_committed_code() -> None:
+    files = list(RECORDS.glob("*.csv"))
+    assert sum(path.stat().st_size for path in files) < 1_000_000
+    for path in files:
+        with path.open(encoding="utf-8", newline="") as stream:
+            found = list(csv.DictReader(stream))
+        if set(FACTS) <= set(found[0]):
+            assert {row["commit"] for row in found if not re.fullmatch(r"[0-9a-f]{7,10}", row["commit"])} == set(), path
