@@ -46,24 +46,24 @@ def target_path(run: Path, view: str) -> Path:
 
 def exact_normal_path(run: Path, view: str) -> Path:
     """What the layer "normal" is compared with, where the data set knows it."""
-    return run / "targets" / f"{view}.normal.png"
+    return run / "targets/normal" / f"{view}.png"
 
 
 def mask_path(run: Path, view: str, region: str) -> Path:
     """The region's pixels in the view: white."""
-    return run / "masks" / f"{view}-{region}.png"
+    return run / "masks" / region / f"{view}.png"
 
 
 def layer_path(run: Path, view: str, layer: str) -> Path:
     """What explains a render: one of the method's own layers, or normal, depth or error."""
-    return run / "layers" / f"{view}-{layer}.png"
+    return run / "layers" / layer / f"{view}.png"
 
 
 def layers_of(run: Path, view: str) -> dict[str, Path]:
     """The layers that the run left of the view, by name."""
-    prefix = layer_path(run, view, "").stem
-    files = sorted((run / "layers").glob("*.png"))
-    return {p.stem.removeprefix(prefix): p for p in files if p.stem.startswith(prefix)}
+    return {
+        folder.name: path for folder in sorted((run / "layers").glob("*")) if (path := folder / f"{view}.png").exists()
+    }
 
 
 def is_file_name(view: str) -> bool:

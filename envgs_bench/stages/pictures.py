@@ -19,10 +19,10 @@ ERROR_GAIN = 4.0  # an error of a quarter of the range and more is white
 
 
 def save_view(folder: Path, view: View, rendering: Rendering, unit: float) -> None:
-    """Write renders/<view>.png, targets/<view>.png, masks/<view>-<region>.png and layers/<view>-<layer>.png.
+    """Write renders/<view>.png, targets/<view>.png, masks/<region>/<view>.png and layers/<layer>/<view>.png.
 
     Layers are the method's own and "normal", "depth", "error"; colors are sRGB. Of a view that brings exact normals,
-    targets/<view>.normal.png too, black where there is none.
+    targets/normal/<view>.png too, black where there is none.
 
     Args:
         unit: depth that is shown as middle gray, world units: see `depth_picture`.

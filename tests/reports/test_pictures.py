@@ -68,11 +68,12 @@ def test_normals_stand_beside_exact_normals_with_the_angle_between(tmp_path: Pat
     content = json.loads((run / "record.json").read_text())
     content["metrics"]["per_view"][0]["normal_degrees"] = 7.25
     (run / "record.json").write_text(json.dumps(content))
-    Image.new("RGB", (80, 60), (1, 2, 250)).save(run / "targets" / "000.normal.png")
+    (run / "targets/normal").mkdir()
+    Image.new("RGB", (80, 60), (1, 2, 250)).save(run / "targets/normal/000.png")
     gallery = gallery_of(tmp_path / "runs")
     shot = next(shot for shot in gallery.shots if shot.view == "000")
     assert shot.degrees == {"envgs": 7.25}
-    assert shot.normal == run / "targets" / "000.normal.png"
+    assert shot.normal == run / "targets/normal/000.png"
     assert all(other.normal is None for other in gallery.shots if other is not shot)
     copy_pictures(gallery, tmp_path / "out", "pictures/room")
     sheets = draw_sheets(gallery, tmp_path / "out", "pictures/room")

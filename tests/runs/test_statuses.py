@@ -157,13 +157,13 @@ def test_a_successful_run_has_a_complete_record_and_all_files(sweep: Sweep) -> N
     assert record.cost.peak_host_bytes > 1e6
     pictures = {str(path.relative_to(folder)) for path in folder.rglob("*.png")}
     assert pictures == {
-        f"{kind}/{view}{layer}.png"
+        f"{folder}/{view}.png"
         for view in ("view0", "view1")
-        for kind, layer in (
-            *(("renders", ""), ("targets", ""), ("targets", ".normal"), ("layers", "-beta")),
-            *(("layers", "-normal"), ("layers", "-depth"), ("layers", "-error")),
+        for folder in (
+            *("renders", "targets", "targets/normal"),
+            *("layers/beta", "layers/normal", "layers/depth", "layers/error"),
         )
-    } | {"masks/view0-reflective.png"}
+    } | {"masks/reflective/view0.png"}
     with (folder / "curve.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert list(rows[0]) == ["step", "seconds", "loss", "psnr", "skipped_steps", "primitives_base", "primitives_env"]

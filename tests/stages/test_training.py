@@ -149,7 +149,7 @@ def test_evaluation_scores_what_was_drawn(tmp_path: Path) -> None:
     assert (render == (method.color * 255).round().byte().numpy()).all()
     target = np.asarray(Image.open(tmp_path / "targets" / f"{views[0].name}.png"))
     assert (target == views[0].image.numpy()).all()
-    layer = np.asarray(Image.open(tmp_path / "layers" / f"{views[0].name}-beta.png"))
+    layer = np.asarray(Image.open(tmp_path / "layers/beta" / f"{views[0].name}.png"))
     assert layer.shape == target.shape[:2]
     assert (layer == 128).all()
 

@@ -188,8 +188,6 @@ def _curve(dataset: str, method: str, seed: int) -> str:
 
 
 def _write_pictures(run: Path, method: str, size: tuple[int, int]) -> None:
-    for folder in ("renders", "targets", "layers", "masks"):
-        (run / folder).mkdir(exist_ok=True)
     blur = METHODS.get(method, (3.0,))[-1]
     for index in range(VIEWS):
         name, angle = f"{index:03d}", 0.5 * index - 1
@@ -203,12 +201,12 @@ def _write_pictures(run: Path, method: str, size: tuple[int, int]) -> None:
         target = (1 - parts["beta"]) * parts["base"] + parts["beta"] * parts["reflection"]
         _save(run / "targets" / f"{name}.png", target)
         _save(run / "renders" / f"{name}.png", picture)
-        _save(run / "masks" / f"{name}-reflective.png", parts["beta"] > 0)
+        _save(run / "masks/reflective" / f"{name}.png", parts["beta"] > 0)
         if method in ("envmap", "envgs"):
             error = np.abs(picture - target).mean(-1, keepdims=True) * 4
             layers = {"base": base, "reflection": reflection, "beta": beta, "normal": parts["normal"], "error": error}
             for layer, image in layers.items():
-                _save(run / "layers" / f"{name}-{layer}.png", image)
+                _save(run / "layers" / layer / f"{name}.png", image)
 
 
 def ball_in_a_box(size: tuple[int, int], angle: float, parallax: bool = True) -> dict[str, np.ndarray]:
@@ -244,6 +242,7 @@ def _box(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 def _save(path: Path, image: np.ndarray) -> None:
     pixels = np.broadcast_to(image, (*image.shape[:2], 3))
+    path.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray((np.clip(pixels, 0, 1) * 255 + 0.5).astype(np.uint8)).save(path)
 
 
