@@ -18,6 +18,8 @@ SCHEMA_VERSION = 1
 MOST_BYTES = 100_000_000  # of a record; thousands of views with their times take one of them
 LARGEST = 1e18  # no measurement is larger, and sums and squares of such numbers are finite
 RENDERS = "renders"  # the kind of a run that draws nothing itself
+EXTERNAL = "external"  # the kind of a run in which another program trains and draws
+ELSEWHERE = (RENDERS, EXTERNAL)  # the kinds whose pictures another program draws: no class of ours is behind them
 
 Status = Literal["ok", "failed", "diverged", "out_of_memory", "timeout", "interrupted"]
 ScoredOn = Literal["test", "validation"]
@@ -178,14 +180,30 @@ class Timing(_Part):
 class Cost(_Part):
     primitives: dict[str, Count]  # set, one of parts.SETS -> count at the end
     bytes: dict[str, Count]  # set -> size of what rendering needs, as float32 in memory
-    model_bytes: Count  # the sum of `bytes`: in memory, no file's
+    model_bytes: Count | None  # the sum of `bytes`: in memory, no file's; None of a program whose model is unknown
     checkpoint_bytes: Count | None = None  # files: what the run wrote of its model, lossless; None in older records
     compact_bytes: Count | None = None  # a file: the model in the layout compact, lossy; None where it has none
     train_seconds: Finite  # without evaluation
-    peak_host_bytes: Count
+    peak_host_bytes: Count | None  # None of a program in a container
     peak_device_bytes: Count | None  # None on a CPU
-    skipped_steps: Count  # steps whose loss or gradient was not finite
-    peak_primitives: Count  # the most of all sets together, at any step
+    skipped_steps: Count | None  # steps whose loss or gradient was not finite; None of another program
+    peak_primitives: Count | None  # the most of all sets together, at any step; None of another program
+
+
+class ProgramRun(_Part):
+    """Another program's run: what it was, what it says of itself, and what could not be measured of it."""
+
+    page: str  # the program's own
+    commit: str  # that the recipe was written for
+    found: str | None = None  # the commit of the folder that it was run from
+    licence: str
+    tried: str  # what the recipe was really run on; "" where it was written from documentation
+    commands: dict[str, list[str]]  # train and draw -> as they were started
+    own_seconds: Finite | None = None  # of training, as it says itself
+    draw_seconds: Finite | None = None  # of drawing the test views by the clock, start included
+    agreement_db: Finite | None = None  # PSNR between its pictures and the shared core's of its model, mean over views
+    agreement_per_view: dict[str, Finite] = {}
+    not_measured: dict[str, str] = {}  # what of a record is None, or of another meaning -> why
 
 
 class Provenance(BaseModel):
@@ -209,7 +227,8 @@ class Provenance(BaseModel):
 class Record(_Part):
     """One run. Parts that a failed run did not reach are None; what it did compute is kept.
 
-    A run of kind `RENDERS` scores what another program drew: it has no timing, no cost and 0 steps.
+    A run of kind `RENDERS` scores what another program drew: it has no timing, no cost and 0 steps. One of kind
+    `EXTERNAL` has no timing where the program's model is none that the core draws.
     """
 
     schema_version: Literal[1] = 1
@@ -239,6 +258,7 @@ class Record(_Part):
     masked: dict[str, MaskedScores] = {}
     timing: Timing | None = None
     cost: Cost | None = None
+    program: ProgramRun | None = None  # of kind `EXTERNAL` alone
     provenance: Provenance
 
     @field_validator("config", mode="after")
@@ -253,7 +273,8 @@ class Record(_Part):
     @model_validator(mode="after")
     def _complete(self) -> Record:
         if self.status == "ok":
-            parts = ("metrics",) if self.kind == RENDERS else ("metrics", "timing", "cost")
+            needed = {RENDERS: ("metrics",), EXTERNAL: ("metrics", "cost", "program")}
+            parts = needed.get(self.kind, ("metrics", "timing", "cost"))
             absent = [name for name in parts if getattr(self, name) is None]
             if absent:
                 raise ValueError(f"status is ok but {', '.join(absent)} is null")

@@ -23,7 +23,11 @@ REPLACEMENT = "replacement"  # the folder of a run that is done again, while the
 SAMPLES_NAME = "probe.safetensors"  # what the finished model is along fixed rays
 SNAPSHOT_NAME = "snapshot.safetensors"  # what an interrupted training goes on from
 LOGGED = "logs"  # the folder of what a logger was told while it trained
-OWN_NAMES = (RECORD_NAME, CONFIG_NAME, LOG_NAME, CURVE_NAME, SAMPLES_NAME, SNAPSHOT_NAME, CHECKPOINT, LOGGED, *PICTURES)
+PROGRAM = "program"  # the folder that another program reads from and writes into
+OWN_NAMES = (
+    *(RECORD_NAME, CONFIG_NAME, LOG_NAME, CURVE_NAME, SAMPLES_NAME, SNAPSHOT_NAME, CHECKPOINT, LOGGED, PROGRAM),
+    *PICTURES,
+)
 
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"

@@ -14,14 +14,15 @@ from envgs_bench.runs.identity import RESULT_CODE
 
 PACKAGE = Path(envgs_bench.__file__).parent
 CONTRACTS = {path.stem for path in PACKAGE.glob("*.py")} - {"testing"}
-RUNS = {"core", "datasets", "diagnosis", "methods", "metrics", "stages", "runs"}
+RUNS = {"core", "datasets", "diagnosis", "methods", "metrics", "programs", "stages", "runs"}
 MAY_IMPORT = {  # besides contracts and itself
     "core": set(),
     "datasets": {"core"},
     "methods": {"core"},
     "diagnosis": {"core"},
     "metrics": {"core"},
-    "stages": {"core", "datasets", "diagnosis", "methods", "metrics"},
+    "programs": {"core", "methods"},
+    "stages": {"core", "datasets", "diagnosis", "methods", "metrics", "programs"},
     "loggers": {"stages"},
     "runs": {*RUNS, "loggers"},
     "stored": RUNS,

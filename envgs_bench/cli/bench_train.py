@@ -123,7 +123,7 @@ def _contest(options: argparse.Namespace) -> tuple[Contest, list[Entry]]:
     from envgs_bench.diagnosis.repair import repaired
     from envgs_bench.runs.job import resolve_device
     from envgs_bench.stages.evaluation import scored_views
-    from envgs_bench.stages.execution import check_scene
+    from envgs_bench.stages.loading import check_scene
     from envgs_bench.stages.perturbations import load_run_scene
 
     chosen = _settings(options.overrides)
@@ -145,7 +145,7 @@ def _contest(options: argparse.Namespace) -> tuple[Contest, list[Entry]]:
 
 def _settings(overrides: Sequence[str]) -> list[RunSettings]:
     """Those of a run of each method, on validation views unless told otherwise."""
-    from envgs_bench.records import RENDERS
+    from envgs_bench.records import ELSEWHERE
     from envgs_bench.settings import SettingsError
 
     from .composition import composed
@@ -156,8 +156,8 @@ def _settings(overrides: Sequence[str]) -> list[RunSettings]:
         others.append("score_on=validation")
     methods = named[-1].partition("=")[2].split(",") if named else ["envgs"]
     chosen = [composed([f"method={method}", *others]) for method in methods]
-    if any(settings.method.kind == RENDERS for settings in chosen):
-        raise SettingsError("method=renders: another program drew its pictures, there is nothing to train")
+    if foreign := [settings.method.kind for settings in chosen if settings.method.kind in ELSEWHERE]:
+        raise SettingsError(f"method={foreign[0]}: another program drew its pictures, nothing of ours trains")
     return chosen
 
 

@@ -37,7 +37,7 @@ def check_run(settings: RunSettings) -> None:
         check_source(actual.dataset)
         if settings.method.kind in BUILT_IN:  # what is somebody else's says itself, in a record
             create_method(settings.method.kind, actual.method.settings)
-        elif settings.method.kind == RENDERS and not Path(str(settings.method.settings.get("path"))).is_dir():
+        elif settings.method.kind == RENDERS and not Path(str(settings.method.settings.get("path"))).exists():
             raise SettingsError(f"path={settings.method.settings.get('path')}: there is no such folder of renders")
     except DatasetError as error:
         raise SettingsError(str(error)) from error

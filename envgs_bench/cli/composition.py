@@ -27,6 +27,8 @@ from envgs_bench.datasets.registry import BUILT_IN as DATASET_KINDS
 from envgs_bench.datasets.registry import default_settings as default_dataset_settings
 from envgs_bench.methods.registry import method_names, method_paths, settings_type
 from envgs_bench.methods.settings import RunGroup, make_settings
+from envgs_bench.programs.recipe import RecipeError, parse_choice, read_recipe
+from envgs_bench.records import EXTERNAL
 from envgs_bench.settings import LoggerChoice, LoggerKind, MethodChoice, RunSettings, SettingsError, parse_settings
 
 CONF = Path(__file__).parents[1] / "conf"
@@ -75,8 +77,26 @@ def settings_of(config: DictConfig, overrides: list[str]) -> RunSettings:
     for shorthand in ("data_root", "path"):  # they have done their work, in dataset.root and method.settings.path
         content.pop(shorthand, None)
     release = content.pop("release", None) or {}
+    content["method"] = _with_recipe(content["method"])
     settings = parse_settings({**content, "overrides": overrides})
     return settings.model_copy(update={"method": _accepted(settings.method, release, overrides)})
+
+
+def _with_recipe(method: dict[str, Any]) -> dict[str, Any]:
+    """The method; of another program, with what its recipe says in place of the recipe's name, and called after it.
+
+    Raises:
+        SettingsError: there is no such recipe, or it lacks something.
+    """
+    if method.get("kind") != EXTERNAL:
+        return method
+    given = method.pop("recipe")
+    try:
+        recipe = read_recipe(str(given))
+        choice = parse_choice({**method["settings"], "recipe": recipe.model_dump()})
+    except RecipeError as error:
+        raise SettingsError(str(error)) from error
+    return {**method, "name": method.get("name") or recipe.name, "settings": choice.model_dump()}
 
 
 def register_choices(overrides: Iterable[str] = ()) -> None:

@@ -11,21 +11,23 @@ def main(arguments: Sequence[str]) -> int:
     """Print all names, a row each kind of thing, or a method's settings; returns the exit status, 0 or 2."""
     parser = argparse.ArgumentParser(
         prog="envgs-bench list",
-        usage="envgs-bench list [methods | method NAME | dataset KIND | recipes]",
+        usage="envgs-bench list [methods | method NAME | dataset KIND | recipes | programs]",
         description="The names that a run can be given; what each method is; of one method or kind of data set, its "
-        "settings, their defaults and what they are; the rules of each recipe.",
+        "settings, their defaults and what they are; the rules of each recipe; other programs that can be run.",
     )
-    parser.add_argument("group", nargs="?", choices=["method", "methods", "dataset", "recipes"], help=argparse.SUPPRESS)
+    parser.add_argument(
+        "group", nargs="?", choices=["method", "methods", "dataset", "recipes", "programs"], help=argparse.SUPPRESS
+    )
     parser.add_argument("name", nargs="?", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.group is None:
         return _list_names()
     if options.group == "methods":
         return _list_methods() if options.name is None else parser.error("of one method: envgs-bench list method NAME")
-    from .settings_lists import print_dataset_settings, print_method_settings, print_recipes
+    from .settings_lists import print_dataset_settings, print_method_settings, print_programs, print_recipes
 
-    if options.group == "recipes":
-        return print_recipes()
+    if options.group in ("recipes", "programs"):
+        return print_recipes() if options.group == "recipes" else print_programs()
     if options.name is None:
         example = {"method": "envgs", "dataset": "colmap"}[options.group]
         parser.error(f"name a {options.group}, as in: envgs-bench list {options.group} {example}")

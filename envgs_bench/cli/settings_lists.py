@@ -18,7 +18,8 @@ from envgs_bench.datasets.registry import MISSING, SETTINGS, default_settings
 from envgs_bench.methods.recipes import RECIPES, Rules
 from envgs_bench.methods.registry import settings_type
 from envgs_bench.methods.settings import setting_groups
-from envgs_bench.records import RENDERS
+from envgs_bench.programs.recipe import read_recipe, shipped_recipes
+from envgs_bench.records import EXTERNAL, RENDERS
 from envgs_bench.stages.renders import RendersSettings
 
 from .composition import CONF, explain, register_choices
@@ -41,6 +42,8 @@ def print_method_settings(name: str) -> int:
     try:
         with initialize_config_dir(str(CONF), version_base="1.3"):
             method = compose("config", [chosen]).method
+        if method.kind == EXTERNAL:
+            return print_programs()
         found = RendersSettings if method.kind == RENDERS else settings_type(method.kind)
     except (CompactHydraException, OmegaConfBaseException, ValueError) as error:
         print(f"envgs-bench list: {explain(error)}", file=sys.stderr)
@@ -88,6 +91,18 @@ def print_recipes() -> int:
     console = Console(width=WIDE)
     console.print(table, highlight=False, markup=False)
     console.print("\nChoose one with method.settings.recipe=NAME, change a rule with method.settings.rules.RULE=VALUE")
+    return 0
+
+
+def print_programs() -> int:
+    """Print a row each recipe that ships: the program's page, the commit, and what it was tried on; returns 0."""
+    table = Table("method.recipe=", "its page", "for", "licence", "tried on", box=None, pad_edge=False)
+    for name in shipped_recipes():
+        recipe = read_recipe(name)
+        table.add_row(name, recipe.page, recipe.commit, recipe.licence, recipe.tried or "untried")
+    console = Console(width=WIDE)
+    console.print(table, highlight=False, markup=False)
+    console.print("\nRun one with method=external method.recipe=NAME, a recipe of yours with method.recipe=FILE")
     return 0
 
 

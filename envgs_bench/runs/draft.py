@@ -67,6 +67,7 @@ class Draft:
             masked=results.masked,
             timing=results.timing,
             cost=results.cost,
+            program=results.program,
             provenance=Provenance(**source, started=self.started, finished=now()),
         )
         write_record(self.folder, record)

@@ -14,14 +14,16 @@ from envgs_bench.datasets.registry import ADDRESSES, files_read
 from envgs_bench.datasets.store.contents import digest_of, files_in
 from envgs_bench.methods.registry import installed_methods
 from envgs_bench.metrics import WeightsUnavailable, find_weights
-from envgs_bench.records import RENDERS
+from envgs_bench.programs.recipe import parse_choice
+from envgs_bench.programs.work import commit_of
+from envgs_bench.records import EXTERNAL, RENDERS
 from envgs_bench.settings import PATH_KEYS, RunSettings
 from envgs_bench.stages.renders import rendered_files
 
 from .source_fingerprint import SOURCES, source_fingerprint, source_fingerprints
 
 # The rooms whose code can change a result: all that `stages.execution.execute` does lies in them.
-RESULT_CODE = ("core", "datasets", "diagnosis", "methods", "metrics", "stages")
+RESULT_CODE = ("core", "datasets", "diagnosis", "methods", "metrics", "programs", "stages")
 
 
 def run_id(settings: RunSettings, device: str) -> str:
@@ -159,8 +161,14 @@ def data_hash(settings: RunSettings) -> str | None:
 
 
 def _method(settings: RunSettings) -> dict[str, Any]:
-    """The method's settings; of a folder of renders, the pictures that are scored count."""
+    """The method's settings; of a folder of renders, the pictures that are scored count.
+
+    Of another program what it is told counts, and the commit that its folder has checked out, not where that lies.
+    """
     given = settings.method.settings
+    if settings.method.kind == EXTERNAL:
+        told = parse_choice(given).recipe.model_dump(exclude={"name", "page", "commit", "licence", "tried"})
+        return {**given, "recipe": told, "home": commit_of(given.get("home"))}
     if settings.method.kind != RENDERS or not given.get("path"):
         return _with_fingerprints(given, settings.cache_dir)
     root = Path(given["path"])

@@ -17,6 +17,7 @@ from envgs_bench.run_folder import (
     CURVE_NAME,
     LOG_NAME,
     LOGGED,
+    PROGRAM,
     RECORD_NAME,
     REPLACEMENT,
     SNAPSHOT_NAME,
@@ -34,7 +35,7 @@ from .outcome import Outcome, outcome_of
 from .process import GRACE_SECONDS, run_process
 from .processes import end_all_of
 
-GOES_ON_FROM = (SNAPSHOT_NAME, CURVE_NAME, LOG_NAME, LOGGED)  # kept of a run that did not end
+GOES_ON_FROM = (SNAPSHOT_NAME, PROGRAM, CURVE_NAME, LOG_NAME, LOGGED)  # kept of a run that did not end
 
 
 def located(settings: RunSettings) -> tuple[RunSettings, Path]:
@@ -142,7 +143,8 @@ def _run_locked(
 
 def _start_over(folder: Path, keep: tuple[str, ...]) -> None:
     """Remove what an earlier attempt left, but for `keep` where there is something to go on from."""
-    clear(folder, keep if (folder / SNAPSHOT_NAME).is_file() else ())
+    goes_on = (folder / SNAPSHOT_NAME).is_file() or (folder / PROGRAM).is_dir()
+    clear(folder, keep if goes_on else ())
 
 
 def _run_in(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from envgs_bench.methods.method import Budget, Method
 from envgs_bench.methods.registry import create_method
-from envgs_bench.records import RENDERS
+from envgs_bench.records import ELSEWHERE
 from envgs_bench.settings import RunSettings, SettingsError
 
 
@@ -24,8 +24,10 @@ def check_budget(settings: RunSettings) -> None:
     """Raise a SettingsError where the run has a budget that its method cannot stay within."""
     if settings.budget is None:
         return
-    if settings.method.kind == RENDERS:
-        raise SettingsError("method renders trains no model that a budget could limit: run it without budget")
+    if settings.method.kind in ELSEWHERE:
+        raise SettingsError(
+            f"method {settings.method.kind} trains no model of ours that a budget could limit: run it without budget"
+        )
     try:
         limited_method(settings, "cpu")
     except ValueError as error:

@@ -11,8 +11,6 @@ import torch
 
 from envgs_bench.core import Scene
 from envgs_bench.core.cuda.compiler import keep_kernels_in
-from envgs_bench.datasets.notes import collecting, note
-from envgs_bench.datasets.progress import listening
 from envgs_bench.diagnosis.agreed_normals import with_agreed_normals
 from envgs_bench.diagnosis.diagnosis import Diagnosis
 from envgs_bench.diagnosis.repair import repaired
@@ -20,9 +18,9 @@ from envgs_bench.diagnosis.scene_warnings import scene_warnings
 from envgs_bench.fixed_rays import write_samples
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.settings import quickness
-from envgs_bench.metrics import MINIMUM_SIZE, Protocol, WeightsUnavailable, get_protocol, make_perceptual_loss
+from envgs_bench.metrics import WeightsUnavailable, get_protocol, make_perceptual_loss
 from envgs_bench.parts import PERCEPTUAL
-from envgs_bench.records import RENDERS, WorldPlacement
+from envgs_bench.records import EXTERNAL, RENDERS
 from envgs_bench.run_folder import CHECKPOINT, CURVE_NAME
 from envgs_bench.settings import RunSettings
 
@@ -31,8 +29,10 @@ from .cost import cost_of, with_files
 from .evaluation import evaluate, scored_views
 from .events import EventListener
 from .fixed_rays import sampled
-from .perturbations import load_run_scene, perturbed_settings
-from .renders import score_renders
+from .loading import check_scene, load_for_run
+from .perturbations import perturbed_settings
+from .program import run_program
+from .renders import run_renders
 from .results import Results
 from .snapshots import Snapshots
 from .stop import Stop
@@ -41,7 +41,7 @@ from .training import Training
 from .training_log import Logger, TrainingLog
 from .vector_functions import call_each_once
 
-FEW_VIEWS = 12  # sparse-view methods are made for fewer
+BY_OTHERS = {RENDERS: run_renders, EXTERNAL: run_program}  # the runs in which nothing of ours trains, by their kind
 
 
 def execute(
@@ -66,13 +66,13 @@ def execute(
     keep_kernels_in(settings.cache_dir / "kernels")
     _seed(settings.seed)
     protocol = get_protocol(settings.protocol)
-    if settings.method.kind == RENDERS:
-        _score_renders(settings, folder, results, protocol, report)
+    if settings.method.kind in BY_OTHERS:
+        BY_OTHERS[settings.method.kind](settings, folder, results, protocol, report)
         return
     actual = perturbed_settings(settings)
     method = limited_method(actual, settings.device)
     offer_perceptual_loss(method)
-    scene = _load(settings, results, report)
+    scene = load_for_run(settings, results, report)
     check_scene(scene)
     results.steps = method.training_steps(actual.steps)
     diagnosis = Diagnosis(scene, method.device)
@@ -116,51 +116,9 @@ def execute(
     snapshots.remove()
 
 
-def _score_renders(
-    settings: RunSettings, folder: Path, results: Results, protocol: Protocol, report: EventListener
-) -> None:
-    """The run of a method whose pictures come from elsewhere: nothing is trained, drawn or timed."""
-    results.steps = 0
-    scene = _load(settings, results, report)
-    check_scene(scene)
-    views, background = scored_views(scene, settings.score_on), scene.background
-    scored = score_renders(settings.method.settings, views, background, protocol, folder, report, settings.device)
-    results.metrics, results.masked = scored
-
-
-def _load(settings: RunSettings, results: Results, report: EventListener) -> Scene:
-    """The run's scene; making one for the first time may take minutes, and its source says how far it has come."""
-    report({"stage": "loading"})
-    tell = lambda stage, done, total: report({"stage": stage, "step": done, "steps": total})  # noqa: E731
-    with listening(tell), collecting() as notes:
-        scene = load_run_scene(settings)
-        if len(scene.train) < FEW_VIEWS and settings.method.kind != RENDERS:
-            note(f"data set {scene.name} has only {len(scene.train)} training views, of which little can be learned")
-    results.dataset, results.notes = scene.name, notes
-    results.placement = WorldPlacement(shift=scene.placement.shift, scale=scene.placement.scale)
-    if notes:
-        report({"stage": "loading", "notes": notes})
-    return scene
-
-
 def near_of(method: Method, scene: Scene) -> float:
     """What the method draws nothing nearer than in this scene, world units."""
     return max(method.needs.clearance, scene.free_space)
-
-
-def check_scene(scene: Scene) -> None:
-    """Refuse, before anything is trained, what could not be trained on or not be scored at the end."""
-    for name, views in (("training", scene.train), ("test", scene.test)):
-        if not views:
-            raise ValueError(f"data set {scene.name} has no {name} views: it needs at least two images")
-    for view in (*scene.test, *scene.val):
-        width, height = view.camera.width, view.camera.height
-        if min(width, height) < MINIMUM_SIZE:
-            raise ValueError(
-                f"data set {scene.name}: view {view.name} is {width}×{height} pixels, expected at least "
-                f"{MINIMUM_SIZE}×{MINIMUM_SIZE}, since metrics need them; take larger pictures, or a smaller "
-                "dataset.downsample"
-            )
 
 
 def offer_perceptual_loss(method: Method) -> None:

@@ -21,14 +21,20 @@ from envgs_bench.datasets.formats.pictures import read_header, read_picture
 from envgs_bench.methods.settings import make_settings
 from envgs_bench.metrics import Protocol
 from envgs_bench.records import MaskedScores, Metrics
+from envgs_bench.settings import RunSettings
 
+from .evaluation import scored_views
 from .events import EventListener
+from .loading import check_scene, load_for_run
 from .pictures import save_pair
+from .results import Results
 from .scoring import Pair, score_pairs
 
 DECODED = (".png", ".jpg", ".jpeg")
 SUFFIXES = (*DECODED, ".npy")
 MODES = ("L", "LA", "P", "RGB", "RGBA")  # those of 8 bits a channel
+WHOLE = "whole"
+CROPS = (WHOLE, "left half", "right half")  # the parts of a file that may be the picture
 MAX_LISTED = 20  # problems listed of each kind
 MAX_MEAN = 1.5  # mean of a picture whose range is [0, 1], with room for what overshoots
 
@@ -41,6 +47,18 @@ class RendersError(ValueError):
 class RendersSettings:
     path: str = ""  # the folder
     match: str = "name"  # how files find their views: name, or order
+
+
+def run_renders(
+    settings: RunSettings, folder: Path, results: Results, protocol: Protocol, report: EventListener
+) -> None:
+    """The run of a method whose pictures lie in a folder: nothing is trained, drawn or timed."""
+    results.steps = 0
+    scene = load_for_run(settings, results, report)
+    check_scene(scene)
+    views, background = scored_views(scene, settings.score_on), scene.background
+    scored = score_renders(settings.method.settings, views, background, protocol, folder, report, settings.device)
+    results.metrics, results.masked = scored
 
 
 def score_renders(
@@ -71,10 +89,14 @@ def score_renders(
     return score_pairs(pairs(), protocol, device)
 
 
-def match_renders(folder: Path, match: str, views: Sequence[View]) -> dict[str, Path]:
+def match_renders(
+    folder: Path, match: str, views: Sequence[View], files: Sequence[Path] | None = None, crop: str = WHOLE
+) -> dict[str, Path]:
     """The file of each view, by the view's name.
 
     Args:
+        files: those of the folder that are meant; all `rendered_files` where None.
+        crop: the part of each that is the picture, one of CROPS.
         match: "name": a file is called after its view (`a/b.png` is view a_b); "order": sorted by their numbers, the
             files are the views in the order of their names.
 
@@ -85,7 +107,7 @@ def match_renders(folder: Path, match: str, views: Sequence[View]) -> dict[str, 
         raise RendersError(f"match={match}: expected name or order")
     if not folder.is_dir():
         raise RendersError(f"{folder}: there is no such folder; give that of the renders as path=…")
-    files = sorted(rendered_files(folder), key=_natural)
+    files = sorted(rendered_files(folder) if files is None else files, key=_natural)
     names = [view.name for view in views]
     problems: dict[str, list[str]] = {}
     if match == "order":
@@ -105,13 +127,14 @@ def match_renders(folder: Path, match: str, views: Sequence[View]) -> dict[str, 
     problems["files that are not their view's"] = [
         f"{found[view.name].relative_to(folder)}: {problem}"
         for view in views
-        if view.name in found and (problem := _misfit(found[view.name], view))
+        if view.name in found and (problem := _misfit(found[view.name], view, crop))
     ]
     if any(problems.values()):
         listed = "\n".join(f"  {len(items)} {kind}: {_listed(items)}" for kind, items in problems.items() if items)
         raise RendersError(
             f"{folder}: does not fit the {len(views)} test views:\n{listed}\n"
             f"Expected one picture a test view, <view>.png, .jpg or .npy, of the view's size"
+            + (f", {crop} of the file" if crop != WHOLE else "")
             + ("; method.settings.match=order takes numbered files in the views' order" if match == "name" else "")
         )
     return found
@@ -122,8 +145,11 @@ def rendered_files(folder: Path) -> list[Path]:
     return [path for path in visible_files(folder) if path.suffix.lower() in SUFFIXES]
 
 
-def read_render(path: Path, background: Tensor) -> Tensor:
+def read_render(path: Path, background: Tensor, crop: str = WHOLE) -> Tensor:
     """The picture as floats [H, W, 3], sRGB: bytes / 255, laid on `background` where transparent; an array as it is.
+
+    Args:
+        crop: the part of the file that is the picture, one of CROPS.
 
     Raises:
         RendersError: it cannot be decoded, a value is not finite, or the values cannot be meant to lie in [0, 1].
@@ -144,12 +170,13 @@ def read_render(path: Path, background: Tensor) -> Tensor:
         raise RendersError(
             f"{path}: its values average {float(image.mean()):.3g}, expected sRGB in [0, 1]; divide by 255?"
         )
-    return image
+    middle = image.shape[1] // 2
+    return {WHOLE: image, "left half": image[:, :middle], "right half": image[:, middle:]}[crop]
 
 
-def _misfit(path: Path, view: View) -> str | None:
+def _misfit(path: Path, view: View, crop: str) -> str | None:
     """Why the file cannot be the view's picture, from its header alone; None where it can."""
-    expected = (view.camera.height, view.camera.width, 3)
+    expected = (view.camera.height, view.camera.width * (1 if crop == WHOLE else 2), 3)
     try:
         if path.suffix.lower() == ".npy":
             array = open_array(path)
@@ -165,7 +192,10 @@ def _misfit(path: Path, view: View) -> str | None:
             shape = (header.height, header.width, 3)
     except DatasetError as error:
         return f"cannot be read ({error})"
-    return None if shape == expected else f"is {shape[1]}×{shape[0]} pixels, its view {expected[1]}×{expected[0]}"
+    if shape == expected:
+        return None
+    wanted = f"{view.camera.width}×{view.camera.height}" + ("" if crop == WHOLE else f", which is the {crop} of a file")
+    return f"is {shape[1]}×{shape[0]} pixels, its view {wanted}"
 
 
 def _natural(path: Path) -> list[Any]:

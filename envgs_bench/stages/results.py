@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from envgs_bench.records import Cost, MaskedScores, Metrics, RepairOutcome, Timing, TrainingWarning, WorldPlacement
+from envgs_bench.records import (
+    Cost,
+    MaskedScores,
+    Metrics,
+    ProgramRun,
+    RepairOutcome,
+    Timing,
+    TrainingWarning,
+    WorldPlacement,
+)
 
 
 @dataclass
@@ -24,3 +33,4 @@ class Results:
     masked: dict[str, MaskedScores] = field(default_factory=dict)
     timing: Timing | None = None
     cost: Cost | None = None
+    program: ProgramRun | None = None

@@ -10,7 +10,7 @@ import numpy as np
 from envgs_bench.datasets.perturbations.perturbation import Perturbation
 from envgs_bench.methods.registry import settings_type
 from envgs_bench.methods.settings import LEARNING_RATES
-from envgs_bench.records import RENDERS
+from envgs_bench.records import ELSEWHERE
 from envgs_bench.settings import RunSettings, SettingsError
 
 MIN_PIXELS = 16  # a toy picture's smallest edge: LPIPS is defined from there on
@@ -60,8 +60,8 @@ def _resize(settings: RunSettings, factor: float, rng: np.random.Generator) -> R
 
 
 def _method_settings(settings: RunSettings) -> dict[str, Any]:
-    if settings.method.kind == RENDERS:
-        raise SettingsError("method renders trains nothing, so that none of its settings can be perturbed")
+    if settings.method.kind in ELSEWHERE:
+        raise SettingsError(f"method {settings.method.kind}: another program's settings are its own, none is perturbed")
     defaults = dataclasses.asdict(settings_type(settings.method.kind)())
     return {**defaults, **settings.method.settings}
 

@@ -7,7 +7,11 @@ from pathlib import Path
 from envgs_bench.core import Placement, Scene
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method
-from envgs_bench.records import RENDERS, read_record
+from envgs_bench.methods.storage.gaussian_files import READERS
+from envgs_bench.methods.storage.sog_file import META
+from envgs_bench.programs.gaussians import open_gaussians
+from envgs_bench.programs.recipe import parse_choice
+from envgs_bench.records import EXTERNAL, RENDERS, read_record
 from envgs_bench.run_folder import CHECKPOINT, CONFIG_NAME, RECORD_NAME
 from envgs_bench.runs.job import resolve_device
 from envgs_bench.settings import RunSettings, SettingsError, read_settings
@@ -28,9 +32,20 @@ def reopen(folder: Path, device: str = "auto") -> tuple[RunSettings, Method]:
     settings = perturbed_settings(read_settings(folder))
     if settings.method.kind == RENDERS:
         raise ValueError(f"{folder}: another program drew its pictures, there is no model to open; take a trained run")
+    if settings.method.kind == EXTERNAL:
+        return settings, _program_model(folder, settings, resolve_device(device))
     method = create_method(settings.method.kind, settings.method.settings, resolve_device(device), settings.seed)
     method.load(folder / CHECKPOINT)
     return settings, method
+
+
+def _program_model(folder: Path, settings: RunSettings, device: str) -> Method:
+    """The Gaussians that the run's program wrote, in the world of the run's scene."""
+    model = parse_choice(settings.method.settings).recipe.model
+    found = sorted(path for path in (folder / CHECKPOINT).glob("*") if path.suffix in READERS or path.name == META)
+    if model is None or not found:
+        raise FileNotFoundError(f"{folder / CHECKPOINT}: the program left no Gaussians that could be opened")
+    return open_gaussians(found[0], reopen_scene(folder, settings), model.near, device)
 
 
 def reopen_scene(folder: Path, settings: RunSettings) -> Scene:

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from envgs_bench.metrics import Protocol, corrected_metrics, registered_metrics
 from envgs_bench.records import (
+    EXTERNAL,
     RENDERS,
     MaskedScores,
     Metrics,
@@ -79,6 +80,8 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
         settings = read_settings(run)
         scene = reopen_scene(run, settings)
         views = scored_views(scene, settings.score_on)
+        if record.kind == EXTERNAL:
+            raise ValueError(f"{run}: another program drew its pictures; rescore them as they are, without --redraw")
         if record.kind == RENDERS:
             scores = score_renders(
                 settings.method.settings, views, scene.background, protocol, out, _silent, resolve_device(device)

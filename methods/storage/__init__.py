@@ -6,5 +6,6 @@
 | compact | model.npz | ours, lossy: every set, β and the cube map, what a checkpoint holds (`compact.py`) |
 | spz, sog, compressed-ply | <set>.… | lossy, for viewers: 3D Gaussians without β (`splats.py`) |
 
-`layouts.py` lists them, `quantized_set.py` and `planes.py` are what `compact.py` is made of.
+What other programs write is read by `gaussian_files.py`: PLY, SPZ (`spz_file.py`) and SOG (`sog_file.py`).
+`layouts.py` lists the layouts, `quantized_set.py` and `planes.py` are what `compact.py` is made of.
 """

@@ -38,7 +38,7 @@ def encode_splats(layout: str, tensors: Mapping[str, Tensor]) -> bytes:
     Raises:
         ValueError: the library is not installed, or refuses the set: none of the layouts holds an empty one.
     """
-    turned = _half_turn(tensors) if layout == "spz" else tensors
+    turned = half_turn(tensors) if layout == "spz" else tensors
     rows = {name: value.detach().cpu().float().numpy() for name, value in turned.items()}
     order = along_curve(rows["means"])
     count, axes = rows["log_scales"].shape
@@ -72,11 +72,11 @@ def decode_splats(layout: str, content: bytes, axes: int) -> dict[str, Tensor]:
         vertices = read_elements(path)["vertex"]
         vertices.data["opacity"] = vertices.data["opacity"].clip(-MOST_LOGIT, MOST_LOGIT)
         tensors = vertex_tensors(vertices, path)
-    tensors = _half_turn(tensors) if layout == "spz" else tensors
+    tensors = half_turn(tensors) if layout == "spz" else tensors
     return tensors | {"log_scales": tensors["log_scales"][:, :axes].contiguous()}
 
 
-def _half_turn(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def half_turn(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """The set turned about the x axis by 180°, which twice is the set itself."""
     rest = tensors["sh_rest"]
     return dict(tensors) | {

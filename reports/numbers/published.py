@@ -11,7 +11,7 @@ from typing import Literal
 import pandas as pd
 
 from envgs_bench.parts import MethodCard
-from envgs_bench.records import RENDERS
+from envgs_bench.records import ELSEWHERE
 
 from .decimals import mean
 from .settings import as_number
@@ -88,7 +88,7 @@ def paper_method(row: str, card: MethodCard, kind: str) -> str:
     no card: their method's name, however written, is the paper's ("zip-nerf" is its ZipNeRF).
     """
     _, swept, text = row.partition(" [beta_filter=")
-    if kind == RENDERS:
+    if kind in ELSEWHERE:
         return _spellings().get(_plain(row), row)
     share = as_number(text.removesuffix("]")) if swept else 0.0
     if not card.published or share is None or (swept and published_source(card.published) == "ablation"):

@@ -52,7 +52,10 @@ def _numbers(record: Record) -> Iterator[tuple[str, str, float | None]]:
         for name in names:
             if (value := getattr(part, name, None)) is not None:
                 yield "full", name, value
+    if record.program is not None and record.program.agreement_db is not None:
+        yield "full", "agreement_db", record.program.agreement_db
     if record.cost is not None:
-        yield "full", "primitives", sum(record.cost.primitives.values())
+        if record.cost.primitives:
+            yield "full", "primitives", sum(record.cost.primitives.values())
         for name, count in record.cost.primitives.items():
             yield "full", f"primitives_{name}", count

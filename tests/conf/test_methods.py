@@ -28,6 +28,7 @@ from envgs_bench.methods.lighting.settings import ReflectionSettings
 from envgs_bench.methods.recipes import RECIPES, Rules, rules_of
 from envgs_bench.methods.registry import BUILT_IN, create_method, method_class
 from envgs_bench.methods.settings import LEARNING_RATES, make_settings, quickness
+from envgs_bench.records import ELSEWHERE
 from envgs_bench.settings import read_settings
 from envgs_bench.testing import tiny_scene
 
@@ -322,7 +323,7 @@ def test_the_synthetic_scenes_have_a_schedule_of_their_own() -> None:
     assert not found
 
 
-@pytest.mark.parametrize("name", [name for name in config_names("method") if name != "renders"])
+@pytest.mark.parametrize("name", [name for name in config_names("method") if name not in ELSEWHERE])
 def test_a_configuration_is_slow_only_once_its_rates_are_lowered(name: str) -> None:
     method = composed(name)
     settings = make_settings(method_class(method["kind"]).Settings, method["settings"], name)
@@ -342,7 +343,7 @@ def test_what_has_no_learning_rates_is_not_slow() -> None:
 
 
 def test_every_configuration_is_tested() -> None:
-    tested = {*DIFFERENCES, *ABLATIONS, *REPLACED, *TUNED_RIVALS, "envgs_paper", "envgs_released", "renders"}
+    tested = {*DIFFERENCES, *ABLATIONS, *REPLACED, *TUNED_RIVALS, "envgs_paper", "envgs_released", *ELSEWHERE}
     assert tested == set(config_names("method"))
 
 

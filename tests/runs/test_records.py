@@ -82,6 +82,7 @@ CONTENT = {
         "per_view": [{"view": "a", "times_ms": [1.0, 2.0, 3.0]}],
         "contract": "render() to an image on the device",
     },
+    "program": None,
     "cost": {
         "primitives": {"base": 10, "env": 0},
         "bytes": {"base": 400, "env": 0},

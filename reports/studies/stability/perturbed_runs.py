@@ -51,11 +51,16 @@ def _view_psnr(percent: float) -> Callable[[Run], float | None]:
 
 
 def _cost(name: str) -> Callable[[Run], float | None]:
-    return lambda run: None if run.record.cost is None else float(getattr(run.record.cost, name))
+    def of(run: Run) -> float | None:
+        found = None if run.record.cost is None else getattr(run.record.cost, name)
+        return None if found is None else float(found)
+
+    return of
 
 
 def _primitives(run: Run) -> float | None:
-    return None if run.record.cost is None else float(sum(run.record.cost.primitives.values()))
+    cost = run.record.cost
+    return float(sum(cost.primitives.values())) if cost is not None and cost.primitives else None
 
 
 def peak_memory(run: Run) -> float | None:
@@ -63,7 +68,8 @@ def peak_memory(run: Run) -> float | None:
     cost = run.record.cost
     if cost is None:
         return None
-    return float(cost.peak_host_bytes if cost.peak_device_bytes is None else cost.peak_device_bytes)
+    found = cost.peak_host_bytes if cost.peak_device_bytes is None else cost.peak_device_bytes
+    return None if found is None else float(found)
 
 
 QUANTITIES: Mapping[str, Callable[[Run], float | None]] = {  # of a finished run, in the records' units

@@ -1,0 +1,75 @@
+"""Gaussians that another program wrote, drawn by the shared core as those of a method are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from envgs_bench.core import Placement, Scene
+from envgs_bench.methods.gaussian_method import GaussianMethod
+from envgs_bench.methods.gaussians.model import NEAR
+from envgs_bench.methods.settings import GaussianSettings
+from envgs_bench.methods.storage.gaussian_files import read_gaussian_file
+from envgs_bench.parts import BASE
+
+MOST_LOG_SCALE = 80.0  # beyond, a float32 scale or its square is infinite
+
+
+@dataclass(frozen=True)
+class OpenedSettings(GaussianSettings):
+    """Colors of any degree, as the file has them."""
+
+    sh_degree: int = 3
+
+
+class OpenedGaussians(GaussianMethod):
+    """3D Gaussians of a file."""
+
+    Settings: ClassVar[type] = OpenedSettings
+    axes = 3
+    cuda_graph: ClassVar[bool] = True
+
+
+class OpenedSurfels(GaussianMethod):
+    """Surfels of a file."""
+
+    Settings: ClassVar[type] = OpenedSettings
+    axes = 2
+    cuda_graph: ClassVar[bool] = True
+
+
+def open_gaussians(path: Path, scene: Scene, near: float | None = None, device: str = "cpu") -> GaussianMethod:
+    """The file's Gaussians as a method that is ready to `prepare` and `render`, in the world of the scene.
+
+    Args:
+        path: as of `read_gaussian_file`, in the coordinates of the scene's data.
+        near: nothing nearer to a camera is drawn, in the data's units; None: as our methods do.
+
+    Raises:
+        ValueError: as `read_gaussian_file`, or the file holds no Gaussian.
+    """
+    tensors = read_gaussian_file(path)
+    if not len(tensors["means"]):
+        raise ValueError(f"{path}: holds no Gaussian")
+    tensors = _in_world(tensors, scene.placement)
+    surfels = tensors["log_scales"].shape[1] == 2
+    method = (OpenedSurfels if surfels else OpenedGaussians)(OpenedSettings(), device)
+    at = torch.device(device)
+    closest = max(NEAR, scene.free_space) if near is None else near / scene.placement.scale
+    state = {
+        "sets": {BASE: {name: values.to(at) for name, values in tensors.items()}},
+        **{"radius": scene.radius, "near": closest, "background": scene.background.to(at)},
+    }
+    method.restore(state)
+    return method
+
+
+def _in_world(tensors: dict[str, Tensor], placement: Placement) -> dict[str, Tensor]:
+    means = torch.from_numpy(placement.points_from_data(tensors["means"].numpy())).float()
+    log_scales = (tensors["log_scales"] - math.log(placement.scale)).clamp(max=MOST_LOG_SCALE)
+    return {**tensors, "means": means, "log_scales": log_scales}

@@ -1,0 +1,27 @@
+"""Files of Gaussians that any program wrote, read by their names' ending."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from torch import Tensor
+
+from .ply import read_ply
+from .sog_file import META, read_sog
+from .spz_file import read_spz
+
+READERS: dict[str, Callable[[Path], dict[str, Tensor]]] = {".ply": read_ply, ".spz": read_spz, ".sog": read_sog}
+
+
+def read_gaussian_file(path: Path) -> dict[str, Tensor]:
+    """`GaussianParameters`' tensors of a PLY of 3DGS or 2DGS, an SPZ or a SOG, packed or as a folder.
+
+    Raises:
+        ValueError: another file, or as the readers.
+    """
+    if path.name == META:
+        return read_sog(path.parent)
+    if path.suffix.lower() not in READERS:
+        raise ValueError(f"{path}: is no file of Gaussians that is read; expected one of {', '.join(READERS)}")
+    return READERS[path.suffix.lower()](path)
