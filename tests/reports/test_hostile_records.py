@@ -117,7 +117,7 @@ def test_pictures_that_promise_gigabytes_are_shown_as_unreadable(tmp_path: Path)
     write_runs(tmp_path / "runs", methods=("2dgs", "envgs"), seeds=(0,))
     for path in (tmp_path / "runs").rglob("renders/00[01].png"):
         write_promising_png(path)
-    for path in (tmp_path / "runs").rglob("layers/*-beta.png"):
+    for path in (tmp_path / "runs").rglob("layers/beta/*.png"):
         path.unlink()
         os.mkfifo(path)
     for path in (tmp_path / "runs").rglob("curve.csv"):
@@ -131,7 +131,7 @@ def test_pictures_that_promise_gigabytes_are_shown_as_unreadable(tmp_path: Path)
 def test_a_link_in_a_runs_folder_brings_no_other_file_into_the_report(tmp_path: Path) -> None:
     (tmp_path / "secret").write_text("secret")
     write_runs(tmp_path / "runs", methods=("envgs",), seeds=(0,))
-    linked = [*(tmp_path / "runs").rglob("layers/*-beta.png"), *(tmp_path / "runs").rglob("renders/001.png")]
+    linked = [*(tmp_path / "runs").rglob("layers/beta/*.png"), *(tmp_path / "runs").rglob("renders/001.png")]
     for path in linked:
         path.unlink()
         path.symlink_to(tmp_path / "secret")
