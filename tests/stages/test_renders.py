@@ -50,7 +50,7 @@ def test_the_renders_of_a_run_score_as_the_run(tmp_path: Path) -> None:
     assert theirs.cost is None
     copied = only_folder(tmp_path / "others")
     names = {str(path.relative_to(copied)) for path in copied.rglob("*.png")}
-    assert {"renders/view0.png", "targets/view0.png", "masks/view0-reflective.png", "layers/view0-error.png"} <= names
+    assert {"renders/view0.png", "targets/view0.png", "masks/reflective/view0.png", "layers/error/view0.png"} <= names
     (section,) = build_report(tmp_path, tmp_path / "report").sections  # what took no times stands beside what did
     tidy = section.tidy[section.tidy["metric"] == "frame_ms"]
     assert list(tidy["method"]) == ["fake"]
