@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from .validation import Amount, Count, Length, Power, Share, Steps, checked
 
-RecipeName = Literal["ours", "2dgs", "3dgs", "paper", "released", "3dgs_dr", "ref_gaussian"]
+RecipeName = Literal["ours", "2dgs", "3dgs", "paper", "released", "3dgs_dr", "ref_gaussian", "ref_gs"]
 
 
 @dataclass(frozen=True)
@@ -136,6 +136,7 @@ RECIPES: dict[RecipeName, Rules] = {
         **OF_2DGS
         | {"stretches": False, "longest_run": 50_000, "sh_from": 5_000, "beta_reset_from": 1, "beta_reset": "raise"}
     ),
+    "ref_gs": Rules(**OF_2DGS | {"stretches": False, "longest_run": 31_000}),  # Ref-GS's released code
 }
 
 

@@ -25,6 +25,7 @@ BUILT_IN = {
     "gaussian_shader": "envgs_bench.methods.gaussian_shader:GaussianShader",
     "3igs": "envgs_bench.methods.three_igs:ThreeIGS",
     "ref_gaussian": "envgs_bench.methods.ref_gaussian:RefGaussian",
+    "ref_gs": "envgs_bench.methods.ref_gs:RefGS",
     "envgs": "envgs_bench.methods.envgs:EnvGS",
     "envgs_single_set": "envgs_bench.methods.single_set:SingleSet",
 }
@@ -37,6 +38,7 @@ SETTINGS = {  # of the methods built in, where composing a run finds them withou
     "gaussian_shader": "envgs_bench.methods.lighting.settings:GaussianShaderSettings",
     "3igs": "envgs_bench.methods.lighting.settings:ThreeIGSSettings",
     "ref_gaussian": "envgs_bench.methods.lighting.settings:RefGaussianSettings",
+    "ref_gs": "envgs_bench.methods.lighting.settings:RefGSSettings",
     "envgs": "envgs_bench.methods.lighting.settings:EnvGSSettings",
     "envgs_single_set": "envgs_bench.methods.lighting.settings:ReflectionSettings",
 }

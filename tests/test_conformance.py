@@ -24,6 +24,8 @@ def test_a_method_that_conforms_passes() -> None:
         ("3dgs_dr", {"envmap_size": 16}),
         ("ref_gaussian", {"envmap_size": 16}),
         ("gaussian_shader", {"envmap_size": 16}),
+        ("ref_gs", {"map_levels": 4}),
+        ("ref_gs", {"map_levels": 4, "near_count": 60, "scope_radius": 0.5}),
         ("3igs", {"field_size": 8}),
     ],
 )

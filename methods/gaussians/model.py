@@ -73,10 +73,10 @@ class GaussianModel:
         gaussians = self.gaussians(BASE, step)
         return gaussians if self.shade is None else self.shade(gaussians, camera, step)
 
-    def rasterize(self, camera: Camera, step: int | None) -> Rendering:
-        """The base set alone, [H, W, …]."""
+    def rasterize(self, camera: Camera, step: int | None, gaussians: GaussianSet | None = None) -> Rendering:
+        """The base set alone, or another one as it is, [H, W, …]."""
         return rasterize(
-            self.base(camera, step),
+            self.base(camera, step) if gaussians is None else gaussians,
             camera,
             low_pass_statistics=self.settings.rule.mean_gradient_of == "all",
             color_statistics=self._grows_by_color(step),

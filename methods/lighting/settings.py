@@ -154,3 +154,24 @@ class ThreeIGSSettings(ThreeDGSSettings):
     field_size: Size = 150  # samples of the illumination field along each axis
     field_lr: Rate = 2e-2  # learning rate of the field's planes and lines
     network_lr: Rate = 1e-3  # learning rate of what mixes the field's components, and of the network
+
+
+# PublishedSettings stands first, so that all that every Gaussian method has is as in 2DGS's released code.
+@dataclass(frozen=True)
+class RefGSSettings(PublishedSettings):
+    """Steps are those of the authors' code, whose runs have 31,000."""
+
+    recipe: RecipeName = "ref_gs"
+
+    normal_weight: Amount = 0.05
+    mono_weight: Amount = 0.0
+    perceptual_weight: Amount = 0.0
+
+    bootstrap: Steps = 700  # steps in which nothing is mirrored
+    scope_radius: Amount = 0.0  # the ball that may mirror, × the cameras' mean distance from its middle; 0: everything
+    near_count: Limit = 0  # surfels at first of what is mirrored nearby (Ref-DGS); 0: surfaces have features
+    map_levels: Count = 9  # of the map, whose first has 2^levels rows and twice as many columns
+    albedo_lr: Rate = 1e-3  # learning rate of the albedos' logarithms
+    feature_lr: Rate = 2e-3  # learning rate of roughnesses and features
+    map_lr: Rate = 2e-3  # learning rate of the map
+    network_lr: Rate = 5e-4  # learning rate of the network

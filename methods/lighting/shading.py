@@ -46,6 +46,17 @@ def colored(gaussians: GaussianSet, colors: Tensor) -> GaussianSet:
     return replace(gaussians, sh=((colors - 0.5) / SH_DC)[:, None])
 
 
+def to_srgb(linear: Tensor) -> Tensor:
+    """Linear light ≥ 0 as sRGB (IEC 61966-2-1); differentiable, with a finite slope at 0."""
+    curved = 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
+    return torch.where(linear <= 0.0031308, 12.92 * linear, curved)
+
+
+def to_linear(encoded: Tensor) -> Tensor:
+    """sRGB in [0, 1] as linear light."""
+    return torch.where(encoded <= 0.04045, encoded / 12.92, ((encoded.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4)
+
+
 def reflectance_of(albedo: Tensor, metallic: Tensor) -> Tensor:
     """F₀ [..., 3] of albedo [..., 3] and metallic share [..., 1]."""
     return torch.lerp(torch.full_like(albedo, DIELECTRIC), albedo, metallic)

@@ -34,6 +34,10 @@ from envgs_bench.testing import tiny_scene
 
 BOUNDED = {"pixels_per_primitive": 10.0}
 LEAN = {"prune_error": 0.05, "prune_from": 14_000}
+MIRRORED = TUNED | {
+    **{"rotation_lr_final": 1e-4, "normal_weight": 0.04, "normal_from": 7_000, "densify_until": 18_000},
+    **{"densify_every": 300, "min_coverage": 1.5, "pixels_per_primitive": 7.0, "mono_weight": 0.05, "map_levels": 7},
+}
 DIFFERENCES = {
     **{kind: {} for kind in BUILT_IN},
     "2dgs_tuned": TUNED | BOUNDED,
@@ -42,6 +46,15 @@ DIFFERENCES = {
     "gaussian_shader_tuned": TUNED
     | {"rotation_lr_final": 1e-4, "densify_until": 18_000, "densify_every": 300, "min_coverage": 1.5}
     | {"pixels_per_primitive": 7.0, "mono_weight": 0.05},
+    "ref_dgs": {
+        "near_count": 50_000,
+        "bootstrap": 1_050,
+        "densify_every": 150,
+        "opacity_reset_every": 4_500,
+        "rules": {"longest_run": 20_000, "densify_from": 750},
+    },
+    "ref_gs_tuned": MIRRORED,
+    "ref_dgs_tuned": MIRRORED | {"near_count": 20_000},
     "envgs_no_joint": {"joint": False},
     "2dgs_lean": TUNED | BOUNDED | LEAN,
     "3dgs_lean": TUNED | BOUNDED | LEAN,
@@ -129,14 +142,7 @@ def in_force(settings: dict[str, Any]) -> dict[str, Any]:
 def test_a_configuration_holds_every_setting(name: str) -> None:
     method = composed(name)
     assert method["name"] == name
-    assert method["kind"] in (
-        name,
-        name.removesuffix("_tuned"),
-        name.removesuffix("_lean"),
-        name.removesuffix("_mcmc"),
-        "envgs",
-        "envmap",
-    )
+    assert method["kind"] in (name, name.rpartition("_")[0], "envgs", "envmap", "ref_gs")
     defaults = dataclasses.asdict(create_method(method["kind"]).settings)
     assert method["settings"] == defaults | DIFFERENCES[name]
 

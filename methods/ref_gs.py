@@ -1,0 +1,150 @@
+"""Ref-GS and Ref-DGS: surfels whose pixels mirror a map of features, and features of what is near; no ray is traced.
+
+A pixel's linear light is its albedo and what a small network makes of the map along the mirrored ray, looked up by
+roughness. Ref-GS tells surfaces apart by features of their own. Ref-DGS rasterizes a second set of surfels in their
+place, which holds what is reflected nearby.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics
+from envgs_bench.parts import BASE, ENV, REFLECTION, MethodCard
+
+from .envgs import environment_box
+from .gaussian_method import GaussianMethod
+from .gaussians.model import GaussianModel
+from .gaussians.parameters import SH_DC
+from .gaussians.policy import INITIAL_OPACITY, SetPolicy, Start
+from .gaussians.regions import Ball, foreground_ball
+from .lighting.feature_light import FEATURES, LEAST_ALPHA, FeatureLight
+from .lighting.settings import RefGSSettings
+from .lighting.shading import to_linear, to_srgb
+from .training.schedule import RECOVERY, Part, Schedule
+
+ALBEDO_UNIT, MOST_LOG = 5.0, 5.0  # an albedo is exp(x) ÷ the one, x at most the other
+NEAR_SCALE = 0.1  # of the squared distance to neighbors, that a surfel of the near set starts with
+SURFACE = {"albedo_logs": 3, "roughness_logits": 1}  # fields of a surfel, and their columns
+FEATURE = {"feature_logits": FEATURES}  # of Ref-GS's surfels, and of the near set's; tanh x is 2·sigmoid(2x) − 1
+
+
+class RefGS(GaussianMethod):
+    """Ref-GS (Zhang et al., CVPR 2025), and with `near_count` Ref-DGS (SIGGRAPH 2026)."""
+
+    card = MethodCard("ref_gs", "Ref-GS", 100, "#0080B3")
+    Settings: ClassVar[type] = RefGSSettings
+    settings: RefGSSettings
+    axes = 2
+    cuda_graph: ClassVar[bool] = True
+
+    def __init__(self, settings: RefGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
+        super().__init__(settings, device, seed)
+        self.light = FeatureLight(self.model, settings)
+        self.surfaces = Surfaces(self.model, settings)
+        self.model.shade = self.surfaces.shaded
+        self.parts = {"light": self.light, "surfaces": self.surfaces}
+
+    def policies(self, schedule: Schedule, scene: Scene | None) -> dict[str, SetPolicy]:
+        s, scale = self.settings, schedule.rate_scale
+        columns = SURFACE if s.near_count else SURFACE | FEATURE
+        rates = {"albedo_logs": s.albedo_lr * scale, "roughness_logits": s.feature_lr * scale}
+        rates |= {"feature_logits": s.feature_lr * scale}
+        base = super().policies(schedule, scene)[BASE]
+        base = replace(
+            base,
+            start=replace(base.start, materials=lambda count: self._zeros(count, columns), material_columns=columns),
+            rates=replace(base.rates, materials=rates),
+            sh_degree=base.sh_degree if s.scope_radius else 0,
+        )
+        return {BASE: base} | ({ENV: self._near_policy(base)} if s.near_count else {})
+
+    def _near_policy(self, base: SetPolicy) -> SetPolicy:
+        """The base's, but for what starts it."""
+        start = Start(INITIAL_OPACITY, "random", None, lambda count: self._zeros(count, FEATURE), FEATURE)
+        young = base.schedule.at(self.settings.bootstrap) + RECOVERY
+        return replace(base, name=ENV, start=start, sh_degree=0, young_until=young, growth="gradient")
+
+    def _zeros(self, count: int, columns: dict[str, int]) -> dict[str, Tensor]:
+        return {name: torch.zeros(count, size, device=self.device) for name, size in columns.items()}
+
+    def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
+        base = self.model.rasterize(camera, step)
+        statistics = {BASE: base.statistics}
+        alpha = base.alpha[..., None]
+        roughness, albedo, *own = (base.extras / alpha.clamp_min(LEAST_ALPHA)).split([1, 3, *_rest(base)], dim=-1)
+        mirrored = torch.zeros_like(albedo)
+        if self.light.begun:
+            if ENV in self.model.sets:
+                near = self.model.rasterize(camera, step, self.surfaces.near(step))
+                statistics[ENV] = near.statistics
+                own = [near.extras]
+            mirrored = self.light.seen(base, camera, step, roughness, own[0])
+        behind = (1 - alpha) * self.model.background
+        shown = alpha * to_srgb(albedo + mirrored) + behind
+        inside = self.surfaces.inside(base, camera)
+        plain = alpha * to_srgb(albedo) + behind
+        layers = {BASE: torch.where(inside, plain, base.color), REFLECTION: to_srgb(mirrored) * inside * alpha}
+        return replace(base, color=torch.where(inside, shown, base.color), layers=layers), statistics
+
+
+class Surfaces(Part):
+    """What surfels show of themselves, where a ball lets them mirror, and the near set's beginning."""
+
+    def __init__(self, model: GaussianModel, settings: RefGSSettings) -> None:
+        self._model, self._settings = model, settings
+        self._scope = Ball(torch.zeros(3, device=model.device), math.inf)
+
+    @torch.no_grad()
+    def start(self, scene: Scene) -> None:
+        """Albedos begin as the points' colors; the near set lies anywhere in the scene's box."""
+        s, parameters = self._settings, self._model.sets[BASE].parameters
+        colors = 0.5 + SH_DC * parameters.tensors["sh_dc"].detach()[:, 0]
+        logs = (ALBEDO_UNIT * to_linear(colors)).clamp_min(1e-3).log()
+        parameters.replace("albedo_logs", logs)
+        if s.scope_radius:
+            around = foreground_ball([view.camera for view in scene.train])
+            self._scope = Ball(around.center.to(self._model.device), s.scope_radius * around.radius)
+        if s.near_count:
+            low, high = environment_box(scene)
+            points = low + torch.rand(s.near_count, 3, generator=self._model.generator) * (high - low)
+            near = self._model.new_set(ENV, points, torch.full_like(points, 0.5))
+            near.parameters.tensors["log_scales"] += 0.5 * math.log(NEAR_SCALE)
+            self._model.sets[ENV] = near
+
+    def shaded(self, gaussians: GaussianSet, camera: Camera, step: int | None) -> GaussianSet:
+        """With roughness, albedo and, in Ref-GS, features as extras, [N, 4] or [N, 8]."""
+        tensors = self._model.sets[BASE].parameters.tensors
+        albedo = tensors["albedo_logs"].clamp_max(MOST_LOG).exp() / ALBEDO_UNIT
+        known = [tensors["roughness_logits"].sigmoid(), albedo]
+        if "feature_logits" in tensors:
+            known.append(tensors["feature_logits"].tanh())
+        return replace(gaussians, extras=torch.cat(known, dim=1))
+
+    def near(self, step: int | None) -> GaussianSet:
+        """The near set, with its features as extras."""
+        features = self._model.sets[ENV].parameters.tensors["feature_logits"].tanh()
+        return replace(self._model.gaussians(ENV, step), extras=features)
+
+    def inside(self, base: Rendering, camera: Camera) -> Tensor:
+        """Whether a pixel's surface lies in the ball that mirrors, [H, W, 1]."""
+        origins, directions = camera.rays()
+        points = origins + base.depth.detach()[..., None] * directions
+        return (points - self._scope.center).norm(dim=-1, keepdim=True) <= self._scope.radius
+
+    def state(self) -> dict[str, Any]:
+        return {"scope": {"center": self._scope.center, "radius": self._scope.radius}}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self._scope = Ball(state["scope"]["center"], state["scope"]["radius"])
+
+
+def _rest(base: Rendering) -> list[int]:
+    """The columns behind roughness and albedo, where there are any."""
+    return [rest] if (rest := base.extras.shape[-1] - 4) else []
