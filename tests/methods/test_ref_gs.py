@@ -126,11 +126,11 @@ def test_a_stored_model_keeps_its_materials(layout: str, tmp_path: Path) -> None
 @pytest.mark.slow
 @pytest.mark.parametrize("near", [0, 200])
 def test_a_mirror_ball_is_learned(near: int) -> None:
-    """By 2 dB more than by surfels that mirror nothing."""
+    """By 1 dB more than by surfels that mirror nothing."""
     scene = mirror_ball()
     still = {"densify_until": 0, "opacity_reset_every": 0, "mono_weight": 0.05, "initial_orientation": "surface"}
     mirrors, plain = (
         gain_of_training(initialized(scene, 300, map_levels=5, near_count=near, bootstrap=start, **still), scene, 300)
         for start in (0, 30_000)
     )
-    assert mirrors > plain + 2
+    assert mirrors > plain + 1
