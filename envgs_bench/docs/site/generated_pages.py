@@ -44,11 +44,11 @@ def as_value(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def settings_table(settings_type: type, keys: tuple[str, ...]) -> str:
+def settings_table(found: type, keys: tuple[str, ...]) -> str:
     """Rows of name, default and meaning."""
     from envgs_bench.cli.setting_comments import setting_comments
 
-    comments, defaults = setting_comments(settings_type), settings_type()
+    comments, defaults = setting_comments(found), found()
     rows = (f"| `{key}` | `{as_value(getattr(defaults, key))}` | {cell(comments.get(key, ''))} |" for key in keys)
     return table(["setting", "default", "meaning"], rows)
 
@@ -66,15 +66,15 @@ def cell(text: str) -> str:
 def settings() -> str:
     """Each built-in method's settings by group, each data source's, and the rules of each recipe."""
     from envgs_bench.datasets.registry import BUILT_IN as SOURCES
-    from envgs_bench.methods.registry import BUILT_IN, method_class
+    from envgs_bench.methods.registry import BUILT_IN, settings_type
     from envgs_bench.methods.settings import setting_groups
 
     parts = []
     for name in BUILT_IN:
-        settings_type = method_class(name).Settings
+        found = settings_type(name)
         parts.append(f"## method={name}\n")
-        for group, keys in setting_groups(settings_type).items():
-            parts.append(f"### {name}: {group}\n\n{settings_table(settings_type, tuple(keys))}")
+        for group, keys in setting_groups(found).items():
+            parts.append(f"### {name}: {group}\n\n{settings_table(found, tuple(keys))}")
     parts += [f"## dataset.kind={kind}\n\n{source_table(kind)}" for kind in SOURCES]
     return "\n".join([*parts, "## Rules of the recipes\n", recipes()])
 
@@ -82,9 +82,9 @@ def settings() -> str:
 def source_table(kind: str) -> str:
     """Rows of name, default and meaning of a kind of data set."""
     from envgs_bench.cli.setting_comments import setting_comments
-    from envgs_bench.datasets.registry import MISSING, default_settings, source_of
+    from envgs_bench.datasets.registry import MISSING, SETTINGS, default_settings
 
-    comments = setting_comments(source_of(kind).settings or object)
+    comments = setting_comments(SETTINGS[kind])
     rows = []
     for key, value in default_settings(kind).items():
         default = "has to be given" if value == MISSING else f"`{as_value(value)}`"
