@@ -34,6 +34,7 @@ PLACEHOLDERS = {
     "python": "the interpreter: method.settings.python",
     "steps": "of the training",
     "last_step": "steps − 1, for programs that count from 0",
+    "share": "steps / 30,000, for programs whose schedule is written for so many and can be scaled",
     "seed": "of the run",
     "device": "cpu or cuda",
     "test_every": "every so many-th view tests, from the first by name",

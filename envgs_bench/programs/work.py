@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shutil
@@ -23,6 +24,7 @@ from .recipe import ProgramChoice, Reading, files_of, words_of
 
 STATE_NAME = "state.json"
 MOST_BYTES = 100_000_000  # of a text file that a number is read from
+PUBLISHED_STEPS = 30_000  # of 3DGS's runs, for which its descendants' schedules are written
 TEST_EVERY = 8  # as data sets are split, and as other programs split them
 
 
@@ -57,7 +59,8 @@ class Work:
         self.data, self.output = folder / "data", folder / "output"
         self.values = {
             **{"data": str(self.data), "output": str(self.output), "home": choice.home or "", "python": choice.python},
-            **{"steps": str(steps), "last_step": str(steps - 1), "seed": str(seed), "device": device},
+            **{"steps": str(steps), "last_step": str(steps - 1), "share": _share(steps)},
+            **{"seed": str(seed), "device": device},
             **{"test_every": str(TEST_EVERY), "on_white": "", "arguments": choice.arguments},
         }
         folder.mkdir(parents=True, exist_ok=True)
@@ -155,6 +158,14 @@ class _Lines:
             self.step = int(found[-1].replace(",", ""))
         if self._seconds and (found := self._seconds.findall(line)):
             self.seconds = found[-1]
+
+
+def _share(steps: int) -> str:
+    """steps / PUBLISHED_STEPS, such that a program that multiplies and cuts the rest off gets the steps again."""
+    share = steps / PUBLISHED_STEPS
+    while int(PUBLISHED_STEPS * share) < steps:
+        share = math.nextafter(share, math.inf)
+    return repr(share)
 
 
 def commit_of(home: str | None) -> str | None:

@@ -20,6 +20,7 @@ from envgs_bench.programs.recipe import (
     shipped_recipes,
     words_of,
 )
+from envgs_bench.programs.work import Work
 
 VALUES = {"data": "/a b", "steps": "30", "arguments": "--x '1 2'", "on_white": ""}
 
@@ -96,6 +97,12 @@ def test_commands_are_words_and_no_shell_sees_them() -> None:
 def test_words_of_the_user_have_to_be_words() -> None:
     with pytest.raises(RecipeError, match="cannot be split into words"):
         parse_choice({"recipe": Recipe.model_validate(content("fine")), "arguments": "'half"})
+
+
+@pytest.mark.parametrize("steps", [1, 7, 100, 2999, 7000, 29_999, 30_000, 123_457])
+def test_a_share_of_the_published_steps_is_the_steps_again(tmp_path: Path, steps: int) -> None:
+    work = Work(ProgramChoice(recipe=Recipe.model_validate(content("fine"))), tmp_path, steps, 0, "cpu")
+    assert int(30_000 * float(work.values["share"])) == steps
 
 
 def test_patterns_of_files_leave_folders_out(tmp_path: Path) -> None:
