@@ -79,6 +79,8 @@ def test_a_preset_lies_below_data_root_and_is_refused_only_because_nothing_is_th
         ("gold_cape", (104, 15), (909, 909), 42_798),
         ("lund_door", (10, 2), (646, 968), 13_630),
         ("marble_head", (42, 6), (1007, 992), 12_604),
+        ("bananas", (13, 2), (1000, 665), 7_426),
+        ("black_stele", (34, 5), (580, 1036), 8_270),
     ],
 )
 def test_a_known_capture_is_read_as_its_results_say(
@@ -91,7 +93,7 @@ def test_a_known_capture_is_read_as_its_results_say(
     assert (len(scene.train), len(scene.test)) == views
     assert {(view.camera.width, view.camera.height) for view in [*scene.train, *scene.test]} == {size}
     assert len(scene.points) == points
-    assert all(("foreground" in view.masks) == (name == "gold_cape") for view in scene.test)
+    assert all(("foreground" in view.masks) == (name in ("gold_cape", "black_stele")) for view in scene.test)
 
 
 @pytest.mark.skipif("ENVGS_BENCH_DATA" not in os.environ, reason="ENVGS_BENCH_DATA names no folder of real captures")
@@ -144,6 +146,8 @@ def test_the_papers_settings_reach_the_run() -> None:
     assert composed("dataset=toy/chrome_room")["steps"] == 3_000
     assert composed("dataset=colmap", "dataset.root=capture")["steps"] == 7_000
     assert {name: composed(f"dataset={name}")["steps"] for name in CAPTURES} == {
+        "captures/bananas": 7_000,
+        "captures/black_stele": 7_000,
         "captures/fox": 7_000,
         "captures/gold_cape": 7_000,
         "captures/lund_door": 7_000,
