@@ -159,7 +159,7 @@ class GaussianMethod(Method):
             raise ValueError(f"scene {scene.name} has no points to start from")
         if s.mono_weight > 0 and (lacking := lacking_normals(scene)):
             self.dropped_losses[MONO] = lacking
-        schedule = Schedule(steps, s.rule.stretches)
+        schedule = Schedule(steps, s.rule.stretches, s.rule.reference_steps)
         pilot = partial(fresh, self, s.ruled(normals="as_given"))  # whose views agree already
         learned = learned_normals(scene, steps, self.needs.agreed_normals, self.found, pilot)
         self.notes = list(learned.notes)

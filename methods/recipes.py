@@ -13,14 +13,17 @@ from typing import Any, Literal
 
 from .validation import Amount, Count, Length, Power, Share, Steps, checked
 
+REFERENCE_STEPS = 30_000  # what 3DGS, 2DGS and EnvGS are tuned for
+
 RecipeName = Literal["ours", "2dgs", "3dgs", "paper", "released", "3dgs_dr", "ref_gaussian", "ref_gs"]
 
 
 @dataclass(frozen=True)
 class Rules:
-    """The rules of one recipe; the defaults are ours. Steps are those of a run of 30,000 (see `Schedule`)."""
+    """The rules of one recipe; the defaults are ours. Steps are of a run of `reference_steps` (see `Schedule`)."""
 
-    stretches: bool = True  # a run of more than 30,000 steps stretches the schedule; false: it goes on after its end
+    reference_steps: Count = REFERENCE_STEPS  # length of the run that the steps of settings and rules are those of
+    stretches: bool = True  # a run of more steps than that stretches the schedule; false: it goes on after its end
     longest_run: Steps = 0  # a run that is given more steps ends after so many; 0: every run is as long as it is given
     average_from: Steps = 27_600  # step after which all that is trained is averaged; a run ends with that; 0: never
 

@@ -16,9 +16,10 @@ from torch import Tensor
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.methods.gaussians.initialization import neighbor_distance
 from envgs_bench.methods.gaussians.parameters import sh_from_rgb
+from envgs_bench.methods.recipes import REFERENCE_STEPS
 from envgs_bench.methods.training.losses import photometric_loss
 from envgs_bench.methods.training.resident_views import ResidentViews
-from envgs_bench.methods.training.schedule import DENSIFY_FLOOR, REFERENCE_STEPS
+from envgs_bench.methods.training.schedule import DENSIFY_FLOOR
 
 RECIPES = ("3dgs", "2dgs", "3dgs_mcmc")  # its default strategy, but for the last, which has the other one
 SH_DEGREE, SH_EVERY = 3, 1_000

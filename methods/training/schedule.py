@@ -1,8 +1,9 @@
 """Schedule: what happens at which step, in a run of any length, and to which parts of a method.
 
-The settings give steps of a run of 30,000, the length that 3DGS, 2DGS and EnvGS are tuned for. A run of another length
-stretches them: `at` maps a point of the reference run to this run, `interval` maps an interval. An interval never falls
-below a floor, because some things take a number of steps and not a share of the run:
+The settings give steps of a reference run: of 30,000, the length that 3DGS, 2DGS and EnvGS are tuned for, unless the
+recipe names another (`reference_steps`). A run of another length stretches them: `at` maps a point of the reference run
+to this run, `interval` maps an interval. An interval never falls below a floor, because some things take a number of
+steps and not a share of the run:
 
 | interval | floor | why |
 |---|---|---|
@@ -32,7 +33,8 @@ from torch import Tensor
 
 from envgs_bench.core import Scene
 
-REFERENCE_STEPS = 30_000
+from ..recipes import REFERENCE_STEPS
+
 DENSIFY_FLOOR = 30
 DISTURB_FLOOR = 1000
 RESET_FLOOR = 600
@@ -46,12 +48,14 @@ class Schedule:
 
     Attributes:
         steps: length of the run.
-        stretches: whether a run of more than 30,000 steps stretches the reference run; else it goes through the
-            reference run and then on with what holds at its end (EnvGS's released code).
+        stretches: whether a run of more steps than the reference run stretches it; else it goes through the reference
+            run and then on with what holds at its end (EnvGS's released code).
+        reference: length of the run that settings give steps of.
     """
 
     steps: int
     stretches: bool = True
+    reference: int = REFERENCE_STEPS
 
     def __post_init__(self) -> None:
         if self.steps < 1:
@@ -60,18 +64,18 @@ class Schedule:
     @property
     def horizon(self) -> int:
         """Steps of this run that the reference run is mapped to."""
-        return self.steps if self.stretches else min(self.steps, REFERENCE_STEPS)
+        return self.steps if self.stretches else min(self.steps, self.reference)
 
     def at(self, reference_step: int) -> int:
-        """The step of this run that lies where `reference_step` lies in a run of 30,000."""
-        return _nearest(reference_step * self.horizon, REFERENCE_STEPS)
+        """The step of this run that lies where `reference_step` lies in the reference run."""
+        return _nearest(reference_step * self.horizon, self.reference)
 
     @cache  # noqa: B019 (a few intervals a run)
     def interval(self, reference_interval: int, floor: int) -> Fraction:
         """An interval of the reference run in steps of this run, at least `floor`; 0, never, where it is 0 there."""
         if reference_interval <= 0:
             return Fraction(0)
-        return max(Fraction(reference_interval * self.horizon, REFERENCE_STEPS), Fraction(floor))
+        return max(Fraction(reference_interval * self.horizon, self.reference), Fraction(floor))
 
     def rate(self, step: int, first: float, last: float) -> float:
         """A learning rate's log-linear decay (3DGS's, for positions): `first` at step 0 and `last` at the horizon."""
@@ -80,13 +84,13 @@ class Schedule:
 
     @property
     def rate_scale(self) -> float:
-        """What a short run multiplies the rates of positions, rotations, colors and β by: √(30,000 / steps), 1 to 10.
+        """What a short run multiplies positions, rotations, colors and β's rates by: √(reference ÷ steps), 1 to 10.
 
         Adam moves a parameter by about its learning rate a step, so fewer steps reach less far; the square root is
         between keeping the steps and keeping the reach. Scales and opacities, which run away, keep their rates. The
         monocular normal loss gains the same weight, to hold the surfaces that move faster.
         """
-        return min(max(1.0, math.sqrt(REFERENCE_STEPS / self.steps)), 10.0)
+        return min(max(1.0, math.sqrt(self.reference / self.steps)), 10.0)
 
     def recovers(self, step: int, *, stop: int, interval: int, floor: int = RESET_FLOOR) -> bool:
         """Whether `step` is within 100 steps after an opacity reset, every `interval` until before `stop` (reference).
@@ -119,7 +123,7 @@ def _disturbances(schedule: Schedule, start: int, stop: int, interval: int, rese
     """All steps at which `Schedule.disturbs`."""
     if interval <= 0:
         return frozenset()
-    stretch = Fraction(schedule.horizon, REFERENCE_STEPS)
+    stretch = Fraction(schedule.horizon, schedule.reference)
     if reset_interval > 0:  # where resets are kept apart by their floor, what lies between them is stretched alike
         stretch = schedule.interval(reset_interval, RESET_FLOOR) / reset_interval
     steps, last = [], 0

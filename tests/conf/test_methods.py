@@ -206,6 +206,21 @@ def test_ref_gaussian_on_captures_does_everything_at_the_released_steps() -> Non
     assert "propagate" in events[17_000]
 
 
+def test_ref_gaussian_on_captures_has_the_released_rates() -> None:
+    """Those of the positions fall for 30,000 steps there, of which 20,000 are trained; opacities are held for 200."""
+    method = create_method("ref_gaussian", run_on("ref_real/sedan", "ref_gaussian") | {"envmap_size": 4})
+    method.initialize(tiny_scene(), 20_000)
+    base, radius = method.model.policies["base"], method.model.radius
+    for step in (1, 10_000, 20_000):
+        assert base.position_rate(step, radius) == pytest.approx(1.6e-4 * 0.01 ** (step / 30_000) * radius, rel=2e-3)
+    rates = base.rates
+    assert (base.rotation_rate(1), rates.sh_dc, rates.sh_rest, rates.beta) == pytest.approx(
+        (1e-3, 7.5e-3, 3.75e-4, 5e-3)
+    )
+    method.parts["disturbance"].propagate(4_000)
+    assert method.model.sets["base"].held_until == 4_200
+
+
 def test_the_published_configurations_are_what_was_published() -> None:
     """Spot checks against the paper's Sec. 4.3 and App. C, and the release's schedule."""
     paper, released = (composed(f"envgs_{name}") for name in ("paper", "released"))
