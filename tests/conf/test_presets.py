@@ -16,7 +16,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 import envgs_bench
-from envgs_bench.cli import checks
+from envgs_bench.cli import choices
 from envgs_bench.cli.composition import config_names, register_choices
 from envgs_bench.cli.main import main
 from envgs_bench.datasets import DatasetError, load_scene
@@ -194,7 +194,7 @@ def test_a_run_records_the_facts_and_where_to_get_what_is_missing(
     assert main(["run", *overrides, f"runs_dir={tmp_path / 'runs'}"]) == 2
     assert "ref_real.zip" in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
-    monkeypatch.setattr(checks, "check_source", lambda settings: None)  # as where the data go after the check
+    monkeypatch.setattr(choices, "check_source", lambda settings: None)  # as where the data go after the check
     with without_processes():
         assert main(["run", *overrides, f"runs_dir={tmp_path / 'runs'}"]) == 1
     (path,) = find_records(tmp_path / "runs")
