@@ -13,6 +13,7 @@ from envgs_bench.import_path import load_import_path
 
 from .errors import DatasetError
 from .formats.names import PICTURES
+from .sampled.settings import SampledSettings
 from .settings import SceneSettings, SourceSettings, parse_dataset_settings, require_folder
 from .source import Source
 from .sources.settings import BlenderSettings, ColmapSettings, PhotosSettings, TransformsSettings
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 ADDRESSES = ("obtain", "download", "photographs")  # where data are to be had: nothing that a scene is made from
 BUILT_IN = {
     "toy": "envgs_bench.datasets.toy.source:SOURCE",
+    "sampled": "envgs_bench.datasets.sampled.source:SOURCE",
     "colmap": "envgs_bench.datasets.sources.colmap:SOURCE",
     "blender": "envgs_bench.datasets.sources.blender:SOURCE",
     "transforms": "envgs_bench.datasets.sources.transforms:SOURCE",
@@ -31,6 +33,7 @@ BUILT_IN = {
 }
 SETTINGS: dict[str, type[SourceSettings]] = {  # of these, apart from them: composing a run imports no source
     "toy": ToySettings,
+    "sampled": SampledSettings,
     "colmap": ColmapSettings,
     "blender": BlenderSettings,
     "transforms": TransformsSettings,

@@ -29,7 +29,7 @@ from envgs_bench.core import Camera, Placement, Scene, View
 
 from ..progress import mapped
 
-LAYOUT = 5  # raise it with every change of `_as_dict`
+LAYOUT = 6  # raise it with every change of `_as_dict`
 MAGIC = b"envgs-scene\0"
 ALIGNMENT = 64  # bytes
 FOOTER = struct.Struct(f"<QI{len(MAGIC)}s")
@@ -213,6 +213,7 @@ def _as_dict(scene: Scene, block: Callable[[Tensor], list[Any]]) -> dict[str, An
         "background": _numbers(scene.background),
         "free_space": scene.free_space,
         "bounds": scene.bounds,
+        "attributes": dict(scene.attributes),
         "placement": asdict(scene.placement),
     }
 
@@ -248,5 +249,6 @@ def _from_dict(content: dict[str, Any], tensor: Callable[[list[Any]], Tensor]) -
         background=_tensor(*content["background"]),
         free_space=content["free_space"],
         bounds=content["bounds"],
+        attributes=content["attributes"],
         placement=Placement(tuple(content["placement"]["shift"]), content["placement"]["scale"]),
     )

@@ -46,7 +46,7 @@ def make_scene(choice: ToySettings, name: str) -> Scene:
         image = paint(cameras[index], choice.supersampling, for_views[index])
         return _view(world, cameras[index], f"{index:04d}", image)
 
-    views = _without_slivers(on_disk(streamed("tracing views", make_view, range(choice.views))))
+    views = without_slivers(on_disk(streamed("tracing views", make_view, range(choice.views))))
     train, test = split_views(views, name)
     val = validation_of(train)  # with exact normals, as test views
     val = _with_covisible(world, val, taken_out(train, val))
@@ -59,7 +59,7 @@ def make_scene(choice: ToySettings, name: str) -> Scene:
     return Scene(name, train, test, *cloud, val=val)
 
 
-def _without_slivers(views: list[View]) -> list[View]:
+def without_slivers(views: list[View]) -> list[View]:
     """The views with regions left empty that hardly any pixel belongs to: a score of a pixel or two says nothing."""
     pixels = sum(view.camera.width * view.camera.height for view in views)
     counts = {name: sum(int(view.masks[name].sum()) for view in views) for name in views[0].masks}

@@ -38,8 +38,10 @@ class Mesh:
     faces: NDArray[np.int32]  # [F, 3]
 
 
-def tessellate(shape: Shape) -> Mesh:
+def tessellate(shape: Shape | Mesh) -> Mesh:
     """The shape as a lattice of triangles, two a cell. Seams and poles keep separate vertices, so uv never wraps."""
+    if isinstance(shape, Mesh):
+        return shape
     columns, rows = shape.cells
     v, u = np.meshgrid(np.linspace(0, 1, rows + 1), np.linspace(0, 1, columns + 1), indexing="ij")
     vertices, normals = shape.evaluate(u, v)

@@ -37,7 +37,7 @@ class Waves:
         return float(np.linalg.norm(self.across)), float(np.linalg.norm(self.down))
 
     def evaluate(self, u: Array, v: Array) -> tuple[Array, Array]:
-        across, down = np.array(self.across), np.array(self.down)
+        across, down = np.array(self.across, float), np.array(self.down, float)
         flat = np.cross(down, across)
         flat /= np.linalg.norm(flat)
         height, along_u, along_v = (values[..., None] for values in self._heights(u, v))

@@ -10,7 +10,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from .shapes import Shape, tessellate
+from .shapes import Mesh, Shape, tessellate
 
 Array = NDArray[np.floating[Any]]
 Index = NDArray[np.int64]
@@ -27,7 +27,7 @@ class Part:
     Mitsuba solves them (`path_traced.PathTraced`): `reflectance` does not count there.
     """
 
-    shape: Shape
+    shape: Shape | Mesh
     albedo: Array  # [H, W, 3] linear, upright as the shape's (u, v)
     reflectance: float = 0.0  # share of the light that is reflected, in [0, 1]
     roughness: float = 0.0  # roughness of the reflecting microfacets (GGX, alpha = roughness²); 0 is a mirror

@@ -25,6 +25,7 @@ COMMANDS = {
     "download": "a published data set, fetched and unpacked where its configuration expects it",
     "export": "a data set in COLMAP's or blender's layout",
     "list": "methods, data sets, protocols, experiments, backends; what each method is, the settings of one",
+    "diagnose": "how often warnings and repairs are wrong, counted on sampled scenes",
     "bench": "how long the core takes, and what a training is worth at any time",
     "completion": "what bash and zsh complete commands and names by",
     "weights": "fetch VGG-16's weights, which LPIPS and the perceptual loss need",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -64,6 +64,8 @@ class Scene:
     """Half the edge of a cube around the world's origin that holds the surroundings."""
     normals: NormalPrior | None = None
     """What the training views' normals are worth, where a method asks for that."""
+    attributes: Mapping[str, float] = field(default_factory=dict)
+    """What the scene is like, where a source knows that from its truth; reports compare methods by it."""
     placement: Placement = field(default_factory=Placement)
     """Where the world lies in that of the data: all positions and lengths here are the world's."""
 

@@ -1,0 +1,20 @@
+"""SampledSettings: which of the distribution's scenes, and how it is drawn."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ..settings import SourceSettings
+
+
+class SampledSettings(SourceSettings):
+    """Settings of `kind: sampled`."""
+
+    kind: Literal["sampled"]
+    seed: Annotated[int, Field(ge=0)] = 0  # which scene
+    width: Annotated[int, Field(ge=16)] = 400  # pixels
+    height: Annotated[int, Field(ge=16)] = 300
+    views: Annotated[int, Field(ge=8)] = 60  # training and test views together; where few were taken, a share of them
+    supersampling: Annotated[int, Field(ge=1)] = 4  # its square are the paths a pixel
