@@ -240,6 +240,7 @@ class Record(_Part):
     dataset: str
     data: str | None = None  # a hash of the files that were read; None in older records, and where there are none
     placement: WorldPlacement | None = None  # None in older records, and where no data were loaded
+    attributes: dict[MetricName, Finite] = {}  # of the scene, computed from its truth where that is known
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     steps: Count
     run_id: str

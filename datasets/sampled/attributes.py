@@ -30,12 +30,12 @@ def attributes_of(
         exact: their true normals.
 
     Returns:
-        `reflective` and a share of the pixels for each other region of materials; `near_field`, `self_field` and
+        `reflective` and the other regions of materials as shares of the pixels; `near_field`, `self_field` and
         `far_field` as shares of the reflective ones. `roughness` is their mean. `curvature` of theirs, 1/m, and
-        `mirrored_distance`, m, are medians. `texture` is the mean gradient of sRGB a pixel. `views`; `view_angle` is the
-        median between neighboring views, degrees. `points`; `points_missing` is the share of textured cells without
-        one. `brightness_range` in stops, from the 2nd to the 98th percentile. `clipped` is the share of white pixels.
-        `sky`. `normals_off` is the mean angle of the normals given, degrees.
+        `mirrored_distance`, m, are medians. `texture` is the mean gradient of sRGB a pixel. `view_angle` is the median
+        between neighboring views, degrees. `points_missing` is the share of textured cells without a point.
+        `brightness_range` is in stops, from the 2nd to the 98th percentile. `clipped` is the share of white pixels,
+        `sky` of those that meet nothing. `normals_off` is the mean angle of the normals given, degrees.
     """
     regions = {name: np.stack([truth.regions[name] for truth in truths]) for name in truths[0].regions}
     shining = regions["reflective"]

@@ -1,4 +1,4 @@
-"""Patterns: what sampled surfaces are painted with, [H, W, 3] sRGB in [0, 1], by x to the right and y down in meters."""
+"""Patterns: what sampled surfaces are painted with: [H, W, 3] sRGB in [0, 1], by x to the right and y down, meters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of a sampled scene: path-traced and exposed once, then kept as an archive that other machines can be given."""
+"""Pictures of a sampled scene: path-traced once, then kept as an archive that other machines can be given."""
 
 from __future__ import annotations
 

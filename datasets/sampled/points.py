@@ -1,4 +1,4 @@
-"""Points as structure from motion leaves them: where pictures have corners, few on what shines, some where nothing is."""
+"""Points as structure from motion leaves them: at corners of pictures, few on what shines, some where nothing is."""
 
 from __future__ import annotations
 

@@ -53,4 +53,4 @@ def files_read(settings: Mapping[str, Any]) -> list[Path]:
     return []
 
 
-SOURCE = Source(load_sampled, SampledSettings, files_read, places=True, empty_regions=True)
+SOURCE = Source(load_sampled, files_read, places=True, empty_regions=True)

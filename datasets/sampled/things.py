@@ -1,4 +1,4 @@
-"""Things: what stands about in a place, each of about a given radius on a given spot, made of whatever the stock has."""
+"""Things: what stands about in a place, each of about a given radius on a given spot, of what the stock has."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def figure(stock: Stock, base: Vector, size: float) -> list[Surface]:
 
 def ring_toy(stock: Stock, base: Vector, size: float) -> list[Surface]:
     """Rings of falling size on a stick, with a ball on top."""
-    parts, height, (x, y, z) = [], base[2], base
+    parts, (x, y, height) = [], base
     for scale in np.linspace(1, 0.45, 4):
         tube = 0.22 * size * scale
         parts += stock.surfaces([Torus((x, y, height + tube), 0.62 * size * scale, tube)], stock.finish())

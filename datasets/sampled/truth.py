@@ -46,8 +46,8 @@ class TruthOf:
         self._roughness = np.array(rough, np.float32)
 
     def __call__(self, camera: Camera) -> Truth:
-        """Regions: by material `reflective`, of which `mirror` (smooth metal), `rough`, `coated` and `transmissive`, and
-        `matt`; by what is mirrored at the pixel's center `near_field` (another thing), `self_field` (the same) and
+        """Regions by material: `reflective`, of which `mirror` (smooth metal), `rough`, `coated`, `transmissive`; and
+        `matt`. By what is mirrored at the pixel's center `near_field` (another thing), `self_field` (the same) and
         `far_field` (the sky).
         """
         shape = (camera.height, camera.width)

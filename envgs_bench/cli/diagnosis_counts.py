@@ -1,4 +1,4 @@
-"""How often diagnosis is wrong: its warnings and repairs of scenes in order, and of the same scenes spoiled on purpose."""
+"""How often diagnosis is wrong: its warnings and repairs of scenes in order, and of the same spoiled on purpose."""
 
 from __future__ import annotations
 

@@ -49,6 +49,7 @@ class Draft:
             dataset=results.dataset,
             data=data_hash(settings),
             placement=results.placement,
+            attributes=results.attributes,
             seed=settings.seed,
             steps=results.steps,
             run_id=run_id_of(self.folder),

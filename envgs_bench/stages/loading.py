@@ -25,6 +25,7 @@ def load_for_run(settings: RunSettings, results: Results, report: EventListener)
         if len(scene.train) < FEW_VIEWS and settings.method.kind != RENDERS:
             note(f"data set {scene.name} has only {len(scene.train)} training views, of which little can be learned")
     results.dataset, results.notes = scene.name, notes
+    results.attributes = dict(scene.attributes)
     results.placement = WorldPlacement(shift=scene.placement.shift, scale=scene.placement.scale)
     if notes:
         report({"stage": "loading", "notes": notes})

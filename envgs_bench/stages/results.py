@@ -23,6 +23,7 @@ class Results:
     dataset: str  # the configured name; once the data are loaded, the scene's own
     steps: int
     placement: WorldPlacement | None = None  # of the world that is learned in
+    attributes: dict[str, float] = field(default_factory=dict)  # of the scene
     went_on_from: list[int] = field(default_factory=list)  # steps of the snapshots that an interrupted run went on from
     notes: list[str] = field(default_factory=list)
     repairs: list[RepairOutcome] = field(default_factory=list)

@@ -1,0 +1,165 @@
+"""Sampled scenes: what the distribution says, truth against closed forms, and that a seed is a scene."""
+
+from __future__ import annotations
+
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from envgs_bench.core import Camera
+from envgs_bench.datasets import DatasetError, load_scene
+from envgs_bench.datasets.path_tracer import PathTracer
+from envgs_bench.datasets.sampled import distribution, light, patterns, pictures
+from envgs_bench.datasets.sampled.distribution import one_of
+from envgs_bench.datasets.sampled.making import drawn
+from envgs_bench.datasets.sampled.materials import MIRROR, Surface, drawn_material
+from envgs_bench.datasets.sampled.place import flat, four_walls
+from envgs_bench.datasets.sampled.places import PLACES
+from envgs_bench.datasets.sampled.settings import SampledSettings
+from envgs_bench.datasets.sampled.solids import Knot, Lump, Superellipsoid, blobs
+from envgs_bench.datasets.sampled.truth import TruthOf
+from envgs_bench.datasets.toy.cameras import look_at
+from envgs_bench.datasets.toy.shapes import Shape, Sphere, tessellate
+
+TINY = {"kind": "sampled", "width": 32, "height": 24, "views": 10, "supersampling": 1}
+
+
+@pytest.fixture(autouse=True)
+def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Textures and skies of few texels, and small pictures to find the exposure by: a tenth of the time."""
+    monkeypatch.setattr(light, "ROWS", 48)
+    monkeypatch.setattr(light, "COLUMNS", 96)
+    monkeypatch.setattr(patterns, "MOST_TEXELS", 48)
+    monkeypatch.setattr(pictures, "PROBE_WIDTH", 16)
+
+
+def camera_at(center: tuple[float, float, float], target: tuple[float, float, float] = (0, 0, 0)) -> Camera:
+    pose = torch.from_numpy(look_at(np.array(center, float), np.array(target, float))).float()
+    return Camera(pose, torch.tensor([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]), 40, 30)
+
+
+def test_shares_are_drawn_as_they_are_written() -> None:
+    rng = np.random.default_rng(0)
+    names = [one_of(rng, distribution.PLACES) for _ in range(4000)]
+    for name, share in distribution.PLACES.items():
+        assert abs(names.count(name) / 4000 - share / sum(distribution.PLACES.values())) < 0.03
+
+
+def test_every_place_of_the_distribution_can_be_drawn() -> None:
+    assert set(distribution.PLACES) == set(PLACES)
+    for name, place in PLACES.items():
+        drawn_place = place(np.random.default_rng(3))
+        assert drawn_place.name == name
+        assert len(drawn_place.surfaces) > 8
+        assert np.isfinite(drawn_place.sky).all()
+        assert (drawn_place.sky >= 0).all()
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Superellipsoid((0.1, 0.2, 0.3), (0.5, 0.3, 0.2), 3.0, 30.0),
+        Lump((0.0, 0.0, 0.5), 0.4, ((0.1, (2.0, 1.0, 0.5), 0.3), (0.05, (-3.0, 2.0, 4.0), 1.0)), 0.7),
+        Knot((0.0, 0.0, 0.0), 0.5, 0.07, (2, 3)),
+    ],
+)
+def test_normals_are_those_of_the_surface(shape: Shape) -> None:
+    """Across both finite differences, and outward as the lattice's triangles are."""
+    rng = np.random.default_rng(0)
+    u, v = rng.uniform(0.05, 0.95, 200), rng.uniform(0.1, 0.9, 200)
+    step = 1e-5
+    normals = shape.evaluate(u, v)[1]
+    for du, dv in ((step, 0.0), (0.0, step)):
+        along = shape.evaluate(u + du, v + dv)[0] - shape.evaluate(u - du, v - dv)[0]
+        along /= np.linalg.norm(along, axis=-1, keepdims=True)
+        assert np.abs((along * normals).sum(-1)).max() < 2e-3
+
+
+def test_blobs_of_one_ball_are_the_ball() -> None:
+    mesh = tessellate(blobs(np.array([[0.2, 0.0, 0.1]]), np.array([0.5]), 48))
+    radius = np.linalg.norm(mesh.vertices - [0.2, 0.0, 0.1], axis=1)
+    assert np.abs(radius - 0.5).max() < 0.01
+    corners = mesh.vertices[mesh.faces]
+    faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((faces * mesh.normals[mesh.faces[:, 0]]).sum(1) > 0).all()
+
+
+def test_truth_of_a_mirror_says_what_it_mirrors() -> None:
+    """A mirror on the ground under a ball: the ball where a ray from its image would pass through the ball."""
+    ball = Surface(Sphere((0.0, 0.0, 0.8), 0.3), thing=2)
+    truth = TruthOf([Surface(flat((0, 0, 0), 4, 4), MIRROR, thing=1), ball])(camera_at((2.0, 0.0, 1.2), (0, 0, -0.3)))
+    origins, directions = (rays.double().numpy() for rays in camera_at((2.0, 0.0, 1.2), (0, 0, -0.3)).rays())
+    image = np.array([0.0, 0.0, -0.8])  # the ball's center, mirrored
+    unit = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    nearest = np.linalg.norm(np.cross(image - origins, unit), axis=-1)
+    sure = truth.regions["mirror"] & (np.abs(nearest - 0.3) > 0.01)
+    assert np.array_equal(truth.regions["near_field"][sure], (nearest < 0.3)[sure])
+    assert np.array_equal(truth.regions["far_field"][sure], (nearest > 0.3)[sure])
+    assert truth.regions["near_field"].sum() > 20
+    assert not truth.regions["self_field"].any()
+    assert (truth.regions["matt"] | truth.regions["mirror"] == (truth.depth > 0)).all()
+
+
+@pytest.mark.parametrize("name", ["matt", *distribution.MATERIALS])
+def test_no_material_gives_more_light_than_it_gets(name: str) -> None:
+    """In a white furnace a pixel is at most white, and a surface of white paint or glass hardly darker."""
+    rng = np.random.default_rng(1)
+    ball = Surface(Sphere((0.0, 0.0, 0.0), 0.8), drawn_material(rng, name), np.full((2, 2, 3), 0.9))
+    found = PathTracer([ball.traced()], np.ones((4, 8, 3))).light(camera_at((2.0, 0.3, 0.4)), 4, 0)
+    middle = found[10:20, 15:25]
+    assert middle.mean() < 1.02
+    assert middle.mean() > 0.3
+
+
+def test_a_path_counts_for_no_more_than_it_may() -> None:
+    floor = Surface(flat((0, 0, 0), 4, 4), thing=1)
+    sky = np.ones((4, 8, 3))
+    sky[0] = 400.0
+    tracer = PathTracer([floor.traced()], sky)
+    assert tracer.clamped_light(camera_at((2.0, 0.0, 1.2)), [1, 2, 3], 0.7).max() <= 0.7 + 1e-6
+
+
+def test_a_seed_is_a_scene_and_its_pictures_may_come_from_an_archive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    once = load_scene({**TINY, "seed": 3}, tmp_path / "a")
+    (archive,) = (tmp_path / "a" / "pictures").iterdir()
+    assert len(zipfile.ZipFile(archive).namelist()) == len(once.train) + len(once.test)
+    (tmp_path / "b" / "pictures").mkdir(parents=True)
+    (tmp_path / "b" / "pictures" / archive.name).write_bytes(archive.read_bytes())
+    monkeypatch.setitem(sys.modules, "mitsuba", None)  # nothing is to be traced
+    again = load_scene({**TINY, "seed": 3}, tmp_path / "b")
+    for ours, theirs in zip([*once.train, *once.test], [*again.train, *again.test], strict=True):
+        assert torch.equal(ours.image, theirs.image)
+        assert torch.equal(ours.normal, theirs.normal)  # type: ignore[arg-type]
+    assert torch.equal(once.points, again.points)
+    assert once.attributes == again.attributes
+    assert 0 <= once.attributes["reflective"] <= 1
+    shares = ("near_field", "self_field", "far_field")
+    assert sum(once.attributes[name] for name in shares) == pytest.approx(float(once.attributes["reflective"] > 0))
+    with pytest.raises(DatasetError, match="not installed"):
+        load_scene({**TINY, "seed": 4}, tmp_path / "b")
+
+
+def test_cameras_stand_clear_of_all_things() -> None:
+    """But for what cannot be helped, one in twenty."""
+    near, cameras = 0, 0
+    for seed in range(4):
+        scene = drawn(SampledSettings(kind="sampled", seed=seed, width=32, height=24, views=16))
+        for camera in scene.cameras:
+            depth = scene.truth(camera).depth
+            near += bool(((depth > 0) & (depth < 0.1)).mean() > 0.2)
+        cameras += len(scene.cameras)
+    assert near <= cameras / 20
+
+
+def test_walls_close_a_room() -> None:
+    walls = four_walls((2.0, 3.0), 2.5)
+    assert [round(float(np.linalg.norm(wall.middle)), 6) for wall in walls] == [3.0, 2.0, 3.0, 2.0]
+    for wall in walls:
+        assert float(wall.middle @ wall.inward) < 0
+        assert float(wall.along @ wall.inward) == 0
