@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 ADDRESSES = ("obtain", "download", "photographs")  # where data are to be had: nothing that a scene is made from
 BUILT_IN = {
     "toy": "envgs_bench.datasets.toy.source:SOURCE",
-    "sampled": "envgs_bench.datasets.sampled.source:SOURCE",
     "colmap": "envgs_bench.datasets.sources.colmap:SOURCE",
     "blender": "envgs_bench.datasets.sources.blender:SOURCE",
     "transforms": "envgs_bench.datasets.sources.transforms:SOURCE",
     "photos": "envgs_bench.datasets.sources.photos:SOURCE",
+    "sampled": "envgs_bench.datasets.sampled.source:SOURCE",
 }
 SETTINGS: dict[str, type[SourceSettings]] = {  # of these, apart from them: composing a run imports no source
     "toy": ToySettings,
