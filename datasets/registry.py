@@ -33,11 +33,11 @@ BUILT_IN = {
 }
 SETTINGS: dict[str, type[SourceSettings]] = {  # of these, apart from them: composing a run imports no source
     "toy": ToySettings,
-    "sampled": SampledSettings,
     "colmap": ColmapSettings,
     "blender": BlenderSettings,
     "transforms": TransformsSettings,
     "photos": PhotosSettings,
+    "sampled": SampledSettings,
 }
 MISSING = "???"  # Hydra's word for what has to be given
 
