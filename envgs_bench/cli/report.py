@@ -11,7 +11,7 @@ from .explained import explained
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write the report; the exit status is 1 where nothing was written or a record is missing from it."""
+    """Write the report; the exit status is 1 where nothing was written, a record is missing from it or scores fell."""
     parser = argparse.ArgumentParser(prog="envgs-bench report", description="Tables, charts and a page from records.")
     parser.add_argument("runs", type=Path, metavar="RUNS", help="a folder with runs: the runs_dir of `run`")
     parser.add_argument("--out", type=Path, metavar="DIR", help="where to write; RUNS/report by default")
@@ -40,6 +40,13 @@ def main(arguments: Sequence[str]) -> int:
         type=Path,
         metavar="PAGE.md",
         help="write no report: make the tables of this page anew from the kept runs, CSV files in the folder RUNS",
+    )
+    parser.add_argument(
+        "--against",
+        type=Path,
+        metavar="OLD",
+        help="first list what left the band of its seeds since OLD, a folder of runs or a CSV that --keep wrote; the "
+        "exit status is 1 where a score got worse or runs fail that did not",
     )
     options = parser.parse_args(arguments)
     if options.fill:
@@ -73,8 +80,31 @@ def _report(options: argparse.Namespace) -> int:
     from envgs_bench.reports import build_report
 
     out = options.out or options.runs / "report"
+    worse = _compare(options, out) if options.against else False
     report = build_report(options.runs, out, options.only, options.exclude, options.for_print)
     print(report)
     for record in report.broken:
         print(f"envgs-bench report: {record.path}: {record.reason}", file=sys.stderr)
-    return int(bool(report.broken))
+    return int(bool(report.broken) or worse)
+
+
+def _compare(options: argparse.Namespace, out: Path) -> bool:
+    """Print and write what changed since the earlier runs; whether something got worse."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from envgs_bench.plain_text import plain
+    from envgs_bench.records import write_atomically
+    from envgs_bench.reports.kept.against import against, as_markdown, as_table
+    from envgs_bench.reports.numbers.runs import read_runs
+
+    found = against(read_runs(options.runs, options.only, options.exclude)[0], options.against)
+    out.mkdir(parents=True, exist_ok=True)
+    write_atomically(out / "against.md", as_markdown(found, options.against))
+    heads, *rows = as_table(found)
+    table = Table(*heads, box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(*map(plain, row))
+    Console(width=None if sys.stdout.isatty() else 160).print(table, highlight=False, markup=False)
+    print(f"{len(rows)} of {found.compared} cells left the band of their seeds since {options.against}")
+    return found.got_worse

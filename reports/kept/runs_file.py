@@ -67,7 +67,7 @@ def numbers_of(record: Record) -> dict[str, float]:
     for region, masked in record.masked.items():
         found |= {f"{metric}_{region}": value for metric, value in masked.scores.items()}
     if record.cost is not None:
-        found |= {"primitives": sum(record.cost.primitives.values())}
+        found |= {"primitives": sum(record.cost.primitives.values())} if record.cost.primitives else {}
         found |= {f"primitives_{name}": count for name, count in record.cost.primitives.items()}
     for part, names in ((record.cost, COSTS), (record.timing, TIMES)):
         found |= {name: getattr(part, name, None) for name in names if name not in NOT_KEPT}
