@@ -60,6 +60,7 @@ lint: $(TOOLS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/codespell
+	$(BIN)/python .ci/prose.py
 	MYPYPATH=. $(BIN)/mypy -p envgs_bench
 
 # The documentation, as pages that open from disk: build/site/index.html. A warning is an error.

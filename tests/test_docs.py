@@ -130,6 +130,21 @@ def test_what_is_not_there_is_found(text: str) -> None:
     assert len(problems(text, DOCS / "reference" / "core.md")) == 1
 
 
+ASIDE = {"index", "api", "glossary"}
+
+
+@pytest.mark.parametrize("page", [path for path in PAGES if not ASIDE & {path.stem, path.parent.name}], ids=name_of)
+def test_every_page_leads_into_the_glossary(page: Path) -> None:
+    links = [link.partition("#")[0] for link in LINK.findall(page.read_text(encoding="utf-8"))]
+    assert DOCS / "reference" / "glossary.md" in {(page.parent / link).resolve() for link in links}
+
+
+def test_the_glossary_is_in_order_and_explains_each_word() -> None:
+    text = (DOCS / "reference" / "glossary.md").read_text(encoding="utf-8")
+    words = re.findall(r"^## (.*)\n\n\S.*\.$", text, re.MULTILINE)
+    assert words == re.findall(r"^## (.*)$", text, re.MULTILINE) == sorted(words, key=str.lower)
+
+
 CHOICE = re.compile(r"\b(method|dataset|experiment|suite|size|protocol)=([^\s`'\")…]+)")
 CALL = re.compile(r"envgs-bench ([a-z]\w*)\b")
 EXAMPLES = {"mine", "blobs", "smooth"}  # what readers are shown how to add
@@ -162,10 +177,11 @@ def test_every_command_is_in_some_document() -> None:
     assert set(COMMANDS) <= set(CALL.findall(text)), set(COMMANDS) - set(CALL.findall(text))
 
 
-def test_the_readmes_lines_on_the_core_run() -> None:
-    (block,) = [code for code in PYTHON.findall((ROOT / "README.md").read_text(encoding="utf-8")) if "trace(" in code]
+def test_the_lines_on_the_core_run() -> None:
+    page = (DOCS / "explanation" / "core.md").read_text(encoding="utf-8")
+    (block,) = [code for code in PYTHON.findall(page) if "trace(" in code]
     names: dict[str, Any] = {}
-    exec(compile(block, "README.md", "exec"), names)
+    exec(compile(block, "core.md", "exec"), names)
     assert names["image"].color.shape == (240, 320, 3)
     assert float(names["surfels"].sh.grad.abs().sum()) >= 0.0
     assert float((names["image"].alpha - names["rays"].alpha).detach().abs().median()) < 1e-3

@@ -1,4 +1,4 @@
-"""The two ways to add a method that README shows, and the way to bring another program's pictures: run as they say."""
+"""The method from scratch that a tutorial shows, and the way to bring another program's pictures: run as they say."""
 
 from __future__ import annotations
 
@@ -79,29 +79,6 @@ def test_the_example_learns(installed: str) -> None:
     method.initialize(scene, 100)
     losses = [float(method.training_step(scene.train[step % 5], step)["loss"]) for step in range(1, 101)]
     assert sum(losses[-5:]) < 0.8 * sum(losses[:5])
-
-
-def test_readmes_method_conforms_and_runs_by_readmes_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    section = (TESTS.parent / "README.md").read_text(encoding="utf-8").split("\n## Add a method")[1].split("\n## ")[0]
-    (code,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
-    (command,) = re.findall(r"^ {4}PYTHONPATH=\. envgs-bench run (.*)$", section, re.MULTILINE)
-    assert len(code.splitlines()) <= 20
-    (tmp_path / "my_method.py").write_text(code, encoding="utf-8")
-    add_to_path(tmp_path, monkeypatch)
-    kind = next(word.removeprefix("method=") for word in shlex.split(command) if word.startswith("method="))
-    try:
-        check_method(kind)
-        with without_processes():
-            assert run(tmp_path / "runs", *shlex.split(command)) == 0
-        (record,) = records(tmp_path / "runs")
-        assert (record.status, record.kind, record.method) == ("ok", kind, "Dark")
-        bright, dark = (create_method(name) for name in ("2dgs", kind))
-        for method in (bright, dark):
-            method.initialize(tiny_scene(), 6)
-        camera = tiny_scene().test[0].camera
-        assert (dark.render(camera).color == bright.render(camera).color * 0.5).all()
-    finally:
-        sys.modules.pop("my_method", None)
 
 
 def test_another_programs_pictures_come_into_the_tables_as_the_page_says(

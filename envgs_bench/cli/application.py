@@ -14,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
+from envgs_bench.pages import help_on
 from envgs_bench.plain_text import plain
 from envgs_bench.runs.display import make_display
 from envgs_bench.runs.interruption import INTERRUPTION
@@ -71,7 +72,7 @@ def _run(arguments: list[str]) -> int:
     try:
         arguments = checked(arguments)
     except (CompactHydraException, HydraException, OmegaConfBaseException, SettingsError) as error:
-        print(f"envgs-bench run: {plain(explain(error))}", file=sys.stderr)
+        print(f"envgs-bench run: {plain(explain(error))}\n{help_on(type(error).__name__)}", file=sys.stderr)
         return 2
     program, sys.argv = sys.argv, ["envgs-bench run", *_flags_first(arguments)]
     variables = {name: os.environ.get(name) for name in ("HYDRA_FULL_ERROR", SWEEP_VARIABLE)}
@@ -83,7 +84,7 @@ def _run(arguments: list[str]) -> int:
         try:
             _application()
         except (CompactHydraException, OmegaConfBaseException, SettingsError) as error:
-            print(f"envgs-bench run: {plain(explain(error))}", file=sys.stderr)
+            print(f"envgs-bench run: {plain(explain(error))}\n{help_on(type(error).__name__)}", file=sys.stderr)
             code = 2
         except OSError as error:
             print(f"envgs-bench run: {error}; give a folder that can be written as runs_dir=", file=sys.stderr)

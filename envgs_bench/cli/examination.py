@@ -14,6 +14,7 @@ from rich.table import Table
 from envgs_bench.core import available_backends
 from envgs_bench.methods.registry import installed_methods
 from envgs_bench.metrics import WeightsUnavailable, find_weights
+from envgs_bench.pages import help_on
 from envgs_bench.settings import default_cache_dir
 
 PACKAGES = (
@@ -50,6 +51,7 @@ def examine() -> int:
     _add(table, "threads", None, f"{torch.get_num_threads()} of {os.cpu_count()} logical processors")
     console = Console(width=160)
     console.print(table, highlight=False)
+    console.print(help_on(""), highlight=False, soft_wrap=True)
     drawing = [name for name, reason in backends.items() if reason is None and name != "embree"]
     if not drawing:
         console.print("No backend can draw: install again with a C++ compiler at hand (pip install -e .)")

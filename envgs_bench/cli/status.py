@@ -31,6 +31,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _print(states: Sequence, root: Path) -> None:
+    from envgs_bench.pages import help_on
     from envgs_bench.plain_text import plain, plain_line
 
     counts = Counter(state.state for state in states)
@@ -44,3 +45,5 @@ def _print(states: Sequence, root: Path) -> None:
             print(plain(f"{name}: {state.progress}{silent}  ({state.holder}, {state.state})"))
         elif state.message:
             print(plain(f"{name}: {state.state}: {plain_line(state.message)[:300]}"))
+    if any(state.message for state in states):
+        print(help_on(""))

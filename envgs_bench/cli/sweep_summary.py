@@ -24,6 +24,7 @@ from rich.table import Table
 from rich.text import Text
 
 from envgs_bench.captures import Capture, told_apart
+from envgs_bench.pages import help_on
 from envgs_bench.plain_text import plain
 from envgs_bench.runs.estimates import duration
 from envgs_bench.runs.interruption import INTERRUPTION
@@ -159,7 +160,8 @@ def print_outcomes(outcomes: list[Outcome], console: Console) -> None:
     console.print(table)
     for outcome in outcomes:
         if outcome.message:
-            text = f"{outcome.name}: {outcome.message}\n  {outcome.folder}"
+            error = outcome.message.partition(":")[0]
+            text = f"{outcome.name}: {outcome.message}\n  {outcome.folder}\n  {help_on(error)}"
             console.print(plain(text), soft_wrap=True, highlight=False, markup=False)
 
     remarks = Counter(remark for outcome in outcomes for remark in outcome.remarks)

@@ -181,7 +181,7 @@ def costs(runs: KeptRuns) -> str:
     columns = [column_of("psnr"), *COSTS]
     rows = [
         [
-            method,
+            f"`{method}`",
             *(_cell(column, runs.numbers.estimate(runs.scenes, method, FULL, column.metric)) for column in columns),
         ]
         for method in runs.methods
