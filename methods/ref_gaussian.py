@@ -33,6 +33,7 @@ from .training.schedule import Part, Schedule
 
 METALLIC_ABOVE = 0.02  # m from which normals propagate, and up to which base colors are sabotaged
 SMOOTH_BELOW = 0.01  # roughness up to which normals propagate
+LEAST_ALPHA = 1e-6  # that a blended normal is divided by
 ALBEDO, ALBEDO_NOISE = 0.5, 0.025  # that materials start with
 MATERIALS = {"roughness_logits": 1, "albedo_logits": 3, "indirect_dc": 3, "indirect_rest": 45}  # fields, their columns
 
@@ -192,14 +193,21 @@ class Surfaces(Part):
         return (beta_of(self._model) >= METALLIC_ABOVE) & (roughness <= SMOOTH_BELOW)
 
     def _specular(self, base: Rendering, camera: Camera, step: int | None) -> Tensor:
-        """What each pixel mirrors, [H, W, 3]."""
-        points = self._settings.supersampling
+        """What each pixel mirrors, [H, W, 3].
+
+        Mirrored at the mean normal of what is blended, which is shorter than 1 where those disagree, as in the authors'
+        code: such a pixel looks ahead, rather than along a mirrored ray.
+        """
+        s = self._settings
+        points = s.supersampling
         base, camera = finer(base, camera, points)
         metallic, roughness, albedo, indirect = base.extras.split([1, 1, 3, 3], dim=-1)
-        origins, outgoing, _ = self._reflection.rays(base, camera, step)
-        cosine = -(unit(camera.rays()[1]) * unit(base.normal)).sum(-1)
+        normal = (base.normal if s.joint else base.normal.detach()) / base.alpha.clamp_min(LEAST_ALPHA)[..., None]
+        outgoing, cosine = mirrored(unit(camera.rays()[1]), normal)
+        outgoing = unit(outgoing)
         seen = self.filtered.at(step).specular(outgoing.reshape(-1, 3), roughness.reshape(-1)).reshape(albedo.shape)
         if self.occluders.traced:
+            origins, _, _ = self._reflection.rays(base, camera, step)
             free = 1 - self.occluders.hidden(origins, outgoing, step)[..., None]
             seen = free * seen + (1 - free) * indirect
         weight = specular_weight(reflectance_of(albedo, metallic), cosine, roughness[..., 0])

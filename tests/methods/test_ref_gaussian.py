@@ -107,9 +107,10 @@ def test_a_pixel_follows_the_split_sum() -> None:
     method = at_step(18_001)
     shown, drawn = method.render(CAMERA), method.model.rasterize(CAMERA, None)
     metallic, roughness, albedo, _ = drawn.extras.split([1, 1, 3, 3], dim=-1)
-    rays, normal = (functional.normalize(v, dim=-1) for v in (CAMERA.rays()[1], drawn.normal))
+    rays, normal = functional.normalize(CAMERA.rays()[1], dim=-1), drawn.normal / drawn.alpha[..., None].clamp_min(1e-6)
+    assert (normal.norm(dim=-1)[drawn.alpha > 0.05] < 0.9).any()
     cosine = -(rays * normal).sum(-1)
-    outgoing = rays + 2 * cosine[..., None] * normal
+    outgoing = functional.normalize(rays + 2 * cosine[..., None] * normal, dim=-1)
     light = rough_map(method.reflection.light.texels.detach().sigmoid(), prefilter_of(8))
     seen = light.specular(outgoing.reshape(-1, 3), roughness.reshape(-1)).reshape(24, 32, 3)
     reflectance = 0.04 * (1 - metallic) + albedo * metallic
