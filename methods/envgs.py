@@ -105,7 +105,7 @@ def environment_policy(s: EnvGSSettings, schedule: Schedule, base: SetPolicy) ->
     return replace(
         base,
         name=ENV,
-        start=Start(s.rule.env_initial_opacity, "random"),
+        start=Start(s.rule.env_initial_opacity, "positive" if s.rule.initial_orientation == "positive" else "random"),
         position_scale=s.rule.env_position_scale,
         radius_power=s.rule.env_radius_power,
         sh_from=s.rule.env_sh_from,

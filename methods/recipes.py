@@ -29,7 +29,7 @@ class Rules:
 
     sh_every: Steps = 0  # steps after which another SH degree is added; 0: all at once
     sh_from: Steps = 0  # step up to which the base set's color is the same from everywhere, SH degree 0
-    initial_orientation: Literal["surface", "random", "world"] = "surface"  # of the base set: surface is the points'
+    initial_orientation: Literal["surface", "random", "positive", "world"] = "surface"  # of the base set, as of Start
     growth: Literal["gradient", "mcmc"] = "gradient"  # the base set's; mcmc: to its size limit, with noise
     densify_from: Steps = 500  # step after which the base set is densified
     mean_gradient_over: Literal["drawn", "in_view"] = "drawn"  # steps that drew it, or had it in view, hidden or not
@@ -91,13 +91,13 @@ OF_3DGS: dict[str, Any] = PUBLISHED | {
     "reset_on_white": True,
 }
 OF_2DGS: dict[str, Any] = OF_3DGS | {
-    "initial_orientation": "random",
+    "initial_orientation": "positive",
     "normal_reference": "alpha",
     "normal_rendered": "blended",
 }
 OF_PAPER: dict[str, Any] = PUBLISHED | {
     "stretches": False,  # as the released code: longer runs are the reference run and more
-    "initial_orientation": "random",  # Sec. 3: 2DGS
+    "initial_orientation": "positive",  # Sec. 3: 2DGS
     "normal_rendered": "blended",  # Eq. 7
     "mono_floor": 1.0,
     "settling_interval": 1,

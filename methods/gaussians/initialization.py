@@ -15,7 +15,7 @@ from torch.nn import functional
 from .ordering import morton_codes
 from .parameters import inverse_sigmoid, sh_from_rgb
 
-Orientation = Literal["surface", "random", "world"]
+Orientation = Literal["surface", "random", "positive", "world"]
 ORIENTATIONS: tuple[Orientation, ...] = get_args(Orientation)
 
 NEIGHBORS = 3
@@ -76,10 +76,13 @@ def local_orientation(points: Tensor) -> Tensor:
 def initial_orientation(points: Tensor, orientation: Orientation, generator: torch.Generator) -> Tensor:
     """Quaternions [N, 4] (wxyz) of primitives at the points [N, 3].
 
-    "surface": along the surface that the points lie on; "random": uniform over all rotations; "world": along the axes.
+    "surface": along the surface that the points lie on; "random": uniform over all rotations; "positive": four numbers
+    between 0 and 1, not normalized, which prefers some rotations (2DGS's released code); "world": along the axes.
     """
     if orientation == "surface":
         return local_orientation(points)
+    if orientation == "positive":
+        return torch.rand(len(points), 4, generator=generator).to(points)
     if orientation == "random":
         return torch.randn(len(points), 4, generator=generator).to(points)
     return torch.tensor([1.0, 0, 0, 0]).to(points).repeat(len(points), 1)

@@ -235,7 +235,7 @@ def test_the_published_configurations_are_what_was_published() -> None:
                 "perceptual_from": 0,
                 "beta_threshold": 0,
                 "traced_sh_direction": "ray",
-                "initial_orientation": "random",
+                "initial_orientation": "positive",
                 "mean_gradient_over": "in_view",
                 "mean_gradient_of": "own",
                 "max_growth": 0,

@@ -81,7 +81,10 @@ def test_points_on_a_sphere_lie_on_it_in_every_direction():
 
 
 def test_initial_orientations():
-    """Points of the plane x = 0: their surface faces along x, the world's third axis is z, at random any way."""
+    """Points of the plane x = 0: their surface faces along x, the world's third axis is z, at random any way.
+
+    Quaternions of numbers between 0 and 1 have E qᵢqⱼ near ¼ for i ≠ j, not 0: n_x = 2(xz + wy) is positive on average.
+    """
     generator = torch.Generator().manual_seed(0)
     points = torch.rand(2000, 3, generator=generator) * torch.tensor([0.0, 1, 1])
     faced = {}
@@ -92,6 +95,10 @@ def test_initial_orientations():
     assert (faced["world"] == torch.tensor([0.0, 0, 1])).all()
     assert faced["random"].mean(0).abs().max() < 4 / (3 * 2000) ** 0.5
     torch.testing.assert_close(faced["random"].square().mean(0), torch.full((3,), 1 / 3).double(), atol=0.03, rtol=0)
+    assert (faced["positive"][:, 0] > 0).all()
+    numbers = initial_orientation(points, "positive", generator)
+    assert abs(float(numbers.mean()) - 0.5) < 4 * (1 / 12 / 8000) ** 0.5
+    assert 0 <= numbers.min() < numbers.max() <= 1
 
 
 @pytest.mark.parametrize("axes", [2, 3])
