@@ -4,6 +4,7 @@ from .ablation_ladder.study import AblationLadders
 from .budgets.study import BudgetStudy
 from .candidates.study import CandidateStudy
 from .differences.study import DifferencesToBest
+from .population.study import PopulationStudy
 from .stability.study import StabilityStudy
 from .study import Study
 
@@ -13,4 +14,5 @@ STUDIES: tuple[type[Study], ...] = (  # in the order of tables and of the page
     AblationLadders,
     BudgetStudy,
     StabilityStudy,
+    PopulationStudy,
 )

@@ -1,0 +1,128 @@
+"""Populations in reports: standings, failure map and what is enough, from made-up records whose answer is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from reports_runs import record, sections_of, write_record
+from scipy.stats import binomtest, bootstrap
+
+from envgs_bench.reports import build_report
+from envgs_bench.reports.numbers.intervals import sample_interval, share_interval
+from envgs_bench.reports.studies.population.failure_map import Question, failure_map, sentences
+from envgs_bench.reports.studies.population.study import PopulationStudy
+
+MIRRORS = 0.2  # from which share of mirrors on envgs is ahead, by 2 dB; below it loses by 0.5
+
+
+def write_scenes(folder: Path, count: int = 40, failed: int | None = None) -> None:
+    """Scenes of seeds from 12 on: 20 are for choosing. What mirrors decides who is ahead, other attributes do not."""
+    random = np.random.default_rng(0)
+    for seed in range(12, 12 + count):
+        mirrors, level = random.uniform(0, 0.5), random.uniform(20, 30)
+        attributes = {"mirror": mirrors, "texture": random.uniform(), "sky": random.uniform()}
+        ahead = 2.0 if mirrors >= MIRRORS else -0.5
+        values = {"2dgs_tuned": level, "envmap": level - 1.0, "envgs": level + ahead, "3dgs": level - 3.0}
+        for method, psnr in values.items():
+            content = record(f"sampled/{seed}", method, 0, attributes=attributes)
+            content["config"]["dataset"] = {"kind": "sampled", "seed": seed}
+            content["metrics"]["mean"] |= {"psnr": psnr}
+            if seed == failed and method == "3dgs":
+                content |= {"status": "diverged", "error": {"type": "Diverged", "message": "lost", "log_tail": ""}}
+                content |= {"metrics": None, "masked": {}, "timing": None, "cost": None}
+            write_record(folder / f"{method}-{seed}", content)
+
+
+def study_of(folder: Path) -> PopulationStudy:
+    (section,) = sections_of(folder)
+    study = PopulationStudy.of(section)
+    assert study is not None
+    return study
+
+
+def test_standings_are_those_that_were_put_in(tmp_path: Path) -> None:
+    write_scenes(tmp_path, failed=20)
+    found = study_of(tmp_path).found
+    ahead = (found.attributes.loc[found.psnr.index, "mirror"] >= MIRRORS).to_numpy()
+    ours, theirs = found.standing("envgs"), found.standing("2dgs_tuned")
+    assert ours.scenes == theirs.scenes == 39
+    assert (ours.best, theirs.best) == (ahead.sum(), (~ahead).sum())
+    assert ours.margin == pytest.approx(2.0 * ahead.mean() - 0.5 * (1 - ahead.mean()))
+    assert ours.margin_interval is not None
+    assert ours.margin_interval[0] < ours.margin < ours.margin_interval[1]
+    assert ours.level == pytest.approx(ahead.mean())
+    assert ours.worst == pytest.approx(-0.5)
+    assert (found.standing("3dgs").failed, ours.failed) == (1, 0)
+    assert (len(found.scenes("choosing")), len(found.scenes("judging"))) == (19, 20)
+
+
+def test_the_gap_is_what_choosing_flattered(tmp_path: Path) -> None:
+    write_scenes(tmp_path)
+    found = study_of(tmp_path).found
+    gap = found.gap("envgs")
+    assert gap is not None
+    assert gap[0] == pytest.approx(found.margins("envgs", "choosing").mean() - found.margins("envgs", "judging").mean())
+
+
+def test_the_map_asks_what_decides_and_holds_on_unseen_scenes(tmp_path: Path) -> None:
+    write_scenes(tmp_path)
+    study = study_of(tmp_path)
+    assert study.found.subject == "envgs"  # the top of its ladder
+    tree = study.mapped.tree
+    assert isinstance(tree, Question)
+    assert tree.attribute == "mirror"
+    assert tree.below == pytest.approx(MIRRORS, abs=0.03)
+    assert study.mapped.signs >= 0.9
+    assert study.mapped.ranks.index[0] == "mirror"
+    said = list(sentences(tree, "envgs", 0.1))
+    assert any(line.startswith("envgs loses to the best other method by 0.5 dB where mirror is below") for line in said)
+    assert any(line.startswith("envgs beats the best other method by 2.0 dB where mirror is") for line in said)
+
+
+def test_the_map_finds_nothing_where_there_is_nothing() -> None:
+    random = np.random.default_rng(3)
+    attributes = pd.DataFrame(random.uniform(size=(60, 5)), columns=list("abcde"))
+    mapped = failure_map(attributes, pd.Series(random.normal(size=60)))
+    assert mapped.explained < 0.1
+    assert mapped.signs < 0.7
+
+
+def test_what_is_enough_is_the_first_of_the_ladder_and_the_smallest(tmp_path: Path) -> None:
+    write_scenes(tmp_path)
+    found = study_of(tmp_path).found
+    assert found.ladder == ("2dgs_tuned", "envmap", "envgs")
+    for scene in found.psnr.index:
+        mirrors = found.attributes.loc[scene, "mirror"] >= MIRRORS
+        assert found.enough(scene)[0] == ("envgs" if mirrors else "2dgs_tuned")
+
+
+def test_intervals_are_scipys() -> None:
+    for hits, count in ((0, 12), (5, 64), (64, 64)):
+        theirs = binomtest(hits, count).proportion_ci(0.95)
+        assert share_interval(hits, count) == pytest.approx((theirs.low, theirs.high))
+    values = np.random.default_rng(1).exponential(size=64)
+    theirs = bootstrap((values,), np.mean, method="percentile", rng=np.random.default_rng(2)).confidence_interval
+    assert sample_interval(values) == pytest.approx((theirs.low, theirs.high), abs=0.02)
+    half = 1.96 * np.sqrt(2) * values.std(ddof=1) / 8  # of a normal difference of two means
+    assert sample_interval(values, values + 1.0) == pytest.approx((-1 - half, -1 + half), abs=0.1 * half)
+
+
+def test_few_scenes_or_scenes_without_attributes_are_no_population(tmp_path: Path) -> None:
+    write_scenes(tmp_path / "few", count=7)
+    (section,) = sections_of(tmp_path / "few")
+    assert PopulationStudy.of(section) is None
+
+
+def test_the_page_shows_the_population(tmp_path: Path) -> None:
+    write_scenes(tmp_path / "runs")
+    build_report(tmp_path / "runs", tmp_path / "out")
+    page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    assert "Population of scenes" in page
+    assert "envgs beats the best other method by 2.0 dB" in page
+    table = pd.read_csv(tmp_path / "out" / "population.csv")
+    assert len(table) == 40
+    assert {"part", "mirror", "psnr: envgs", "margin: envgs"} <= set(table.columns)
+    assert (tmp_path / "out" / "charts" / "population-0" / "failure-map.png").is_file()
