@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
-from fakes.runs import only_folder, records, run, set_environment
+from fakes.runs import only_folder, records, run, run_anew, set_environment
 from fakes.whole_sweeps import Start, alive, lives, statuses, sweep_of, training, until
 
 from envgs_bench.records import read_record
@@ -46,7 +46,7 @@ def test_ctrl_c_through_a_pipe_keeps_what_is_finished(
 
 
 def test_a_closed_output_stops_nothing(tmp_path: Path, start: Start) -> None:
-    process = start("seed=0,1", *LONG, pipe="2>&1 | head -1")
+    process = start("seed=0,1", "steps=300", pipe="2>&1 | head -1")
     out, _ = process.communicate(timeout=120)
     assert len(out.splitlines()) == 1
     assert process.returncode == 0
@@ -117,7 +117,7 @@ def test_a_killed_sweep_takes_its_runs_with_it(tmp_path: Path, start: Start, lau
 def test_what_a_worker_leaves_behind_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     began = time.monotonic()
-    assert run(tmp_path / "runs", "method.kind=fakes.methods:LeavesProcesses") == 0
+    assert run_anew(tmp_path / "runs", "method.kind=fakes.methods:LeavesProcesses") == 0
     assert time.monotonic() - began < 15
     left = [int(number) for number in (tmp_path / "left").read_text().split()]
     assert len(left) == 3

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fakes.runs import only_folder, records, run, set_environment
+from fakes.runs import only_folder, records, run, run_anew, set_environment
 from fakes.whole_sweeps import Start, alive, statuses, sweep_of, training, until
 
 from envgs_bench.records import Record, RecordError, find_records, read_record
@@ -178,7 +178,7 @@ def test_a_run_that_was_killed_goes_on(tmp_path: Path, monkeypatch: pytest.Monke
             process.kill()
 
     threading.Thread(target=kill).start()
-    assert run(runs, *LEARNS) == 1
+    assert run_anew(runs, *LEARNS) == 1
     assert statuses(runs) == ["out_of_memory"]  # as it seems from outside
     assert run(runs, *LEARNS, "retry=failed") == 0
     folder = only_folder(runs)

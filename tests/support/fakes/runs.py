@@ -20,6 +20,8 @@ from envgs_bench.settings import RunSettings, read_settings
 from envgs_bench.stages.execution import execute
 from envgs_bench.stages.stop import Stop
 
+from .forked import forked_processes
+
 SUPPORT = Path(__file__).parents[1]
 CONF = SUPPORT / "fakes" / "conf"
 
@@ -39,7 +41,13 @@ def set_environment(patch: pytest.MonkeyPatch) -> None:
 
 
 def run(runs_dir: Path, *overrides: str, flags: tuple[str, ...] = ()) -> int:
-    """The exit status of one call in this process; each run has a process of its own."""
+    """The exit status of one call in this process; each run has a process of its own, forked from it."""
+    with forked_processes():
+        return run_anew(runs_dir, *overrides, flags=flags)
+
+
+def run_anew(runs_dir: Path, *overrides: str, flags: tuple[str, ...] = ()) -> int:
+    """run() with processes that are started anew, as users' are: where others are to find them by their environment."""
     return main(["run", "--config-dir", str(CONF), *flags, *QUICK, f"runs_dir={runs_dir}", *overrides])
 
 

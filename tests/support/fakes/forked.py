@@ -1,0 +1,59 @@
+"""Processes of runs that are forked from this one, which has imported PyTorch already: a tenth of a new one's time."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import traceback
+import warnings
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import torch
+
+from envgs_bench.runs import worker
+
+Popen = subprocess.Popen
+
+
+def forked_processes() -> AbstractContextManager[object]:
+    """Within it, runs' processes are forked: with signals, pipes and ends of their own, and no import."""
+    return patch("envgs_bench.runs.process.subprocess.Popen", _forked)
+
+
+def _forked(command: Any, **options: Any) -> subprocess.Popen[Any]:
+    """What subprocess.Popen returns; the command of a run's process is never executed, its process does the work."""
+    if worker.__name__ in command:
+        options["preexec_fn"] = partial(_work, Path(command[-1]), options["env"], options["pass_fds"])
+    return Popen(command, **options)
+
+
+def _work(folder: Path, env: Mapping[str, str], kept: Sequence[int]) -> None:
+    """Be the worker of the run in `folder`; never returns."""
+    code = 1
+    try:
+        _close_but({0, 1, 2, *kept})  # one of them tells Popen that the process is there
+        os.environ.clear()
+        os.environ.update(env)
+        sys.stdout, sys.stderr = (os.fdopen(number, "w", buffering=1) for number in (1, 2))
+        warnings.showwarning = _to_standard_error  # pytest collects them
+        torch.set_num_threads(1)  # those that the parent had are not here
+        code = worker.main([str(folder)])
+    except BaseException:
+        traceback.print_exc()
+    worker._leave(code, folder)
+
+
+def _to_standard_error(*given: Any) -> None:
+    sys.stderr.write(warnings.formatwarning(*given[:4]))
+
+
+def _close_but(kept: set[int]) -> None:
+    for number in {int(name) for name in os.listdir("/proc/self/fd")} - kept:
+        with suppress(OSError):  # the one that listed them
+            os.close(number)
