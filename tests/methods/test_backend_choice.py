@@ -13,7 +13,7 @@ from envgs_bench.core import backends, cpu, cuda
 from envgs_bench.methods.registry import create_method
 from envgs_bench.testing import tiny_scene
 
-STEPS = 12
+STEPS = 6
 WITH_MAP = ["envmap", "3dgs_dr", "ref_gaussian", "gaussian_shader"]
 SMALL = {
     **{kind: {"envmap_size": 8} for kind in WITH_MAP},

@@ -1,6 +1,7 @@
 """The schedule of a reference run, number by number, and that a short run leaves nothing out."""
 
 import dataclasses
+from functools import cache
 from itertools import pairwise
 
 import pytest
@@ -21,6 +22,11 @@ SCENE = Scene(
 
 def events(kind: str, steps: int, on_white: bool = False, **settings) -> dict[str, list[int]]:
     """For each event the steps of a run in which it happens, over a white background or not."""
+    return dict(_events(kind, steps, on_white, **settings))
+
+
+@cache
+def _events(kind: str, steps: int, on_white: bool, **settings) -> dict[str, list[int]]:
     method = create_method(kind, with_rules(**settings))
     method.initialize(dataclasses.replace(SCENE, background=torch.full((3,), float(on_white))), steps)
     found: dict[str, list[int]] = {}

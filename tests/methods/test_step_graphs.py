@@ -29,6 +29,8 @@ from envgs_bench.methods.two_d_gs import TwoDGS, TwoDGSSettings
 
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 STEPS = 80
+FEW = 60  # a run's, with events of all kinds
+FEWER = 24  # of which the last are looked at
 
 
 class PlainGraph(step_graphs._Graph):
@@ -245,7 +247,7 @@ def test_steps_from_graphs_are_those_without(kind, plain_graphs, monkeypatch):
     for captures in (False, True):
         method = create_method(kind, {"backend": "cpu", **SMALL[kind]})
         method.runner.uses_graphs = captures
-        trained[captures] = method, train(method, scene)
+        trained[captures] = method, train(method, scene, FEW, of=FEW)
     (plain, expected), (method, losses) = trained[False], trained[True]
     assert plain_graphs.recorded > 1
     assert losses == expected
@@ -395,8 +397,8 @@ def test_no_step_waits_for_the_device(kind, settings):
     """In the last steps of a run, when all losses count and reflections are there; a graph could hold nothing else."""
     method, scene = create_method(kind, {"backend": "cpu", **SMALL[kind], **settings}), points_scene()
     method.limit(Budget(primitives=5_000))
-    train(method, scene, steps=STEPS - 2)
-    for step in (STEPS - 1, STEPS):
+    train(method, scene, steps=FEWER - 2, of=FEWER)
+    for step in (FEWER - 1, FEWER):
         prefilter_of.cache_clear()  # as where a map has another size
         begin(method, step)
         with WaitsForTheDevice() as waits:
