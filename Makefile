@@ -43,8 +43,7 @@ $(WEIGHTS): | $(RUNTIME)
 
 # A run a core.
 demo: install weights
-	$(BIN)/envgs-bench run -m experiment=demo hydra/launcher=joblib runs_dir=out/demo/runs
-	$(BIN)/envgs-bench report out/demo/runs --out out/demo
+	$(BIN)/envgs-bench run -m experiment=demo hydra/launcher=joblib runs_dir=out/demo/runs page=out/demo
 	@cat out/demo/table.md
 
 # A process a core, up to four; a file's tests stay together, since they share what is slow to make.

@@ -13,7 +13,7 @@ from envgs_bench.plain_text import no_formula
 from .charts.drawn import Canvas
 from .charts.pareto_chart import draw_charts
 from .numbers.runs import BrokenRecord, read_runs
-from .outputs import delete_last_report, files_below, list_new_files
+from .outputs import in_place_of_the_last
 from .page.html import PageSection, write_page
 from .pictures.error_maps import draw_error_maps
 from .pictures.gallery import Gallery, copy_pictures, galleries, slug
@@ -52,7 +52,12 @@ class Report:
 
 
 def build_report(
-    runs: Path, out: Path, only: Sequence[str] = (), exclude: Sequence[str] = (), for_print: bool = False
+    runs: Path,
+    out: Path,
+    only: Sequence[str] = (),
+    exclude: Sequence[str] = (),
+    for_print: bool = False,
+    under_way: str = "",
 ) -> Report:
     """Write index.html, table.csv, .md and .json, pareto.png and pictures/ of all runs under `runs`, and the files of
     each study that finds something. Perturbed runs are in their study alone.
@@ -68,6 +73,8 @@ def build_report(
         only, exclude: patterns of runs, see `read_runs`.
         for_print: also what a paper takes: table.tex, a PDF beside every chart, and charts/ of every accuracy against
             every cost.
+        under_way: how far the sweep has come of which these are the first runs; a page that says so loads itself again
+            every few seconds.
 
     Raises:
         RecordError: `runs` is no folder.
@@ -82,21 +89,18 @@ def build_report(
     sections = split_sections(found)
     studies = [studies_of(section) for section in sections]
     chapters = [chapter_of(*pair) for pair in zip(sections, studies, strict=True)]
-    out.mkdir(parents=True, exist_ok=True)
-    delete_last_report(out)
-    before = files_below(out)
-    canvas = Canvas(out, pdf=for_print)
-    (out / "table.md").write_text(markdown(chapters, broken), encoding="utf-8")
-    (out / "table.json").write_text(json.dumps(structured(chapters, broken)), encoding="utf-8")
-    if for_print:
-        (out / "table.tex").write_text(latex(chapters), encoding="utf-8")
-    draw_charts(sections, canvas, every_pair=for_print)
-    shown = [
-        _page_section(chapter, own, index, len(sections) > 1, canvas)
-        for index, (chapter, own) in enumerate(zip(chapters, studies, strict=True))
-    ]
-    write_page(out, shown, broken, list(map(page_rules, STUDIES)), for_print)
-    list_new_files(out, before)
+    with in_place_of_the_last(out):
+        canvas = Canvas(out, pdf=for_print)
+        (out / "table.md").write_text(markdown(chapters, broken), encoding="utf-8")
+        (out / "table.json").write_text(json.dumps(structured(chapters, broken)), encoding="utf-8")
+        if for_print:
+            (out / "table.tex").write_text(latex(chapters), encoding="utf-8")
+        draw_charts(sections, canvas, every_pair=for_print)
+        shown = [
+            _page_section(chapter, own, index, len(sections) > 1, canvas)
+            for index, (chapter, own) in enumerate(zip(chapters, studies, strict=True))
+        ]
+        write_page(out, shown, broken, list(map(page_rules, STUDIES)), for_print, under_way)
     return Report(out, tuple(sections), tuple(broken))
 
 

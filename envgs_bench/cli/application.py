@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import hydra
@@ -24,6 +25,7 @@ from envgs_bench.stages.stop import INTERRUPTED
 
 from .checks import checked
 from .composition import CONF, explain, register_choices, settings_of
+from .live_page import end_page, renew_page
 from .sweep_summary import (
     SWEEP_VARIABLE,
     Sweep,
@@ -36,6 +38,7 @@ from .sweep_summary import (
     shown_runs_dir,
     stop_file,
     time_left,
+    under_way,
 )
 
 if TYPE_CHECKING:  # with torch, which a composition is shown without
@@ -59,7 +62,9 @@ def run(arguments: list[str], dry: bool = False) -> int:
 
         _plan = Plan()
         try:
-            code = _run([one for one in arguments if not one.startswith(("hydra/launcher=", "hydra.launcher."))])
+            code = _run(
+                [one for one in arguments if not one.startswith(("hydra/launcher=", "hydra.launcher.", "page="))]
+            )
             if not code:
                 _plan.print()
             return code
@@ -102,6 +107,7 @@ def _run(arguments: list[str]) -> int:
         if INTERRUPTION.requested:
             code = INTERRUPTED
         runs_dir, outcomes = shown_runs_dir(), close_summary()
+        end_page(Path(runs_dir))
         if outcomes is None or _plan is not None:  # nothing was to run: --cfg and the like, or wrong arguments
             return code
         if outcomes:
@@ -144,6 +150,8 @@ def _run_composed(config: DictConfig) -> None:
         print(plain(str(outcome)), file=sys.stderr)
         if left := time_left():
             print(left, file=sys.stderr)
+        if outcome.action == "ran" or not under_way():
+            renew_page(settings.runs_dir, under_way)
 
 
 def _flags_first(arguments: list[str]) -> list[str]:

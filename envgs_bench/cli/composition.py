@@ -74,8 +74,8 @@ def settings_of(config: DictConfig, overrides: list[str]) -> RunSettings:
         SettingsError, OmegaConfBaseException: a key is missing, unknown or of a wrong value.
     """
     content: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
-    for shorthand in ("data_root", "path"):  # they have done their work, in dataset.root and method.settings.path
-        content.pop(shorthand, None)
+    for key in ("data_root", "path", "page"):  # the call's own: two that dataset.root and the method's path are made of
+        content.pop(key, None)
     release = content.pop("release", None) or {}
     content["method"] = _with_recipe(content["method"])
     settings = parse_settings({**content, "overrides": overrides})

@@ -24,6 +24,7 @@ Keys of every run:
   budget.primitives, budget.mb        the most that the model may have at any step: docs/reference/budgets.md
   protocol, seed, steps, device=auto|cpu|cuda|cuda:1
   runs_dir=runs, cache_dir, timing.frames, timing.seconds
+  page=FOLDER         tables, charts and pictures of runs_dir, written again whenever a run ends
   timeout_minutes, memory_gb, device_memory_fraction   limits of a run: it ends with status timeout or out_of_memory
   snapshot_minutes=5  how often a training is saved; one that was interrupted goes on from there
   force=true          rerun finished jobs; a result is replaced where the new run ends with status ok

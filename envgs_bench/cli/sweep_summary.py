@@ -30,6 +30,8 @@ from envgs_bench.runs.estimates import duration
 from envgs_bench.runs.interruption import INTERRUPTION
 from envgs_bench.runs.outcome import Outcome
 
+from .live_page import begin_page
+
 SUMMARY_VARIABLE = "ENVGS_BENCH_SWEEP_SUMMARY"
 SWEEP_VARIABLE = "ENVGS_BENCH_SWEEP"  # JSON: `Sweep`
 _unwritten: list[Outcome] = []  # of this process, where the summary's disk is full
@@ -58,6 +60,8 @@ class SweepSummary(Callback):
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
         folder = Path(config.runs_dir).expanduser().absolute()
         os.environ[SUMMARY_VARIABLE] = str(folder / f".outcomes-{uuid.uuid4().hex[:8]}.jsonl")
+        if config.page:
+            begin_page(Path(config.page).expanduser().absolute())
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         self.on_run_start(config)
@@ -91,16 +95,26 @@ def position(number: int) -> str:
 
 def time_left() -> str:
     """How far the sweep has come and how long it may still take; "" where there is nothing to tell."""
-    sweep = Sweep.current()
-    path = Path(os.environ[SUMMARY_VARIABLE])
-    # Counted, not parsed: this is asked after every job. Within a string, quotes are escaped.
-    entered = path.read_bytes() if path.is_file() else b""
-    done, ran = entered.count(b"\n"), entered.count(b'"action": "ran"')
+    sweep, (done, ran) = Sweep.current(), _entered()
     if not sweep.jobs or sweep.jobs == done or not ran:
         return ""
     elapsed = time.time() - sweep.began
     left = f"{duration(elapsed / ran * (sweep.jobs - done))} left if the others take as long on average"
     return f"{done} of {sweep.jobs} jobs done in {duration(elapsed)}, {left}"
+
+
+def under_way() -> str:
+    """What the page of a sweep says of jobs that have not ended; "" where there are none, or nobody knows."""
+    jobs, (done, _) = Sweep.current().jobs, _entered()
+    return f"{done} of {jobs} runs have ended: this page fills as the others do." if jobs and done < jobs else ""
+
+
+def _entered() -> tuple[int, int]:
+    """How many jobs have ended, and how many of them ran."""
+    path = Path(os.environ[SUMMARY_VARIABLE])
+    # Counted, not parsed: this is asked after every job. Within a string, quotes are escaped.
+    entered = path.read_bytes() if path.is_file() else b""
+    return entered.count(b"\n"), entered.count(b'"action": "ran"')
 
 
 def shown_runs_dir() -> str:

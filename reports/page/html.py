@@ -52,13 +52,19 @@ class PageSection:
 
 
 def write_page(
-    out: Path, shown: Sequence[PageSection], broken: Sequence[BrokenRecord], rules: Sequence[str], for_print: bool
+    out: Path,
+    shown: Sequence[PageSection],
+    broken: Sequence[BrokenRecord],
+    rules: Sequence[str],
+    for_print: bool,
+    under_way: str,
 ) -> Path:
     """Write index.html and assets/ into `out`.
 
     Args:
         rules: of style, of the parts.
         for_print: whether there are LaTeX tables, and a chart with a PDF for every pair of columns.
+        under_way: how far the sweep has come; "" where there is none, or it has ended.
     """
     assets = out / "assets"
     assets.mkdir(parents=True, exist_ok=True)
@@ -79,6 +85,7 @@ def write_page(
         "glyphs": GLYPHS,
         "names": {status: status.replace("_", " ") for status in GLYPHS},
         "for_print": for_print,
+        "under_way": under_way,
         "scripts": ["plotly.min.js", "data.js", *SCRIPTS],
         "version": _version(),
     }

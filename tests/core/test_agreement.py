@@ -48,9 +48,11 @@ def single(request: pytest.FixtureRequest) -> Backend:
     return SINGLE if request.param == "torch" else usable(request)
 
 
-@pytest.mark.parametrize("low_pass", [True, False], ids=["low-pass", "exact"])
+@pytest.mark.parametrize(
+    ("scene", "low_pass"),
+    [*((scene, True) for scene in SCENES), *((scene, False) for scene in ("many", "tiny", "needles"))],
+)
 @pytest.mark.parametrize("as_gaussians_3d", [False, True], ids=["surfels", "gaussians_3d"])
-@pytest.mark.parametrize("scene", list(SCENES))
 def test_images(single, scene, as_gaussians_3d, low_pass):
     gaussians, keep, expected = oracle_image(scene, as_gaussians_3d, low_pass)
     compare(drawn_with(single, gaussians, image(low_pass), keep, ()), expected, keep)
@@ -62,16 +64,20 @@ def test_colors_of_images_alone(single, scene, as_gaussians_3d):
     compare_image_color(single, scene, as_gaussians_3d)
 
 
-@pytest.mark.parametrize("sh_direction", ["center", "ray"])
-@pytest.mark.parametrize("scene", list(SCENES))
+BATCHES = pytest.mark.parametrize(
+    ("scene", "sh_direction"),
+    [*((scene, "center") for scene in SCENES), *((scene, "ray") for scene in ("many", "degree-1", "degree-3"))],
+)
+
+
+@BATCHES
 def test_ray_batches(single, scene, sh_direction):
     gaussians, rays, expected = oracle_ray_batch(scene, sh_direction)
     keep = torch.ones(len(rays[0])) > 0
     compare(drawn_with(single, gaussians, ray_batch(sh_direction), keep, rays), expected, keep)
 
 
-@pytest.mark.parametrize("sh_direction", ["center", "ray"])
-@pytest.mark.parametrize("scene", list(SCENES))
+@BATCHES
 def test_colors_of_rays_alone(single, scene, sh_direction):
     compare_ray_color(single, scene, sh_direction)
 

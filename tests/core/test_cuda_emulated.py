@@ -56,7 +56,12 @@ SHARINGS = pytest.mark.parametrize(
 )
 
 
-@pytest.mark.parametrize("low_pass", [True, False], ids=["low-pass", "exact"])
+@pytest.mark.parametrize(
+    ("backend", "low_pass"),
+    [("descending", True), ("shuffled", False)],
+    indirect=["backend"],
+    ids=["low-pass", "exact"],
+)
 @SHARINGS
 @pytest.mark.parametrize("as_gaussians_3d", [False, True], ids=["surfels", "gaussians_3d"])
 def test_images(backend, as_gaussians_3d, sharing, low_pass, monkeypatch):
@@ -65,6 +70,7 @@ def test_images(backend, as_gaussians_3d, sharing, low_pass, monkeypatch):
     compare(drawn_with(backend, gaussians, image(low_pass), keep, ()), expected, keep)
 
 
+@pytest.mark.parametrize("backend", ["shuffled"], indirect=True)
 @SHARINGS
 @pytest.mark.parametrize("as_gaussians_3d", [False, True], ids=["surfels", "gaussians_3d"])
 def test_colors_of_images_alone(backend, as_gaussians_3d, sharing, monkeypatch):

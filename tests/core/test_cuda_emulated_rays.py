@@ -46,7 +46,14 @@ def backend(request: pytest.FixtureRequest, emulate: Callable[[str], Backend]) -
 
 
 @pytest.mark.parametrize(
-    ("scene", "sh_direction"), [("few", "center"), ("many", "center"), ("opaque", "center"), ("many", "ray")]
+    ("backend", "scene", "sh_direction"),
+    [
+        ("shuffled", "few", "center"),
+        ("descending", "many", "center"),
+        ("shuffled", "many", "ray"),
+        ("descending", "opaque", "center"),
+    ],
+    indirect=["backend"],
 )
 def test_ray_batches(backend, scene, sh_direction):
     gaussians, rays, expected = oracle_ray_batch(scene, sh_direction)
@@ -54,7 +61,11 @@ def test_ray_batches(backend, scene, sh_direction):
     compare(drawn_with(backend, gaussians, ray_batch(sh_direction), keep, rays), expected, keep)
 
 
-@pytest.mark.parametrize(("scene", "sh_direction"), [("many", "center"), ("opaque", "center"), ("many", "ray")])
+@pytest.mark.parametrize(
+    ("backend", "scene", "sh_direction"),
+    [("descending", "many", "center"), ("shuffled", "opaque", "center"), ("shuffled", "many", "ray")],
+    indirect=["backend"],
+)
 def test_colors_of_rays_alone(backend, scene, sh_direction):
     compare_ray_color(backend, scene, sh_direction)
 

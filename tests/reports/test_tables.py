@@ -295,7 +295,10 @@ def test_a_rebuilt_report_leaves_nothing_of_the_last_one_and_nothing_else_goes(t
     build_report(tmp_path / "runs", tmp_path / "out")
     first = {path for path in (tmp_path / "out").rglob("*") if path.is_file()}
     shutil.rmtree(tmp_path / "runs/strict")
-    build_report(tmp_path / "runs", tmp_path / "out")
+    waiting = build_report(tmp_path / "runs", tmp_path / "out", under_way="1 of <2>").page.read_text()
+    assert '<meta http-equiv="refresh"' in waiting
+    assert ">1 of &lt;2&gt;</p>" in waiting
+    assert '<meta http-equiv="refresh"' not in build_report(tmp_path / "runs", tmp_path / "out").page.read_text()
     build_report(tmp_path / "runs", tmp_path / "fresh")
     second = {str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*") if path.is_file()}
     fresh = {str(path.relative_to(tmp_path / "fresh")) for path in (tmp_path / "fresh").rglob("*") if path.is_file()}

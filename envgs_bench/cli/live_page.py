@@ -1,0 +1,74 @@
+"""Live page: the report on a sweep's runs while it is under way, in the folder that `page=` names."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from envgs_bench.file_lock import lock
+
+PAGE_VARIABLE = "ENVGS_BENCH_PAGE"  # the folder, for all processes that run jobs of this call
+LOADS_AGAIN = '<meta http-equiv="refresh" content="5">'
+FIRST = f"""<!doctype html>
+<html lang="en"><head><meta charset="utf-8">{LOADS_AGAIN}<title>envgs-bench report</title></head>
+<body><p>No run has ended yet: tables, charts and pictures come with the first.</p></body></html>
+"""
+
+
+def begin_page(folder: Path) -> None:
+    """Have every job of this call renew the page there, and say where it is."""
+    os.environ[PAGE_VARIABLE] = str(folder)
+    page = folder / "index.html"
+    folder.mkdir(parents=True, exist_ok=True)
+    if not page.exists():
+        page.write_text(FIRST, encoding="utf-8")
+    print(f"the page fills as runs end: {page}", file=sys.stderr)
+
+
+def renew_page(runs_dir: Path, under_way: Callable[[], str]) -> None:
+    """Write the page of what there is now, where this call has one. One that cannot be written stops no run.
+
+    Args:
+        under_way: how far the sweep has come when the page is written; "" where it has ended.
+    """
+    if PAGE_VARIABLE not in os.environ:
+        return
+    folder = Path(os.environ[PAGE_VARIABLE])
+    try:
+        from envgs_bench.reports import build_report
+
+        with _alone(folder):
+            build_report(runs_dir, folder, under_way=under_way())
+    except Exception as error:
+        print(f"the page in {folder} could not be written: {error}", file=sys.stderr)
+
+
+def end_page(runs_dir: Path) -> None:
+    """A page that still waits for runs waits no longer: the call has ended, however."""
+    folder = os.environ.get(PAGE_VARIABLE)
+    page = Path(folder or "") / "index.html"
+    if folder and page.is_file() and LOADS_AGAIN in page.read_text(encoding="utf-8", errors="replace"):
+        renew_page(runs_dir, lambda: "")
+        if page.read_text(encoding="utf-8", errors="replace") == FIRST:  # of no runs there is no page
+            page.unlink()
+    os.environ.pop(PAGE_VARIABLE, None)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Within, no other process renews the page."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        while True:
+            try:
+                lock(handle)
+                break
+            except BlockingIOError:
+                time.sleep(0.1)
+        yield
+    finally:
+        os.close(handle)

@@ -1,0 +1,60 @@
+"""The page of a sweep: there from the beginning, renewed as runs end, and no more under way when they have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from fakes.runs import run_here, set_environment
+
+from envgs_bench import reports
+
+WAITING = "1 of 2 runs have ended: this page fills as the others do."
+
+
+@pytest.fixture
+def seen(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
+    """What the page in `page` was, whenever it was renewed; it holds how far the sweep has come, and no more."""
+    set_environment(monkeypatch)
+    pages: list[str] = []
+
+    def build(runs: Path, out: Path, under_way: str) -> None:
+        assert (runs, out) == (tmp_path / "runs", tmp_path / "page")
+        pages.append((out / "index.html").read_text())
+        (out / "index.html").write_text(f'<meta http-equiv="refresh" content="5">{under_way}' if under_way else "")
+
+    monkeypatch.setattr(reports, "build_report", build)
+    return pages
+
+
+def test_a_page_fills_as_runs_end(tmp_path: Path, seen: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    page = tmp_path / "page" / "index.html"
+    sweep = ("seed=0,1", f"page={page.parent}")
+    assert run_here(tmp_path / "runs", *sweep, flags=("-m",)) == 0
+    shown = capsys.readouterr().err
+    assert f"the page fills as runs end: {page}" in shown[: shown.index("seed 0")]
+    first, second = seen
+    assert "No run has ended yet" in first
+    assert WAITING in second
+    assert page.read_text() == ""
+    assert run_here(tmp_path / "runs", *sweep, flags=("-m",)) == 0  # all reused, and shown once
+    assert len(seen) == 3
+
+
+def test_a_sweep_that_ends_early_leaves_no_page_that_waits(
+    tmp_path: Path, seen: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("envgs_bench.cli.application.under_way", lambda: WAITING)  # as where the second never comes
+    assert run_here(tmp_path / "runs", f"page={tmp_path / 'page'}") == 0
+    assert WAITING in seen[-1]
+    assert (tmp_path / "page" / "index.html").read_text() == ""
+
+
+def test_a_page_that_cannot_be_written_stops_no_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    set_environment(monkeypatch)
+    monkeypatch.setattr(reports, "build_report", lambda *_, **__: 1 / 0)
+    assert run_here(tmp_path / "runs", f"page={tmp_path / 'page'}") == 0
+    assert f"the page in {tmp_path / 'page'} could not be written: division by zero" in capsys.readouterr().err
+    assert not (tmp_path / "page" / "index.html").exists()
