@@ -79,7 +79,7 @@ def test_wrong_usage_ends_with_status_2(arguments: list[str], capsys: pytest.Cap
     [
         (
             ["method=envgz"],
-            ["there is no method 'envgz'", "2dgs, 2dgs_lean, 2dgs_tuned, 3dgs", "Did you mean 'envgs'?"],
+            ["there is no method 'envgz'", "2dgs, 2dgs_lean, 2dgs_mcmc, 2dgs_tuned, 3dgs", "Did you mean 'envgs'?"],
         ),
         (["dataset=tinny"], ["there is no dataset 'tinny'", "tiny", "Did you mean 'tiny'?"]),
         (["experiment=demmo"], ["there is no experiment 'demmo'", "Did you mean 'demo'?"]),
@@ -158,7 +158,7 @@ def test_list_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list"]) == 0
     shown = capsys.readouterr().out
     for name in (
-        "2dgs, 2dgs_lean, 2dgs_tuned, 3dgs, 3dgs_dr",
+        "2dgs, 2dgs_lean, 2dgs_mcmc, 2dgs_tuned, 3dgs, 3dgs_dr",
         "envgs",
         "toy/chrome_room",
         "colmap",

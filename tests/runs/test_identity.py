@@ -108,7 +108,10 @@ def test_the_device_and_the_code_change_the_identity(monkeypatch: pytest.MonkeyP
         {"dataset": {**content()["dataset"], "obtain": "the host", "download": "https://host/fox.zip"}},
     ],
 )
-def test_what_does_not_determine_the_result_leaves_the_identity(changes: dict[str, Any]) -> None:
+def test_what_does_not_determine_the_result_leaves_the_identity(
+    changes: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     assert run_id(settings(**changes), "cpu") == run_id(settings(), "cpu")
 
 
