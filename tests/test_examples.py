@@ -62,7 +62,7 @@ def test_the_example_package_is_listed_runs_and_conforms(
 ) -> None:
     assert main(["list"]) == 0
     methods, rest = capsys.readouterr().out.split("dataset=", 1)
-    assert "2dgs, 2dgs_lean, 2dgs_tuned" in methods
+    assert "2dgs, 2dgs_lean, 2dgs_mcmc, 2dgs_tuned" in methods
     assert re.search(rf"\b{installed}\b", methods)
     assert not re.search(rf"\b{installed}\b", rest)
     assert run(tmp_path / "runs", f"method={installed}", "method.settings.size=0.05") == 0
