@@ -60,10 +60,14 @@ def _with_normals_or_none(views: list[View]) -> list[View]:
 def _in_order(scene: Scene) -> list[View]:
     """All views in the order of their images' names, as readers sort them.
 
+    A scene without test views is one for a program that is not to see them, whatever readers make of the names.
+
     Raises:
         DatasetError: their split is not what a reader will make of the names.
     """
     views = sorted([*scene.train, *scene.test], key=lambda view: f"{view.name}.png")
+    if not scene.test:
+        return views
     _, test = split_views(views, scene.name)
     if [view.name for view in test] != [view.name for view in scene.test]:
         raise DatasetError(

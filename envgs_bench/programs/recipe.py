@@ -167,6 +167,8 @@ class Recipe(_Part):
         train: the commands, one after the other.
         resume: those that go on from an interrupted training; none: it starts again.
         draw: those that draw the test views; none: training does.
+        sees_test_views: whether the data have them; false for a program that would train on all that it is given.
+        pictures: of the test views; none: the shared core draws them, of the Gaussians that the program writes.
         on_white: words for commands where the scene's background is white.
         environment: variables for all of its commands.
         seconds: how long it says that it trained.
@@ -185,7 +187,8 @@ class Recipe(_Part):
     on_white: str = ""
     isolation: Isolation = Isolation()
     environment: dict[str, str] = {}
-    pictures: Pictures
+    sees_test_views: bool = True
+    pictures: Pictures | None = None
     model: Model | None = None
     seconds: Reading | None = None
     step: str | None = None
@@ -199,6 +202,14 @@ class Recipe(_Part):
     @classmethod
     def _step(cls, text: str | None) -> str | None:
         return None if text is None else _pattern(text)
+
+    @model_validator(mode="after")
+    def _draws(self) -> Recipe:
+        if self.pictures is None and self.model is None:
+            raise ValueError("needs pictures, or a model that the shared core can draw them of")
+        if self.pictures is not None and not self.sees_test_views:
+            raise ValueError("pictures of test views need sees_test_views: true")
+        return self
 
     @property
     def needs_home(self) -> bool:

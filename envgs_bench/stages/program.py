@@ -17,6 +17,7 @@ from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.storage.sog_file import META
 from envgs_bench.metrics import Protocol
 from envgs_bench.metrics.psnr import psnr
+from envgs_bench.programs.command import ProgramFailed
 from envgs_bench.programs.gaussians import open_gaussians
 from envgs_bench.programs.memory import MemoryWatch
 from envgs_bench.programs.recipe import Model, ProgramChoice, files_of, parse_choice
@@ -59,7 +60,7 @@ def run_program(
     views = scored_views(scene, settings.score_on)
     results.steps = perturbed_settings(settings).steps
     work = Work(choice, (folder / PROGRAM).absolute(), results.steps, settings.seed, settings.device)
-    _export(replace(scene, test=list(views), val=()), choice, work)
+    _export(replace(scene, test=list(views) if choice.recipe.sees_test_views else [], val=()), choice, work)
     watch = MemoryWatch(settings.device, settings.memory_gb, settings.device_memory_fraction)
     try:
         report({"stage": "training", "step": 0, "steps": results.steps})
@@ -70,6 +71,8 @@ def run_program(
         results.cost, results.program = _cost(work), _program(choice, work)
     report({"stage": "preparing"})
     method, why = _drawn_by_core(choice.recipe.model, folder, work, scene, settings.device)
+    if method is None and choice.recipe.pictures is None:
+        raise ProgramFailed(f"it left no model that its test views could be drawn of: {why}")
     if method is not None:
         results.cost = _with_model(results.cost, method, folder / CHECKPOINT)
     scored, agreement = _score(choice, work, method, views, scene, protocol, folder, report)
@@ -123,6 +126,10 @@ def _program(choice: ProgramChoice, work: Work) -> ProgramRun:
     not_measured = {"peak_primitives": NOT_TOLD, "skipped_steps": NOT_TOLD, "peak_host_bytes": LOOKED_AT}
     if state.peak_host_bytes is None:
         not_measured["peak_host_bytes"] = "it ran in a container, whose processes are not seen from here"
+    if recipe.pictures is None:
+        not_measured["agreement_db"] = "it draws no test views: the shared core drew those that are scored"
+    if not any("{seed}" in command for command in (*recipe.train, *recipe.draw)):
+        not_measured["seed"] = "its recipe passes none: runs of other seeds differ by chance alone, if at all"
     if recipe.seconds is not None and state.own_seconds is None:
         not_measured["own_seconds"] = f"nothing that it wrote matches {recipe.seconds.pattern}"
     if state.peak_device_bytes is not None:
@@ -174,23 +181,32 @@ def _score(
     folder: Path,
     report: EventListener,
 ) -> tuple[tuple[Metrics, dict[str, MaskedScores]], dict[str, float]]:
-    """Scores of its pictures, and each view's agreement with the shared core's picture of its model, dB."""
+    """Scores of its pictures, and each view's agreement with the shared core's picture of its model, dB.
+
+    Of a program that draws no test views the core's pictures are scored.
+    """
     pictures = choice.recipe.pictures
-    found = files_of(pictures.files, work.values)
-    files = match_renders(work.output, pictures.match, views, found, pictures.crop)
+    files = {}
+    if pictures is not None:
+        found = files_of(pictures.files, work.values)
+        files = match_renders(work.output, pictures.match, views, found, pictures.crop)
     unit = depth_unit([view.camera for view in views])
     agreement: dict[str, float] = {}
 
     def pairs() -> Iterator[Pair]:
         for number, view in enumerate(views):
             report({"stage": "scoring", "step": number, "steps": len(views)})
-            image = read_render(files[view.name], scene.background, pictures.crop)
-            layers = {}
+            image, layers = None, {}
+            if pictures is not None:
+                image = read_render(files[view.name], scene.background, pictures.crop)
             if method is not None:
                 rendering = method.render(view.camera.to(method.device))
-                ours = rendering.color.cpu().clamp(0, 1)
+                ours = rendering.color.cpu()
                 layers = layer_pictures(rendering, unit) | {CORE: ours}
-                agreement[view.name] = psnr(image.clamp(0, 1), ours)
+                if image is not None:
+                    agreement[view.name] = psnr(image.clamp(0, 1), ours.clamp(0, 1))
+                image = ours if image is None else image
+            assert image is not None
             save_pair(folder, view, image, layers)
             yield Pair(view.name, image, view.rgb(), view.masks)
 

@@ -31,7 +31,7 @@ def test_recipes_that_ship_can_be_read_and_name_what_they_are_for(name: str) -> 
     assert recipe.layout in FORMATS
     assert recipe.commit
     assert recipe.licence
-    assert "{output}" in recipe.pictures.files
+    assert "{output}" in (recipe.pictures.files if recipe.pictures else recipe.model.file if recipe.model else "")
 
 
 def test_names_of_recipes_that_ship_are_rows_of_their_own() -> None:
@@ -57,6 +57,8 @@ def test_names_of_recipes_that_ship_are_rows_of_their_own() -> None:
         ({"isolation": {"kind": "conda"}}, "isolation: kind conda needs a name"),
         ({"isolation": {"kind": "none", "name": "a"}}, "isolation: kind none takes no name"),
         ({"model": {"file": "a.ply", "near": 0}}, "model.near: Input should be greater than 0"),
+        ({"pictures": None}, "needs pictures, or a model"),
+        ({"sees_test_views": False}, "pictures of test views need sees_test_views: true"),
         ({"build": "make"}, "build: Extra inputs are not permitted"),
     ],
 )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -166,6 +168,24 @@ def test_gaussians_that_it_writes_are_drawn_timed_and_held_against_its_pictures(
     view = tiny({"name": "tiny"}, tmp_path).test[0]
     drawn = as_bytes(method.render(view.camera).color)
     assert np.array_equal(drawn, np.asarray(Image.open(folder / "layers" / "view0-core.png")))
+
+
+def test_a_program_that_draws_nothing_is_scored_by_what_the_core_draws_of_its_model(tmp_path: Path) -> None:
+    """Nor does it see the test views: those of the data are the training ones alone."""
+    model_and_pictures(tmp_path / "made", flip=False)
+    shutil.rmtree(tmp_path / "made" / "test")
+    blind = {"layout": "colmap", "pictures": None, "sees_test_views": False, "model": {"file": "{output}/model.ply"}}
+    code = "import os, sys; sys.exit(any('view0' in name for name in os.listdir(sys.argv[1])))"
+    look = [f'{sys.executable} -c "{code}" {{data}}/images']
+    train = json.loads(recipe_file(tmp_path, "copies", str(tmp_path / "made")).read_text())["train"]
+    run_here(tmp_path / "runs", *external(recipe_file(tmp_path, "copies", **blind, train=[*look, train])))
+    (record,) = records(tmp_path / "runs")
+    assert record.status == "ok"
+    assert record.program is not None
+    assert record.program.agreement_db is None
+    assert "draws no test views" in record.program.not_measured["agreement_db"]
+    assert record.metrics is not None
+    assert record.metrics.mean["psnr"] is not None
 
 
 def test_other_conventions_show_in_the_agreement(tmp_path: Path) -> None:
