@@ -57,6 +57,7 @@ class Rules:
     ray_offset: Amount = 1e-3  # a reflected ray starts this far above the surface, × scene radius
     reflect_alpha: Share = 0.0  # pixels whose alpha is not above do not reflect: in images, and late in training
     reflect_alpha_from: Steps = 0  # step after which that holds in training too
+    beta_starts_anew: bool = False  # Adam counts β's steps from the first reflection on, not from the run's start
     beta_reset_from: Steps = 0  # step from which opacity resets also reset β; 0: never
     beta_reset: Literal["lower", "raise"] = "lower"  # that bounds β by its start from above, or from below
     map_start: Literal["gray", "random"] = "gray"  # texels of a cube map, at first
@@ -133,11 +134,13 @@ RECIPES: dict[RecipeName, Rules] = {
     "3dgs_dr": Rules(  # 3DGS-DR's released code
         **OF_3DGS
         | {"stretches": False, "longest_run": 61_000, "sh_from": 10_000, "beta_reset_from": 1, "beta_reset": "raise"}
+        | {"beta_starts_anew": True}
         | {"mean_gradient_of": "color", "map_start": "random"}
     ),
     "ref_gaussian": Rules(  # Ref-Gaussian's released code
         **OF_2DGS
         | {"stretches": False, "longest_run": 50_000, "sh_from": 5_000, "beta_reset_from": 1, "beta_reset": "raise"}
+        | {"beta_starts_anew": True}
     ),
     "ref_gs": Rules(**OF_2DGS | {"stretches": False, "longest_run": 31_000}),  # Ref-GS's released code
 }

@@ -147,6 +147,11 @@ class GaussianParameters:
         with torch.no_grad():
             old.copy_(values)
 
+    def restart(self, name: str) -> None:
+        """Let Adam forget one field: its moments, and how many steps they were made of."""
+        for remembered in self.optimizer.state.get(self.tensors[name], {}).values():
+            remembered.zero_()
+
     def draft(self) -> RowDraft:
         """The present rows, for whoever is to change which there are."""
         return RowDraft(self.detached())

@@ -138,6 +138,8 @@ class Reflection(Part):
         if not self.begun and step > self._model.schedule.at(self._settings.bootstrap):
             self.light.begin()
             self.begun = True
+            if self._settings.rule.beta_starts_anew:
+                self._model.sets[BASE].parameters.restart("beta_logits")
         self.light.begin_step(step)
 
     def phase(self, step: int) -> Hashable:

@@ -13,6 +13,7 @@ from torch.nn import functional
 
 from envgs_bench.core import Scene, View
 from envgs_bench.methods.deferred_reflection import DeferredReflection
+from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.lighting.cubemap import layout_of, sample_cubemap
 from envgs_bench.methods.lighting.disturbance import beta_of
 from envgs_bench.methods.registry import create_method
@@ -27,6 +28,26 @@ def initialized(steps: int = RUN, **settings) -> DeferredReflection:
     assert isinstance(method, DeferredReflection)
     method.initialize(tiny_scene(), steps)
     return method
+
+
+@pytest.mark.parametrize("kind", ["3dgs_dr", "ref_gaussian"])
+def test_adam_counts_the_steps_of_reflection_strength_from_the_first_reflection_on(kind: str) -> None:
+    """Its first step, whatever the gradients are, is the learning rate; after three steps of zeros it is 0.6 of it."""
+    rates, moved, scene = {"3dgs_dr": 6e-3, "ref_gaussian": 5e-3}, {}, tiny_scene()
+    for anew in (True, False):
+        settings = with_rules(envmap_size=8, bootstrap=3, beta_starts_anew=anew, shade_until=0)
+        if kind == "3dgs_dr":
+            del settings["shade_until"]
+        method = create_method(kind, settings)
+        assert isinstance(method, GaussianMethod)
+        method.initialize(scene, RUN)
+        for step in range(1, 5):
+            before = method.model.sets["base"].parameters.tensors["beta_logits"].detach().clone()
+            method.training_step(scene.train[0], step)
+        after = method.model.sets["base"].parameters.tensors["beta_logits"].detach()
+        moved[anew] = float((after - before).abs().max())
+    assert moved[True] == pytest.approx(rates[kind], rel=1e-2)
+    assert moved[False] < 0.7 * rates[kind]
 
 
 def test_events_fall_on_the_released_steps() -> None:
