@@ -63,7 +63,7 @@ class Diagnosis:
 
     @cached_property
     def exposures(self) -> Exposures:
-        return exposures(self.observations)
+        return exposures(self.observations, self.device)
 
     @cached_property
     def mirrored(self) -> list[str]:
@@ -87,4 +87,4 @@ class Diagnosis:
 
     @cached_property
     def photographs(self) -> Photographs:
-        return Photographs.of(self.scene.train)
+        return Photographs.of(self.scene.train, self.device)

@@ -66,14 +66,17 @@ class _Offsets:
 
 
 @torch.no_grad()
-def exposures(observations: Observations) -> Exposures:
+def exposures(observations: Observations, device: torch.device | str = "cpu") -> Exposures:
     """Those of the observed views, as far as their points tell.
 
     An exposure is a factor on all that a view shows. A reflection is no such factor: it lies on some surfaces, and adds
     more to dark colors than to bright ones. So the points are halved along each axis of space, and by their brightness,
     and the halves have to say about the same of the views, in the median of the four.
+
+    Args:
+        device: where whole pictures are looked at; what is found is on the CPU.
     """
-    seen, given = _seen(observations), observations.colors
+    seen, given = _seen(observations, device), observations.colors
     found = None if observations.colorless else _offsets(seen, given)
     if found is None:
         return Exposures()
@@ -146,7 +149,7 @@ def equalized(image: Tensor, factors: Tensor) -> Tensor:
     return (255 * encoded).round().byte().contiguous()
 
 
-def _seen(observations: Observations) -> Tensor:
+def _seen(observations: Observations, device: torch.device | str) -> Tensor:
     """What the views show around the points that nothing hides: sRGB of the mean light of 3×3 pixels, else NaN.
 
     A pixel of a fine texture is another from every view, and a point behind something has another's color.
@@ -155,8 +158,8 @@ def _seen(observations: Observations) -> Tensor:
 
     found = []
     for index, view in enumerate(observations.views):
-        light = functional.pad(_light(view.rgb()).movedim(2, 0)[None], (1, 1, 1, 1), mode="replicate")
-        around = linear_rgb_to_rgb(functional.avg_pool2d(light, 3, stride=1))[0].movedim(0, 2)
+        light = functional.pad(_light(view.rgb(device)).movedim(2, 0)[None], (1, 1, 1, 1), mode="replicate")
+        around = linear_rgb_to_rgb(functional.avg_pool2d(light, 3, stride=1))[0].movedim(0, 2).cpu()
         unhidden = observations.unhidden[index][:, None]
         found.append(torch.where(unhidden, observations.sampled(index, around), torch.nan))
     return torch.stack(found)

@@ -44,9 +44,10 @@ class Photographs:
 
     @classmethod
     @torch.no_grad()
-    def of(cls, views: Sequence[View]) -> Photographs:
+    def of(cls, views: Sequence[View], device: torch.device | str = "cpu") -> Photographs:
+        """Of these training views, looked at on `device`."""
         rows = torch.linspace(0, len(views) - 1, min(len(views), VIEWS)).round().long().tolist()
-        greens = [views[row].image[..., 1].cpu().float() / 255 for row in rows]
+        greens = [views[row].image[..., 1].to(device).float() / 255 for row in rows]
         return cls(*(statistics.median(map(judge, greens)) for judge in (noise, detail, blockiness)))
 
 
@@ -57,7 +58,7 @@ def noise(green: Tensor) -> float:
     """
     if min(green.shape) < PATCH + 2:
         return 0.0
-    mask = torch.tensor([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]]) / 6
+    mask = torch.tensor([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]], device=green.device) / 6
     differences = functional.conv2d(green[None, None], mask[None, None])[0]
     variance, mean = (
         functional.avg_pool2d(values, PATCH, stride=PATCH // 2)
@@ -73,10 +74,10 @@ def detail(green: Tensor) -> float:
         return 1.0
     shrink = max(1, round(min(green.shape[1] / WIDTH, green.shape[0] / LEAST_EDGE)))
     small = functional.avg_pool2d(green[None], shrink)[0]
-    height, width = small.shape
-    fading = torch.hann_window(height)[:, None] * torch.hann_window(width)
-    power = torch.fft.fft2((small - small.mean()) * fading).abs().square()
-    cycles = torch.hypot(torch.fft.fftfreq(height)[:, None], torch.fft.fftfreq(width))
+    fading_down, fading_right = (torch.hann_window(size, device=green.device) for size in small.shape)
+    power = torch.fft.fft2((small - small.mean()) * fading_down[:, None] * fading_right).abs().square()
+    down, right = (torch.fft.fftfreq(size, device=green.device) for size in small.shape)
+    cycles = torch.hypot(down[:, None], right)
     fine, coarse = (power[(low < cycles) & (cycles < high)].mean() for low, high in (FINEST, COARSER))
     return float(fine / coarse) if coarse > 0 else 1.0
 
