@@ -35,6 +35,7 @@ def main(arguments: Sequence[str]) -> int:
         metavar="FILE.csv",
         help="write no report: add a row for each run to this file, in place of an earlier row of the same run",
     )
+    parser.add_argument("--commit", default="", metavar="HASH", help="with --keep: of runs that do not know theirs")
     parser.add_argument(
         "--fill",
         type=Path,
@@ -70,7 +71,7 @@ def _keep(options: argparse.Namespace) -> int:
     from envgs_bench.reports.numbers.runs import read_runs
 
     found, broken = read_runs(options.runs, options.only, options.exclude)
-    print(f"{len(found)} runs, {keep_runs(found, options.keep)} in {options.keep}")
+    print(f"{len(found)} runs, {keep_runs(found, options.keep, options.commit)} in {options.keep}")
     for record in broken:
         print(f"envgs-bench report: {record.path}: {record.reason}", file=sys.stderr)
     return int(bool(broken) or not found)

@@ -32,11 +32,15 @@ class RunsFileError(ValueError):
     """A CSV of kept runs that cannot be used; the message names the file and what is wrong with it."""
 
 
-def row_of(run: Run) -> dict[str, str]:
-    """A run as a row: facts, then every score as `<metric>` or `<metric>_<region>`, then its costs."""
+def row_of(run: Run, commit: str = "") -> dict[str, str]:
+    """A run as a row: facts, then every score as `<metric>` or `<metric>_<region>`, then its costs.
+
+    Args:
+        commit: of runs that do not know theirs.
+    """
     record = run.record
     timing, provenance = record.timing, record.provenance
-    commit = f"{(provenance.commit or 'unknown')[:10]}{'-dirty' if provenance.dirty else ''}"
+    commit = f"{(provenance.commit or commit or 'unknown')[:10]}{'-dirty' if provenance.dirty else ''}"
     facts = (
         record.dataset, method_of(record), record.steps, record.scored_on, record.protocol.name, record.seed,
         card_of(record).order, record.status, timing.width if timing else "", timing.height if timing else "",
@@ -74,14 +78,14 @@ def numbers_of(record: Record) -> dict[str, float]:
     return {name: value for name, value in found.items() if value is not None}
 
 
-def keep_runs(runs: Iterable[Run], path: Path) -> int:
+def keep_runs(runs: Iterable[Run], path: Path, commit: str = "") -> int:
     """Add a row for each run to the file, in place of an earlier row of the same `IDENTITY`; how many rows it has.
 
     Raises:
         RunsFileError: the file that is there is no CSV of kept runs.
     """
     kept = {} if not path.exists() else {_identity(row): row for row in _rows(path)}
-    kept |= {_identity(row): row for row in map(row_of, runs)}
+    kept |= {_identity(row): row for row in (row_of(run, commit) for run in runs)}
     rows = sorted(kept.values(), key=lambda row: (row["scene"], int(row["steps"]), int(row["order"]), _identity(row)))
     names = dict.fromkeys(name for row in rows for name in row)
     columns = [*FACTS, *NUMBERS, *sorted(set(names) - {*FACTS, *NUMBERS})]

@@ -98,12 +98,13 @@ class KeptRuns:
     def caption(self, what: str) -> str:
         """Where the numbers come from: what they are, seeds, steps, views, device, commit and file."""
         first = self.rows.iloc[0]
-        seeds = ", ".join(map(str, sorted(self.rows["seed"].unique())))
+        seeds = sorted(self.rows["seed"].unique())
+        named = f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}"
         commits = ", ".join(f"`{commit}`" for commit in sorted(self.rows["commit"].unique()))
         devices = ", ".join(sorted(self.rows["device"].unique()))
         return (
             f"*{what}. {int(first['steps']):,} steps, {first['split']} views, protocol `{first['protocol']}`, "
-            f"seeds {seeds}; {devices}, commit {commits}. Source: `{self.name}`.*"
+            f"{named}; {devices}, commit {commits}. Source: `{self.name}`.*"
         )
 
 
@@ -192,6 +193,8 @@ def costs(runs: KeptRuns) -> str:
 
 def _cell(column: Column, found: Estimate, best: bool = False) -> str:
     """A mean with its spread over seeds, and how many runs finished where not all did."""
+    if found.averaged and not found.complete:
+        return f"{NOTHING} ({found.done}/{found.expected})"
     if found.mean is None:
         return NOTHING
     text = f"**{column.unsigned(found.mean)}**" if best else column.unsigned(found.mean)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
 from pathlib import Path
 
@@ -79,6 +80,17 @@ def test_where_something_lay_is_no_part_of_a_command(tmp_path: Path) -> None:
     write_runs(tmp_path / "runs", SCENES[:1], ("envgs",), (0,), pictures=False, overrides=given)
     main(["report", str(tmp_path / "runs"), "--keep", str(tmp_path / "runs.csv")])
     assert rows(tmp_path)[0]["command"] == "envgs-bench run data_root=FOLDER method=envgs"
+
+
+def test_a_run_that_knows_no_commit_is_given_one(tmp_path: Path) -> None:
+    write_runs(tmp_path / "runs", SCENES[:1], ("envgs",), (0,), pictures=False)
+    for path in (tmp_path / "runs").rglob("record.json"):
+        content = json.loads(path.read_text(encoding="utf-8"))
+        content["provenance"] |= {"commit": None, "dirty": None}
+        path.write_text(json.dumps(content), encoding="utf-8")
+    for given, found in (("", "unknown"), ("0123456789abcdef", "0123456789")):
+        main(["report", str(tmp_path / "runs"), "--keep", str(tmp_path / "runs.csv"), "--commit", given])
+        assert rows(tmp_path)[0]["commit"] == found
 
 
 def test_scores_are_means_over_seeds_and_the_mean_is_of_the_scenes(kept: Path) -> None:
