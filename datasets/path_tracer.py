@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,10 @@ from .toy.shapes import Mesh
 Array = NDArray[np.floating[Any]]
 Bsdf = dict[str, Any]  # as Mitsuba's load_dict takes it; a texture is `Texture`
 
-VARIANT = "scalar_rgb"  # the one that needs nothing but Mitsuba, and repeats its pictures
+Tracer = Literal["cpu", "gpu"]
+# The first needs nothing but Mitsuba; the second NVIDIA's driver with OptiX. Each repeats its own pictures; the other's
+# are the same but for the noise of their paths.
+VARIANTS: dict[Tracer, str] = {"cpu": "scalar_rgb", "gpu": "cuda_ad_rgb"}
 DEPTH = 9  # edges of the longest path
 
 
@@ -42,17 +45,17 @@ class PathTracer:
 
     Args:
         sky: [H, W, 3] linear radiance from infinity; row 0 looks to +z, columns run counterclockwise from +x.
-        depth: edges of the longest path.
+        tracer: which of Mitsuba's variants; that of a GPU takes one picture at a time, from one thread.
 
     Raises:
-        DatasetError: Mitsuba is not installed.
+        DatasetError: Mitsuba is not installed, or has no such GPU.
     """
 
-    def __init__(self, surfaces: Sequence[TracedSurface], sky: Array, depth: int = DEPTH) -> None:
-        self._mitsuba = _imported()
+    def __init__(self, surfaces: Sequence[TracedSurface], sky: Array, tracer: Tracer = "cpu") -> None:
+        self._mitsuba, self._on_gpu = _imported(tracer), tracer == "gpu"
         shapes = {f"surface{index}": self._shape(surface) for index, surface in enumerate(surfaces)}
         self._scene = self._mitsuba.load_dict({"type": "scene", **shapes, "sky": self._sky(sky)})
-        self._integrator = self._mitsuba.load_dict({"type": "path", "max_depth": depth})
+        self._integrator = self._mitsuba.load_dict({"type": "path", "max_depth": DEPTH})
 
     def light(self, camera: Camera, supersampling: int, seed: int) -> Array:
         """The view [H, W, 3], linear: a pixel is its area's mean over supersampling² paths, well spread over it."""
@@ -71,6 +74,10 @@ class PathTracer:
         return total / len(seeds)
 
     def _rendered(self, sensor: Any, paths: int, seed: int) -> Array:
+        if self._on_gpu:  # where a seed that is part of the kernel would have it compiled each time
+            import drjit
+
+            seed = drjit.opaque(self._mitsuba.UInt32, seed)
         light = self._mitsuba.render(self._scene, sensor=sensor, integrator=self._integrator, spp=paths, seed=seed)
         return np.array(light)[..., :3]
 
@@ -129,12 +136,17 @@ class PathTracer:
         return {"type": "envmap", "bitmap": bitmap, "to_world": upright}
 
 
-def _imported() -> Any:
+def _imported(tracer: Tracer) -> Any:
     try:
         import mitsuba
     except ImportError as error:
         raise DatasetError(
             "this scene is path-traced by Mitsuba, which is not installed: pip install 'envgs-bench[mitsuba]'"
         ) from error
-    mitsuba.set_variant(VARIANT)
+    try:
+        mitsuba.set_variant(VARIANTS[tracer])
+    except (ImportError, AttributeError, RuntimeError) as error:
+        raise DatasetError(
+            f"Mitsuba cannot trace on this machine's {tracer}: {error}; give dataset.tracer=cpu"
+        ) from error
     return mitsuba

@@ -42,12 +42,14 @@ def mapped(stage: str, function: Callable[[Item], Result], items: Sequence[Item]
     return list(streamed(stage, function, items))
 
 
-def streamed(stage: str, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
-    """As `mapped`, one result after the other; work begins with the first that is asked for.
+def streamed(
+    stage: str, function: Callable[[Item], Result], items: Sequence[Item], cores: int | None = None
+) -> Iterator[Result]:
+    """As `mapped`, one result after the other, on so many cores; work begins with the first that is asked for.
 
     No more than two results a core are ever waiting to be taken, so that they need not fit into memory together.
     """
-    cores = os.cpu_count() or 1
+    cores = cores or os.cpu_count() or 1
     pool = ThreadPoolExecutor(cores)
     waiting: deque[Future[Result]] = deque()
     begun = 0

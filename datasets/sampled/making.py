@@ -52,7 +52,7 @@ def drawn(choice: SampledSettings) -> Drawn:
 
 
 def traced(choice: SampledSettings, scene: Drawn) -> Pictures:
-    return traced_pictures(scene.place, scene.cameras, choice.supersampling, _stream(choice, "pixels"))
+    return traced_pictures(scene.place, scene.cameras, choice.supersampling, _stream(choice, "pixels"), choice.tracer)
 
 
 def make_scene(choice: SampledSettings, name: str, pictures: Callable[[Drawn], Pictures]) -> Scene:

@@ -17,7 +17,7 @@ from PIL import Image
 from envgs_bench.core import Camera
 
 from ..formats.srgb import to_srgb
-from ..path_tracer import PathTracer
+from ..path_tracer import PathTracer, Tracer
 from ..progress import streamed
 from ..toy.world import Array
 from .distribution import BRIGHT, BRIGHT_PERCENTILE, between
@@ -29,17 +29,20 @@ PROBES, PROBE_WIDTH, PROBE_PATHS = 8, 48, 9  # small pictures that the exposure 
 BRIGHTEST = 2.5  # × what is white: so much a path counts at most
 
 
-def traced_pictures(place: Place, cameras: Sequence[Camera], supersampling: int, rng: np.random.Generator) -> Pictures:
+def traced_pictures(
+    place: Place, cameras: Sequence[Camera], supersampling: int, rng: np.random.Generator, tracer: Tracer
+) -> Pictures:
     """All at one exposure. Raises DatasetError where Mitsuba is not installed."""
-    tracer = PathTracer([surface.traced() for surface in place.surfaces], place.sky)
-    gain = _gain(tracer, cameras, rng)
+    traced = PathTracer([surface.traced() for surface in place.surfaces], place.sky, tracer)
+    gain = _gain(traced, cameras, rng)
     seeds = rng.integers(2**31, size=(len(cameras), supersampling**2)).tolist()
 
     def picture(index: int) -> NDArray[np.uint8]:
-        light = gain * tracer.clamped_light(cameras[index], seeds[index], BRIGHTEST / gain)
+        light = gain * traced.clamped_light(cameras[index], seeds[index], BRIGHTEST / gain)
         return np.round(255 * to_srgb(light)).astype(np.uint8)
 
-    return list(streamed("tracing views", picture, range(len(cameras))))
+    cores = 1 if tracer == "gpu" else None
+    return list(streamed("tracing views", picture, range(len(cameras)), cores))
 
 
 def _gain(tracer: PathTracer, cameras: Sequence[Camera], rng: np.random.Generator) -> float:

@@ -145,6 +145,14 @@ def test_a_seed_is_a_scene_and_its_pictures_may_come_from_an_archive(
         load_scene({**TINY, "seed": 4}, tmp_path / "b")
 
 
+def test_without_such_a_gpu_it_is_said_what_to_give(tmp_path: Path) -> None:
+    pytest.importorskip("mitsuba")
+    if torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(DatasetError, match=r"dataset\.tracer=cpu"):
+        load_scene({**TINY, "tracer": "gpu"}, tmp_path)
+
+
 def test_cameras_stand_clear_of_all_things() -> None:
     """But for what cannot be helped, one in twenty."""
     near, cameras = 0, 0

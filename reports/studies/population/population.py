@@ -114,7 +114,7 @@ def population_of(section: Section) -> Population | None:
     if len(about) < FEWEST_SCENES or section.scored_on != "test":
         return None
     tidy = section.tidy[section.tidy["dataset"].isin(list(about)) & (section.tidy["region"] == "full")]
-    tables = {metric: _table(tidy, metric) for metric in METRICS}
+    tables = {metric: _table(tidy, metric, section.methods) for metric in METRICS}
     psnr = tables["psnr"]
     if psnr.shape[1] < 2 or len(psnr.dropna()) < FEWEST_SCENES:
         return None
@@ -127,10 +127,11 @@ def population_of(section: Section) -> Population | None:
     return Population(attributes, parts, tables, _failures(section, set(about)), subject, ladder)
 
 
-def _table(tidy: pd.DataFrame, metric: str) -> pd.DataFrame:
-    """The mean over seeds, a row a scene and a column a method."""
+def _table(tidy: pd.DataFrame, metric: str, methods: list[str]) -> pd.DataFrame:
+    """The mean over seeds, a row a scene and a column a method, those in the tables' order."""
     own = tidy[tidy["metric"] == metric]
-    return own.pivot_table(index="dataset", columns="method", values="value", aggfunc="mean")
+    table = own.pivot_table(index="dataset", columns="method", values="value", aggfunc="mean")
+    return table[[method for method in methods if method in table]]
 
 
 def _ladder(section: Section, methods: list[str]) -> Iterator[str]:
