@@ -10,7 +10,6 @@ from pathlib import Path
 import torch
 
 from envgs_bench.core import Scene, View
-from envgs_bench.datasets.export import export_scene
 from envgs_bench.diagnosis.diagnosis import Diagnosis
 from envgs_bench.diagnosis.repair import repaired
 from envgs_bench.methods.gaussian_method import GaussianMethod
@@ -100,6 +99,8 @@ def _repaired(scene: Scene, settings: RunSettings, results: Results) -> Scene:
 def _export(scene: Scene, choice: ProgramChoice, work: Work) -> None:
     """The data as the program reads them, unless they are there from an earlier attempt."""
     if not work.data.is_dir():
+        from envgs_bench.datasets.export import export_scene  # imports pycolmap, which no other run needs
+
         export_scene(scene, work.data, choice.recipe.layout)
     white = bool((scene.background == 1).all())
     work.values = work.values | {"on_white": choice.recipe.on_white if white else ""}

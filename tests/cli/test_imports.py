@@ -25,6 +25,7 @@ print(*sys.modules)
 """
 TRAIN = """
 import sys
+import envgs_bench.runs.worker
 from envgs_bench.methods.registry import create_method
 from envgs_bench.testing import tiny_scene
 scene = tiny_scene()
@@ -60,4 +61,4 @@ def test_what_is_listed_without_torch_is_what_there_is() -> None:
 
 
 def test_training_steps_wait_neither_for_a_compiler_nor_for_charts() -> None:
-    assert not imported(TRAIN) & {"torch._dynamo", "torch._inductor", "matplotlib", "pandas", "hydra"}
+    assert not imported(TRAIN) & {"torch._dynamo", "torch._inductor", "matplotlib", "pandas", "hydra", "pycolmap"}
