@@ -226,7 +226,8 @@ class GaussianModel:
             learned = [self.policies[name].criterion(seen, camera), seen.weights]
             if name == BASE and self.settings.rule.mean_gradient_over == "in_view":
                 base = self.sets[BASE].parameters.tensors
-                learned.append(in_view(base["means"], base["log_scales"].exp(), camera, self.near))
+                shape = base["means"], base["quaternions"], base["log_scales"].exp()
+                learned.append(in_view(*shape, camera, self.near))
             self.sets[name].record.add(*(torch.where(counts, values, 0.0) for values in learned))
         if self.budget is not None:
             given = self.contributions(rendering, step)
