@@ -19,7 +19,7 @@ PERCEPTUAL = "perceptual"  # the loss between VGG-16's features
 LOSSES = {MONO: "L_mono", PERCEPTUAL: "L_perc"}  # what cannot be had everywhere, as the paper writes it (Eq. 11)
 
 # Names of what takes torch to import: for whoever lists them.
-PROTOCOL_NAMES = ("envgs", "strict", "inria", "nerfbaselines", "color_corrected")
+PROTOCOL_NAMES = ("envgs", "strict", "inria", "nerfbaselines", "color_corrected", "dists")
 LAYOUT_NAMES = ("ply", "compact", "spz", "sog", "compressed-ply", "ply-two-scales")
 
 

@@ -21,6 +21,7 @@ class Choices:
     lpips_input: str  # "[0, 1]" or "[-1, 1]"
     masking: str  # "white": composite, then score the whole image; "normalized": average over the mask
     corrects_color: bool = False  # whether metrics that say so are taken of color-corrected pictures too
+    also: tuple[str, ...] = ()  # the metrics that are taken only where a protocol names them
 
 
 @dataclass(frozen=True)
@@ -37,5 +38,7 @@ class Metric:
     """JSON values that the protocols' hashes cover, and so change all of them; None adds nothing to a hash."""
     not_computed: Callable[[], str] = lambda: ""
     """Why it cannot be had on this machine; "" where it can."""
+    asked_for: bool = False
+    """Whether only protocols take it that name it in `Choices.also`, as it takes as long as all others together."""
     corrected: bool = False
     """Whether protocols that correct colors take it of color-corrected pictures too, as cc_<name>."""

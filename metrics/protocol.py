@@ -11,6 +11,8 @@
 follows NerfBaselines' protocol "nerf" (its LPIPS of the default protocol is AlexNet's, which is not offered here).
 Neither project masks, so both composite as the EnvGS paper does. FLIP is added to all.
 
+`dists` is `envgs` with DISTS, which takes as long as LPIPS, beside it.
+
 `color_corrected` is `envgs` with `cc_psnr`, `cc_ssim` and `cc_lpips` beside them: of pictures whose colors one affine
 map a view has brought nearest to the photograph (`color_correction.py`), inside regions by the same map.
 
@@ -48,7 +50,14 @@ class Protocol(Choices):
     @property
     def metrics(self) -> dict[str, Metric]:
         """What `score` returns of a full image, by name."""
-        return registered_metrics() | (corrected_metrics() if self.corrects_color else {})
+        return self._plain | (corrected_metrics() if self.corrects_color else {})
+
+    @property
+    def _plain(self) -> dict[str, Metric]:
+        """Those of pictures as they are."""
+        return {
+            name: metric for name, metric in registered_metrics().items() if not metric.asked_for or name in self.also
+        }
 
     @property
     def cards(self) -> dict[str, MetricCard]:
@@ -63,14 +72,16 @@ class Protocol(Choices):
             name: metric.constants for name, metric in registered_metrics().items() if metric.constants is not None
         }
         choices = asdict(self) | {"name": None} | constants
-        if choices.pop("corrects_color"):  # protocols without it keep their hashes
+        if also := choices.pop("also"):  # protocols without keep their hashes, here and below
+            choices |= {"also": also}
+        if choices.pop("corrects_color"):
             choices |= {"color": ["affine", "least squares a view", "clamped"]}
         return hashlib.sha256(json.dumps(choices, sort_keys=True).encode()).hexdigest()[:8]
 
     @property
     def description(self) -> str:
         """The choices in one sentence."""
-        parts = [_IN_WORDS[self.quantization], *(metric.definition(self) for metric in registered_metrics().values())]
+        parts = [_IN_WORDS[self.quantization], *(metric.definition(self) for metric in self._plain.values())]
         parts += [_IN_WORDS[self.masking]]
         parts += ["cc_: after one affine map of color a view, fitted to the photograph"] if self.corrects_color else []
         return "; ".join(parts)
@@ -127,7 +138,7 @@ class Protocol(Choices):
             mask = None
         return {
             name: None if metric.not_computed() else metric.value(prediction, target, mask, self)
-            for name, metric in registered_metrics().items()
+            for name, metric in self._plain.items()
         }
 
 
@@ -139,6 +150,7 @@ PROTOCOLS = {
         Protocol("inria", "round", "zero", "[0, 1]", "white"),
         Protocol("nerfbaselines", "truncate", "valid", "[-1, 1]", "white"),
         Protocol("color_corrected", "none", "zero", "[0, 1]", "white", corrects_color=True),
+        Protocol("dists", "none", "zero", "[0, 1]", "white", also=("dists",)),
     )
 }
 

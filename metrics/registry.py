@@ -13,6 +13,7 @@ REGISTERED = {  # lower-case letters, digits and _: names are keys of records an
     "ssim": "envgs_bench.metrics.ssim:METRIC",
     "flip": "envgs_bench.metrics.flip:METRIC",
     "lpips": "envgs_bench.metrics.lpips:METRIC",
+    "dists": "envgs_bench.metrics.dists:METRIC",
 }
 CORRECTED = "cc_"  # what the name of a metric of color-corrected pictures begins with
 

@@ -132,6 +132,7 @@ def test_hash_is_of_every_choice_and_not_of_the_name():
         "inria": "42b30e72",
         "nerfbaselines": "3bfdd67e",
         "color_corrected": "d5e48701",
+        "dists": "aeab304f",
     }
 
 
