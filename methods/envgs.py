@@ -8,7 +8,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Scene
+from envgs_bench.core import Camera, Rendering, Scene, Statistics
 from envgs_bench.parts import BASE, ENV, MethodCard
 
 from .gaussian_method import GaussianMethod, fresh
@@ -16,6 +16,7 @@ from .gaussians.densification import spatial_criterion
 from .gaussians.initialization import quantile_box, random_points_in_grid, random_points_on_sphere
 from .gaussians.policy import Resets, SetPolicy, Start, regular
 from .lighting.disturbance import Disturbance, reflecting_policy
+from .lighting.planes import Planes
 from .lighting.reflection import Origin, Reflection, Traced
 from .lighting.settings import EnvGSSettings
 from .training.pilot_run import SHORTEST_RUN
@@ -23,6 +24,7 @@ from .training.reflection_pilot import BOOTSTRAP, PLAIN, ReflectionOutcome, refl
 from .training.schedule import ENV_RESET_FLOOR, RECOVERY, Schedule
 
 REFLECTION = "reflection"  # in `found`: what the pilot run on reflections has shown
+PLANES = "planes"  # in `parts`: flat mirrors and panes
 PER_CELL = 5  # K: random primitives in each cell of the box
 BOX_QUANTILE = 0.995  # share of the points' range, on each axis, that the box covers
 FAR = 4.0  # radius of a sphere around the box that primitives start on too, × half its diagonal
@@ -47,6 +49,11 @@ class EnvGS(GaussianMethod):
             return {BASE: replace(base, start=replace(base.start, beta=None))}
         return {BASE: base, ENV: environment_policy(self.settings, schedule, base)}
 
+    def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
+        picture, statistics = super().draw(camera, step)
+        planes = self.parts.get(PLANES)
+        return (planes.over(picture, camera, step) if isinstance(planes, Planes) else picture), statistics
+
     def initialize(self, scene: Scene, steps: int) -> None:
         if REFLECTION not in self.found and self.settings.reflection_pilot and steps >= SHORTEST_RUN:
             self.found[REFLECTION] = asdict(tried_reflections(self, scene))
@@ -66,6 +73,8 @@ def compose(method: EnvGS, settings: EnvGSSettings) -> None:
     light = Traced(method.model, settings, ENV, Environment(settings, method.generator))
     method.reflection = Reflection(method.model, settings, light)
     method.parts = {"reflection": method.reflection, "disturbance": Disturbance(method.model, settings)}
+    if settings.planes != "none":
+        method.parts[PLANES] = Planes(method.model, settings)
 
 
 def is_plain(method: EnvGS) -> bool:

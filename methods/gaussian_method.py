@@ -227,7 +227,10 @@ class GaussianMethod(Method):
         return self.model.primitives()
 
     def model_bytes(self) -> dict[str, int]:
-        return dict(chain(self.model.model_bytes().items(), *(p.model_bytes().items() for p in self.parts.values())))
+        sizes = self.model.model_bytes()
+        for name, size in chain.from_iterable(part.model_bytes().items() for part in self.parts.values()):
+            sizes[name] += size
+        return sizes
 
     # What is stored
 

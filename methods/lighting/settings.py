@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -68,6 +68,7 @@ class EnvGSSettings(ReflectionSettings):
     env_max_primitives: Limit = 630_000  # largest environment; beyond, those of the least blending weight are pruned
     env_densify_until: Steps = 21_000  # step before which the environment's densification and opacity resets end
     env_opacity_reset_every: Steps = 6_000  # steps between the environment's opacity resets; 0: never
+    planes: Literal["none", "masks", "photographs"] = "none"  # flat mirrors and panes, proposed by the one or the other
     reflection_pilot: bool = False  # a pilot run finds out what mirrored rays explain; if nothing, train as 2DGS
 
 

@@ -1,0 +1,239 @@
+"""Planes: found where mirrors are, shown by the equation, aligned with photographs, and no change without any."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from mirror_ball import gain_of_training
+from mirror_room import MIRROR, mirror_room, wall_color, walls
+
+from envgs_bench.core import GaussianSet
+from envgs_bench.core.vectors import rotated, unit
+from envgs_bench.methods.envgs import PLANES, EnvGS
+from envgs_bench.methods.lighting.plane_alignment import aligned
+from envgs_bench.methods.lighting.plane_proposals import Rectangle, inside_of, proposed
+from envgs_bench.methods.lighting.planes import Planes, behind
+from envgs_bench.methods.registry import create_method
+from envgs_bench.testing import check_method, tiny_scene
+
+SMALL: dict[str, Any] = {"env_grid": 2, "env_far_count": 50}
+
+
+def made(**settings: Any) -> EnvGS:
+    method = create_method("envgs", {**SMALL, "planes": "masks", **settings})
+    assert isinstance(method, EnvGS)
+    return method
+
+
+def planes_of(method: EnvGS) -> Planes:
+    planes = method.parts[PLANES]
+    assert isinstance(planes, Planes)
+    return planes
+
+
+def wall_set(count: int = 48) -> GaussianSet:
+    """The cube's walls as opaque surfels, a lattice a wall."""
+    places = 2 * ((torch.arange(count) + 0.5) / count * 2 - 1)
+    u, v = (each.flatten() for each in torch.meshgrid(places, places, indexing="ij"))
+    means, quaternions = [], []
+    turns = {0: [0.5**0.5, 0, 0.5**0.5, 0], 1: [0.5**0.5, -(0.5**0.5), 0, 0], 2: [1.0, 0, 0, 0]}
+    for axis in range(3):
+        for side in (-2.0, 2.0):
+            wall = torch.full((len(u), 3), side)
+            wall[:, [each for each in range(3) if each != axis]] = torch.stack([u, v], dim=1)
+            means.append(wall)
+            quaternions.append(torch.tensor(turns[axis]).expand(len(u), 4))
+    means = torch.cat(means)
+    sh = ((wall_color(means) - 0.5) / 0.28209479)[:, None]
+    scales = torch.full((len(means), 2), 0.6 * 4 / count)
+    return GaussianSet(means, torch.cat(quaternions), scales, torch.full((len(means),), 0.99), sh)
+
+
+def with_walls(method: EnvGS) -> None:
+    """Let the method's base set be the cube's walls."""
+    walls_ = wall_set()
+    policy = method.model.policies["base"]
+    tensors = method.model.new_set("base", walls_.means, torch.zeros(len(walls_), 3)).parameters.detached()
+    rest = torch.zeros_like(tensors["sh_rest"])
+    logits = torch.full((len(walls_),), 4.6)
+    own = {"quaternions": walls_.quaternions, "log_scales": walls_.scales.log(), "sh_dc": walls_.sh, "sh_rest": rest}
+    method.model.sets["base"] = method.model.set_of("base", tensors | own | {"opacity_logits": logits})
+    assert policy.start.beta is not None
+
+
+def test_a_mirror_is_proposed_where_it_is() -> None:
+    (found,) = proposed(mirror_room(), "masks")
+    assert float(found.axes[2] @ MIRROR.axes[2]) > 0.999
+    assert abs(float((found.center - MIRROR.center) @ MIRROR.axes[2])) < 0.05
+    torch.testing.assert_close(found.center, MIRROR.center, atol=0.06, rtol=0)
+    torch.testing.assert_close(found.half.sort().values, MIRROR.half.sort().values, atol=0.08, rtol=0)
+
+
+def test_nothing_is_proposed_where_nothing_is_flat_or_marked() -> None:
+    assert proposed(mirror_room(reflectance=0), "masks") == []
+    assert proposed(mirror_room(), "photographs") == []  # nobody has said where something lies behind
+    assert proposed(tiny_scene(), "masks") == []
+
+
+def test_what_a_plane_hides_lies_behind_its_rectangle() -> None:
+    center = torch.tensor([0.1, -0.5, -0.1])
+    points = torch.tensor([[0.1, 1.9, -0.1], [0.1, 1.2, -0.1], [1.9, 1.9, -0.1], [0.1, 1.49, -0.1], [0.1, -2, 0]])
+    assert behind(points, center, [MIRROR], 0.0).tolist() == [True, False, False, False, False]
+    assert behind(points, center, [MIRROR], 0.05).tolist() == [True, False, False, True, False]
+
+
+@pytest.mark.parametrize("reflectance", [0.2, 0.9])
+def test_a_pixel_mirrors_what_schlick_lets_it(reflectance: float) -> None:
+    scene = mirror_room()
+    method = made()
+    method.initialize(scene, 30_000)
+    with_walls(method)
+    planes = planes_of(method)
+    planes._become([MIRROR], [reflectance])
+    planes.begun = True
+    camera = scene.test[1].camera
+    method.model.prepare()
+    planes.prepare()
+    with torch.no_grad():
+        before = method.model.rasterize(camera, None)
+        shown = planes.over(before, camera, None).color
+    origins, rays = camera.rays()
+    rays = unit(rays)
+    within = inside_of(MIRROR, origins, rays, 1e-6)[0] > 0
+    cosine = (rays @ MIRROR.axes[2]).abs()
+    weight = (reflectance + (1 - reflectance) * (1 - cosine) ** 5)[..., None]
+    true = scene.test[1].rgb()
+    expected = torch.where(within[..., None], (1 - weight) * before.color + weight * true, before.color)
+    error = (shown - expected).abs().mean(-1)
+    assert error[within].mean() < 0.03  # surfels show walls so well
+    assert error[~within].mean() < 3e-3
+
+
+def test_two_mirrors_show_each_other() -> None:
+    """Between facing mirrors of the whole room, three bounces along the cube's axis show the wall beside them."""
+    scene = mirror_room()
+    method = made()
+    method.initialize(scene, 30_000)
+    with_walls(method)
+    planes = planes_of(method)
+    facing = Rectangle(
+        MIRROR.center * torch.tensor([1.0, -1, 1]), rotated(MIRROR.axes, torch.tensor([[torch.pi, 0, 0]])), MIRROR.half
+    )
+    planes._become([MIRROR, facing], [0.999, 0.999])
+    planes.begun = True
+    method.model.prepare()
+    planes.prepare()
+    origins, rays = torch.tensor([[[0.1, 0.0, -0.1]]]), unit(torch.tensor([[[0.08, 1.0, 0.0]]]))
+    base = method.model.gaussians("base", None)
+    with torch.no_grad():
+        _, points, mirrored = planes._met(planes.rectangles(), origins, rays)
+        seen = planes._seen(base, planes._bvh, planes.rectangles(), points, mirrored, 3)[0, 0]
+    place, ray = origins[0, 0], rays[0, 0]
+    bounces = 0
+    while bounces < 3:
+        met = [(inside_of(each, place, ray, 1e-6), each) for each in (MIRROR, facing)]
+        hits = [(float(d), each) for (w, d), each in met if w > 0 and d > 1e-3]
+        if not hits:
+            break
+        distance, each = min(hits, key=lambda hit: hit[0])
+        place = place + distance * ray
+        ray = ray - 2 * (ray @ each.axes[2]) * each.axes[2]
+        bounces += 1
+    assert bounces >= 2
+    expected = wall_color(place + walls(place, ray)[0] * ray)
+    torch.testing.assert_close(seen, expected, atol=0.08, rtol=0)
+
+
+def test_a_plane_beside_its_place_is_moved_and_turned_to_what_photographs_show() -> None:
+    scene = mirror_room()
+    method = made()
+    method.initialize(scene, 30_000)
+    with_walls(method)
+    turned = rotated(MIRROR.axes, torch.tensor([[0.02, 0, 0.03]]))
+    off = Rectangle(MIRROR.center + 0.06 * MIRROR.axes[2], turned, MIRROR.half)
+    (found,) = aligned(method.model.gaussians("base", 1), [off], scene.train, method.model)
+    assert found.reflectance > 0.8
+    assert float((found.rectangle.axes[2] * MIRROR.axes[2]).sum().acos().rad2deg()) < 0.4
+    assert abs(float((found.rectangle.center - MIRROR.center) @ MIRROR.axes[2])) < 0.03
+
+
+def test_gradients_of_a_plane_are_finite_differences() -> None:
+    scene = mirror_room()
+    method = made(bootstrap=0, rules={"average_from": 0})
+    method.initialize(scene, 30_000)
+    with_walls(method)
+    planes = planes_of(method)
+    planes._become([MIRROR], [0.7])
+    planes.begun = True
+    camera = scene.train[3].camera
+    weights = torch.rand(40, 40, 3, generator=torch.Generator().manual_seed(4))
+    base = method.model.rasterize(camera, 10_000)
+    picture = replace(base, color=base.color.detach())
+
+    def loss() -> torch.Tensor:
+        return (planes.over(picture, camera, 10_000).color * weights).mean()
+
+    loss().backward()
+    for name, size in {"plane_reflectances": 1e-2, "plane_centers": 2e-3, "plane_turns": 2e-3}.items():
+        values = planes.weights.tensors[name]
+        assert values.grad is not None
+        move = size * values.grad / values.grad.norm()
+        with torch.no_grad():
+            values += move
+            above = loss()
+            values -= 2 * move
+            below = loss()
+            values += move
+        assert float(above - below) / (2 * size) == pytest.approx(float(values.grad.norm()), rel=0.25), (
+            name
+        )  # of a picture with edges
+
+
+def test_nothing_changes_where_there_are_none() -> None:
+    """To the last bit, of a scene without marks."""
+    pictures = []
+    for planes in ("none", "masks"):
+        method = made(planes=planes, bootstrap=0)
+        scene = tiny_scene()
+        method.initialize(scene, 30)
+        for step in range(1, 31):
+            method.training_step(scene.train[step % len(scene.train)], step)
+        pictures.append(method.render(scene.test[0].camera).color)
+    assert torch.equal(*pictures)
+
+
+def test_a_method_with_planes_conforms(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = mirror_room(views=8, size=32)
+    monkeypatch.setattr("envgs_bench.testing.tiny_scene", lambda: scene)
+    monkeypatch.setattr("envgs_bench.methods.lighting.planes.DETACHED", 0)
+    check_method("envgs", {**SMALL, "planes": "masks"}, steps=20)
+
+
+def test_what_lies_behind_a_mirror_becomes_transparent() -> None:
+    scene = mirror_room()
+    method = made()
+    method.initialize(scene, 30_000)
+    planes = planes_of(method)
+    planes._become([MIRROR], [0.9])
+    planes.begun = True
+    planes.clear(4_000)
+    logits = method.model.sets["base"].parameters.detached()["opacity_logits"]
+    means = method.model.sets["base"].parameters.detached()["means"]
+    cleared = logits.sigmoid() < 0.03
+    assert cleared.any()
+    assert (means[cleared][:, 1] > 1.5).all()
+
+
+@pytest.mark.slow
+def test_a_mirror_is_learned_better_with_its_plane() -> None:
+    scene = mirror_room()
+    still = {"densify_until": 0, "opacity_reset_every": 0, "reflection_pilot": False}
+    gains = []
+    for planes in ("none", "masks"):
+        method = made(planes=planes, **still)
+        method.initialize(scene, 150)
+        gains.append(gain_of_training(method, scene, 150))
+    assert gains[1] > gains[0] + 1
