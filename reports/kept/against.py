@@ -110,8 +110,8 @@ def _frame(runs: Sequence[Run]) -> pd.DataFrame:
 
 def _compared(cell: tuple[str, ...], before: pd.DataFrame, now: pd.DataFrame) -> Iterator[Change]:
     """Every number that both sides have, changed or not."""
-    shares = [float((part["status"] == "ok").mean()) for part in (before, now)]
-    yield Change(cell, None, *shares, 0.0, (len(before), len(now)))
+    was, share = (float((part["status"] == "ok").mean()) for part in (before, now))
+    yield Change(cell, None, was, share, 0.0, (len(before), len(now)))
     for column in (*accuracy_columns(KNOWN), *TIMES):
         if column in TIMES and set(before["device"]) != set(now["device"]):
             continue

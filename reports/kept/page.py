@@ -75,4 +75,4 @@ def _chosen(asked: str, folder: Path) -> tuple[KeptRuns, dict[str, str]]:
         raise TableError("say records=<file>, a CSV of kept runs")
     name = pairs.pop("records")
     wanted = {key: pairs.pop(key) for key in CHOICES if key in pairs}
-    return KeptRuns.chosen(name, read_kept(folder / name), wanted), pairs
+    return KeptRuns.chosen(f"{folder.name}/{name}", read_kept(folder / name), wanted), pairs

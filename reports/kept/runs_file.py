@@ -19,7 +19,7 @@ from ..numbers.runs import Run
 from ..numbers.tidy import COSTS, TIMES
 
 IDENTITY = ("scene", "method", "steps", "split", "protocol", "seed")  # a run of the same replaces a row
-FACTS = (*IDENTITY, "order", "status", "width", "height", "device", "commit", "command")
+FACTS = (*IDENTITY, "order", "status", "width", "height", "device", "commit", "run_id", "command")
 NUMBERS = ("psnr", "ssim", "lpips", "flip")  # the full image's come first, regions' and costs follow
 DIGITS = 6  # of a number: more than any table prints
 NOT_KEPT = ("checkpoint_bytes", "peak_host_bytes", "peak_device_bytes", "skipped_steps", "prepare_ms")
@@ -44,7 +44,7 @@ def row_of(run: Run, commit: str = "") -> dict[str, str]:
     facts = (
         record.dataset, method_of(record), record.steps, record.scored_on, record.protocol.name, record.seed,
         card_of(record).order, record.status, timing.width if timing else "", timing.height if timing else "",
-        run.device, commit, command_of(record),
+        run.device, commit, record.run_id, command_of(record),
     )  # fmt: skip
     row = {name: no_formula(str(value)) for name, value in zip(FACTS, facts, strict=True)}
     return row | {name: f"{value:.{DIGITS}g}" for name, value in numbers_of(record).items()}
