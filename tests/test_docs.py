@@ -167,6 +167,11 @@ def test_every_name_that_a_document_gives_a_command_is_one(document: Path) -> No
     assert names_that_are_none(document.read_text(encoding="utf-8")) == []
 
 
+def test_every_method_is_on_the_page_of_methods() -> None:
+    text = (DOCS / "reference" / "methods.md").read_text(encoding="utf-8")
+    assert [name for name in config_names("method") if f"`{name}`" not in text] == []
+
+
 def test_a_name_that_is_none_is_found() -> None:
     text = "envgs-bench rnu -m method=envgs,envgz dataset=toy/glas experiment=demo protocol=strikt"
     assert names_that_are_none(text) == ["envgs-bench rnu", "method=envgz", "dataset=toy/glas", "protocol=strikt"]
