@@ -24,9 +24,17 @@ def main(arguments: Sequence[str]) -> int:
         default="orbit",
         metavar="PATH",
         help="orbit (the default): around what the cameras look at; spiral: about the first test camera; interpolate: "
-        "from test camera to test camera; or a JSON file of cameras, nerfstudio's or a transforms.json",
+        "from test camera to test camera; or a file of cameras, nerfstudio's, a transforms.json, 3DGS's cameras.json "
+        "or a .chan of Blender's",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="an .mp4, .webp or .gif")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="the film: an .mp4, .webp or .gif")
+    parser.add_argument("--cameras", type=Path, metavar="FILE", help="write the path's cameras too, a .json or .chan")
+    parser.add_argument(
+        "--format",
+        default="transforms",
+        choices=["transforms", "nerfstudio", "supersplat", "blender"],
+        help="of --cameras (default transforms)",
+    )
     parser.add_argument(
         "--layers",
         type=lambda text: text.split(","),
@@ -44,6 +52,8 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"])
     options = parser.parse_args(arguments)
+    if options.out is None and options.cameras is None:
+        parser.error("nothing to write: give --out FILE for a film, --cameras FILE for its path, or both")
     return explained("render", lambda: _render(options))
 
 
@@ -71,13 +81,20 @@ def _render(options: argparse.Namespace) -> int:
     from envgs_bench.viewing.camera_paths import PATHS
     from envgs_bench.viewing.films import require_writable, write_film
     from envgs_bench.viewing.opened import open_run
+    from envgs_bench.viewing.path_writing import write_path
     from envgs_bench.viewing.walk import cameras_along, walk
 
-    require_writable(options.out)
+    if options.out is not None:
+        require_writable(options.out)
     run = open_run(options.run, options.device)
     seconds = options.seconds or (SECONDS if options.path in PATHS else None)
     frames = None if seconds is None else max(1, round(options.fps * seconds))
     cameras = cameras_along(run, options.path, frames, options.size)
+    if options.cameras is not None:
+        write_path(options.cameras, cameras, run.scene.placement, options.format, options.fps)
+        print(f"{options.cameras}: {len(cameras)} cameras as {options.format}")
+    if options.out is None:
+        return 0
     times = []
 
     def pictures():

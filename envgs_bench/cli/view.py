@@ -14,10 +14,17 @@ def main(arguments: Sequence[str]) -> int:
     """Serve the page until Ctrl-C or SIGTERM; the exit status."""
     parser = argparse.ArgumentParser(
         prog="envgs-bench view",
-        description="Trained runs in the browser: walk around, look at layers, compare two runs of one scene.",
+        description="Trained runs in the browser: walk around, look at layers, compare two runs of one scene, or a run "
+        "with another program's Gaussians.",
         allow_abbrev=False,
     )
-    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="a run's folder, with its checkpoint")
+    parser.add_argument(
+        "runs",
+        type=Path,
+        nargs="+",
+        metavar="RUN",
+        help="a run's folder, with its checkpoint; or, beside one, a .ply, .spz or .sog in the coordinates of its data",
+    )
     parser.add_argument("--port", type=int, default=8080, metavar="N", help="default 8080, or the next that is free")
     parser.add_argument("--host", default="127.0.0.1", help="who may look: 0.0.0.0 for everybody in the network")
     parser.add_argument("--rows", type=int, default=720, metavar="N", help="most rows of a picture (default 720)")

@@ -13,6 +13,9 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.methods.method import Method
+from envgs_bench.methods.storage.gaussian_files import is_gaussian_file
+from envgs_bench.programs.gaussians import open_gaussians
+from envgs_bench.runs.job import resolve_device
 from envgs_bench.stages.evaluation import scored_views
 from envgs_bench.stages.pictures import as_bytes, depth_unit, layer_pictures
 from envgs_bench.stored.reopening import reopen, reopen_scene
@@ -72,12 +75,26 @@ def open_run(folder: Path, device: str = "auto") -> OpenedRun:
 
 
 def open_runs(folders: Sequence[Path], device: str = "auto") -> list[OpenedRun]:
-    """Trained runs of one scene, whose labels tell them apart.
+    """Trained runs of one scene, whose labels tell them apart, and files of Gaussians that other programs wrote of it.
+
+    A file stands in the scene of the first run, whose data's coordinates it is in.
 
     Raises:
-        ValueError, FileNotFoundError: as `open_run`; or the runs were not scored on the same views.
+        ValueError, FileNotFoundError: as `open_run` and `open_gaussians`; or there are files alone, or the runs were
+            not scored on the same views.
     """
-    runs = [open_run(folder, device) for folder in folders]
+    first = next((folder for folder in folders if not is_gaussian_file(folder)), None)
+    if first is None:
+        raise ValueError(f"{folders[0]}: a file of Gaussians says nothing of cameras; give a run of its scene too")
+    scene_run = open_run(first, device)
+    runs = [
+        _opened_file(folder, scene_run, device)
+        if is_gaussian_file(folder)
+        else scene_run
+        if folder == first
+        else open_run(folder, device)
+        for folder in folders
+    ]
     for run, folder in zip(runs, folders, strict=True):
         if not _same_places(run.views, runs[0].views):
             raise ValueError(
@@ -89,6 +106,13 @@ def open_runs(folders: Sequence[Path], device: str = "auto") -> list[OpenedRun]:
         replace(run, label=f"{run.label} ({number})") if labels.count(run.label) > 1 else run
         for number, run in enumerate(runs, start=1)
     ]
+
+
+def _opened_file(path: Path, run: OpenedRun, device: str) -> OpenedRun:
+    """The Gaussians of a file, in the run's scene."""
+    method = open_gaussians(path, run.scene, None, resolve_device(device))
+    method.prepare()
+    return replace(run, label=path.name, method=method)
 
 
 def _same_places(ours: Sequence[View], theirs: Sequence[View]) -> bool:

@@ -1,4 +1,4 @@
-"""Camera paths from files: JSON as nerfstudio's viewer writes it, or the frames of a transforms.json.
+"""Camera paths from files: JSON as nerfstudio's viewer writes it, the frames of a transforms.json, or others.
 
     {"camera_path": [{"camera_to_world": [16 numbers, row by row], "fov": 60}, …],
      "render_width": 640, "render_height": 480}
@@ -7,6 +7,12 @@
 Matrices lead from the camera to the world, with OpenGL's axes (x right, y up, z backward), in the world of the run's
 data set: nerfstudio turns and scales that of what it trains on unless it is told not to. `fov` is vertical, degrees;
 intrinsics of frames are named as for `dataset=transforms`, but pictures need not be there, and lenses bend nothing.
+
+    [{"position": [3 numbers], "rotation": [[3 numbers], …], "width": 640, "height": 480, "fx": 500, "fy": 500}, …]
+
+is a cameras.json of 3DGS, as SuperSplat takes it: rotations lead from the camera, with our axes, to the world. A file
+that ends in .chan has a line a frame, as Blender's add-on for Nuke's format writes it with "Z up" off: its number, x,
+y, z, degrees about x, y and z in this order, and the vertical field of view, degrees.
 """
 
 from __future__ import annotations
@@ -17,11 +23,17 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 
 from envgs_bench.core import Camera, Placement
 from envgs_bench.datasets import DatasetError
 from envgs_bench.datasets.formats.transforms_json import FrameFile, read_json
+from envgs_bench.regular_file import read_regular_text
 
+CHAN = ".chan"
+MOST_BYTES = 100_000_000
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # from our camera axes to OpenGL's
+CAMERAS_JSON = {"width": "w", "height": "h", "fx": "fl_x", "fy": "fl_y"}  # 3DGS's names -> a transforms.json's
 PERSPECTIVE = "perspective"  # nerfstudio's name of the one camera_type that is drawn
 LARGEST_EDGE = 16_384  # pixels
 EXPECTED = 'expected {"camera_path": [{"camera_to_world": […], "fov": …}, …]} or {"frames": [{"transform_matrix": …}]}'
@@ -36,7 +48,9 @@ def read_path(path: Path, like: Camera, placement: Placement) -> list[Camera]:
     Raises:
         DatasetError: there is no such file, or it holds no cameras; the message names it and the frame.
     """
-    content = read_json(path)
+    content = _of_lines(path) if path.suffix.lower() == CHAN else read_json(path)
+    if isinstance(content, list):
+        content = {"frames": [_of_cameras_json(entry, path, index) for index, entry in enumerate(content)]}
     nerfstudio = isinstance(content, dict) and "camera_path" in content
     frames = content.get("camera_path" if nerfstudio else "frames") if isinstance(content, dict) else None
     if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
@@ -49,6 +63,45 @@ def read_path(path: Path, like: Camera, placement: Placement) -> list[Camera]:
     cameras = [_camera(file, frame, f"frame {index}", like, placement) for index, frame in enumerate(frames)]
     file.note_scales()
     return cameras
+
+
+def _of_cameras_json(entry: Any, path: Path, index: int) -> dict[str, Any]:
+    """An entry of 3DGS's cameras.json with the names of a transforms.json."""
+    try:
+        matrix = np.eye(4)
+        matrix[:3, :3] = np.asarray(entry["rotation"], np.float64).reshape(3, 3)
+        matrix[:3, 3] = np.asarray(entry["position"], np.float64).reshape(3)
+        known = {ours: float(entry[theirs]) for theirs, ours in CAMERAS_JSON.items() if theirs in entry}
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise DatasetError(f"{path}: frame {index} is no camera of a cameras.json ({error!r}); {EXPECTED}") from error
+    return {**known, "transform_matrix": (matrix @ OPENGL).tolist()}
+
+
+def _of_lines(path: Path) -> dict[str, Any]:
+    """The frames of a .chan file, with the names of a transforms.json."""
+    frames = []
+    try:
+        lines = read_regular_text(path, MOST_BYTES).splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DatasetError(f"{path}: cannot be read ({error})") from error
+    for number, line in enumerate(lines, start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            _, *values = map(float, line.split())
+            place, angles, *fov = np.array(values[:3]), values[3:6], *values[6:7]
+            matrix = np.eye(4)
+            matrix[:3, :3] = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
+            matrix[:3, 3] = place
+        except ValueError as error:
+            raise DatasetError(
+                f"{path}: line {number} is no camera ({error}); expected a frame's number, x, y, z, three angles and "
+                "the vertical field of view, degrees"
+            ) from error
+        frames.append(
+            {"transform_matrix": matrix.tolist(), **({"camera_angle_y": math.radians(fov[0])} if fov else {})}
+        )
+    return {"frames": frames}
 
 
 def _require_perspective(content: dict[str, Any], frames: list[dict[str, Any]], path: Path) -> None:

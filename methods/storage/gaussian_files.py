@@ -14,6 +14,11 @@ from .spz_file import read_spz
 READERS: dict[str, Callable[[Path], dict[str, Tensor]]] = {".ply": read_ply, ".spz": read_spz, ".sog": read_sog}
 
 
+def is_gaussian_file(path: Path) -> bool:
+    """Whether the path's name is that of a file that `read_gaussian_file` reads."""
+    return path.suffix.lower() in READERS or path.name == META
+
+
 def read_gaussian_file(path: Path) -> dict[str, Tensor]:
     """`GaussianParameters`' tensors of a PLY of 3DGS or 2DGS, an SPZ or a SOG, packed or as a folder.
 

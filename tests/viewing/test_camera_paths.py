@@ -19,6 +19,7 @@ from envgs_bench.datasets.export.blender import write_blender
 from envgs_bench.testing import tiny_scene
 from envgs_bench.viewing.camera_paths import interpolate, orbit, reframed, spiral, up_direction
 from envgs_bench.viewing.path_file import read_path
+from envgs_bench.viewing.path_writing import FORMATS, write_path
 
 TARGET = (1.0, -2.0, 0.5)
 
@@ -154,3 +155,73 @@ def test_files_that_hold_no_path_are_named(tmp_path: Path, content: str, message
     with pytest.raises(DatasetError, match=r"path\.json: ") as caught:
         read_path(tmp_path / "path.json", ring()[0], Placement())
     assert message in str(caught.value)
+
+
+PLACED = Placement((10.0, -20.0, 5.0), 4.0)
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_what_is_written_for_another_program_is_read_back(tmp_path: Path, form: str) -> None:
+    cameras = ring()
+    path = tmp_path / f"path{FORMATS[form][0]}"
+    write_path(path, cameras, PLACED, form)
+    found = read_path(path, cameras[0], PLACED)
+    assert len(found) == len(cameras)
+    for ours, theirs in zip(cameras, found, strict=True):
+        assert torch.allclose(ours.world_to_camera, theirs.world_to_camera, atol=2e-5)
+        assert float(theirs.intrinsics[1, 1]) == pytest.approx(float(ours.intrinsics[1, 1]), rel=1e-5)
+        if form == "transforms":
+            assert_same(ours, theirs)
+
+
+def test_every_format_says_where_the_camera_stands_and_looks_in_its_own_axes(tmp_path: Path) -> None:
+    """A camera at (1, 2, 3) of the data that looks along +x, upright in z."""
+    camera = camera_at((1.0, 2.0, 3.0), (5.0, 2.0, 3.0))
+    for form, (suffix, _) in FORMATS.items():
+        write_path(tmp_path / f"{form}{suffix}", [camera], Placement(), form, fps=24)
+    (frame,) = json.loads((tmp_path / "transforms.json").read_text())["frames"]
+    matrix = np.array(frame["transform_matrix"])
+    nerfstudio = json.loads((tmp_path / "nerfstudio.json").read_text())
+    assert np.allclose(nerfstudio["camera_path"][0]["camera_to_world"], matrix.reshape(-1))
+    fov = math.radians(nerfstudio["camera_path"][0]["fov"])
+    assert math.tan(fov / 2) == pytest.approx(camera.height / 2 / float(camera.intrinsics[1, 1]))
+    assert (nerfstudio["fps"], nerfstudio["seconds"]) == (24, 1 / 24)
+    (entry,) = json.loads((tmp_path / "supersplat.json").read_text())
+    numbers = [float(word) for word in (tmp_path / "blender.chan").read_text().split()]
+    for place in (matrix[:3, 3], entry["position"], numbers[1:4]):
+        assert np.allclose(place, (1, 2, 3), atol=1e-6)
+    assert np.allclose(-matrix[:3, 2], (1, 0, 0), atol=1e-6)  # OpenGL's cameras look along −z
+    assert np.allclose(np.array(entry["rotation"])[:, 2], (1, 0, 0), atol=1e-6)  # 3DGS's along z
+    x, y, z = np.radians(numbers[4:7])  # Blender's XYZ: about x first, then y, then z
+    turns = [
+        np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]]),
+        np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]]),
+        np.array([[np.cos(z), -np.sin(z), 0], [np.sin(z), np.cos(z), 0], [0, 0, 1]]),
+    ]
+    assert np.allclose(turns[2] @ turns[1] @ turns[0], matrix[:3, :3], atol=1e-6)
+
+
+def test_a_wrong_name_or_format_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"as blender is a file that ends in \.chan"):
+        write_path(tmp_path / "a.json", ring(), Placement(), "blender")
+    with pytest.raises(ValueError, match="expected one of transforms, nerfstudio, supersplat, blender"):
+        write_path(tmp_path / "a.json", ring(), Placement(), "maya")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.chan", "1 0 0 0 0 0", "line 1 is no camera"),
+        ("a.chan", "1 0 0 0 a 0 0 50", "line 1 is no camera"),
+        ("a.chan", "# nothing", "holds no camera path"),
+        ("a.json", '[{"position": [1, 2], "rotation": []}]', "frame 0 is no camera of a cameras.json"),
+        ("a.json", '[{"position": [1, 2, 3], "rotation": [[2,0,0],[0,1,0],[0,0,1]], "fx": 1}]', "frame 0"),
+    ],
+)
+def test_files_of_other_programs_that_hold_no_cameras_are_named(
+    tmp_path: Path, name: str, content: str, message: str
+) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(DatasetError, match=message):
+        read_path(tmp_path / name, ring()[0], Placement())

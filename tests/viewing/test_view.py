@@ -20,6 +20,7 @@ from trained_runs import trained_run
 
 from envgs_bench.cli.main import main
 from envgs_bench.core import Camera
+from envgs_bench.methods.storage.layouts import LAYOUTS
 from envgs_bench.run_folder import layer_path, read_png, render_path
 from envgs_bench.stages.pictures import save_view
 from envgs_bench.testing import HEIGHT, WIDTH
@@ -32,13 +33,35 @@ FULL = (WIDTH, HEIGHT)
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> list[OpenedRun]:
-    folder = tmp_path_factory.mktemp("runs")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    found = tmp_path_factory.mktemp("runs")
     with pytest.MonkeyPatch.context() as patch:
         set_environment(patch)
         for kind in ("envgs", "2dgs"):
-            trained_run(folder / kind, kind)
+            trained_run(found / kind, kind)
+    return found
+
+
+@pytest.fixture(scope="module")
+def runs(folder: Path) -> list[OpenedRun]:
+    with pytest.MonkeyPatch.context() as patch:
+        set_environment(patch)
         return open_runs([folder / "envgs", folder / "2dgs"], "cpu")
+
+
+@pytest.mark.parametrize("layout", ["ply", "spz", "sog"])
+def test_a_file_of_gaussians_is_seen_beside_a_run_as_the_run_that_wrote_it(
+    tmp_path: Path, folder: Path, runs: list[OpenedRun], layout: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    set_environment(monkeypatch)
+    (written,) = LAYOUTS[layout].write(runs[1].method, tmp_path)  # type: ignore[arg-type]
+    file, run = open_runs([written, folder / "2dgs"], "cpu")
+    assert file.label == written.name
+    camera = run.views[0].camera
+    theirs, ours = (Look(camera, Side(each, "image")).picture(FULL).astype(int) for each in (file, run))
+    assert np.abs(theirs - ours).mean() < (0.01 if layout == "ply" else 10)  # flat 3D Gaussians
+    with pytest.raises(ValueError, match="says nothing of cameras; give a run of its scene too"):
+        open_runs([written], "cpu")
 
 
 def test_at_a_test_camera_every_layer_is_the_picture_that_the_run_leaves(tmp_path: Path, runs: list[OpenedRun]) -> None:
