@@ -38,6 +38,7 @@ class Rules:
     min_views: Amount = 3.0  # primitives that fewer steps since the last densification show are not cloned or split
     max_scale: Amount = 0.5  # most of a scale after an opacity reset, × the distance to a camera that shows it; 0: any
     oversized: Literal["split", "prune"] = "split"  # above a tenth of the radius: in five, or from the first reset on
+    parts_weigh: Literal["share", "most"] = "share"  # a new primitive's weight, of its parent's; most: no new one goes
     reset_on_white: bool = False  # over a white background, opacities are also reset at densify_from
 
     normal_reference: Literal["unit", "alpha"] = "unit"  # depth map's normals in L_norm; alpha: × the pixel's alpha
@@ -100,6 +101,7 @@ OF_PAPER: dict[str, Any] = PUBLISHED | {
     "stretches": False,  # as the released code: longer runs are the reference run and more
     "initial_orientation": "positive",  # Sec. 3: 2DGS
     "normal_rendered": "blended",  # Eq. 7
+    "parts_weigh": "most",  # not printed
     "mono_floor": 1.0,
     "settling_interval": 1,
     "ray_offset": 0.0,  # Sec. 4.1: from the surface itself

@@ -17,6 +17,7 @@ from envgs_bench.core.vectors import unit
 from .parameters import GaussianParameters, RowDraft
 
 Oversized = Literal["split", "prune", "keep"]
+PartsWeigh = Literal["share", "most"]
 
 SPLIT_PARTS = 2
 OVERSIZED_SPLIT_PARTS = 5
@@ -37,6 +38,7 @@ class DensificationRule:
     max_growth: float = 0.1  # most that either way of growing adds at once, × the set; 0: no limit, at the cap neither
     clone_below: float = 0.01  # largest scale up to which a primitive is cloned; above it is split
     oversized_above: float = 0.1  # largest scale above which a primitive is split in five or pruned
+    parts_weigh: PartsWeigh = "share"  # what new primitives inherit of a weight, where the least-weighted go
 
     def of_at_most(self, primitives: int) -> DensificationRule:
         """The rule for a set that may have at most so many; 0: as many as grow."""
@@ -48,8 +50,7 @@ class DensificationRecord:
 
     def __init__(self, primitives: int, device: torch.device) -> None:
         self.gradients = torch.zeros(primitives, device=device)  # Σ of the criterion
-        self.steps = torch.zeros(primitives, device=device)  # steps that the mean of the criterion is taken over
-        self.views = torch.zeros(primitives, device=device)  # steps in which the primitive was seen
+        self.steps = torch.zeros(primitives, device=device)  # steps that means are taken over
         self.weights = torch.zeros(primitives, device=device)  # Σ of the blending weight
         self.squares = torch.zeros(primitives, device=device)  # Σ of its square
 
@@ -59,12 +60,10 @@ class DensificationRecord:
         Args:
             criterion: [N] the gradient criterion of its pass.
             weights: [N] its blending weights.
-            counts: [N] whether the step counts in the mean of the criterion; where None, if there was any weight.
+            counts: [N] whether the step counts in the means; where None, if there was any weight.
         """
-        seen = weights > 0
         self.gradients += criterion
-        self.steps += seen if counts is None else counts
-        self.views += seen
+        self.steps += weights > 0 if counts is None else counts
         self.weights += weights
         self.squares += weights.square()
 
@@ -85,7 +84,7 @@ class DensificationRecord:
         return self.gradients / self.steps.clamp_min(1)
 
     def mean_weight(self) -> Tensor:
-        return self.weights / self.views.clamp_min(1)
+        return self.weights / self.steps.clamp_min(1)
 
     def effective_views(self) -> Tensor:
         """How many steps showed each primitive, [N]: (Σw)² / Σw², which is k for k alike and near 1 where one showed
@@ -125,9 +124,10 @@ def densify(
 
     In this order: small primitives with a large gradient are cloned, large ones split in two (scales ÷ 1.6); those
     below `min_opacity` are pruned; what is `oversized` is treated as that says; and above `max_primitives` those with
-    the least mean blending weight go. Parts share their parent's weight. With `max_growth`, either way of growing adds
-    at most that share to the set, where the gradients or the weights are largest; at the cap a twentieth, which takes
-    the place of the least-weighted. The set changes once, from what it was to what is left: it is never above the cap.
+    the least mean blending weight go. Parts share their parent's weight, or have it times the largest Σ of weights, so
+    that no new one goes (EnvGS's code). With `max_growth`, either way of growing adds at most that share to the
+    set, where the gradients or the weights are largest; at the cap a twentieth, which takes the place of the
+    least-weighted. The set changes once, from what it was to what is left: it is never above the cap.
 
     Args:
         oversized: "split", in five, or pruned if among the least-weighted tenth (EnvGS); "prune", all of them (3DGS);
@@ -138,12 +138,15 @@ def densify(
     grows = _growing(record, rule)
     small = _largest_scale(draft) <= rule.clone_below * radius
 
+    most = record.weights.max() if rule.parts_weigh == "most" and len(weights) else None
+
     clones = torch.nonzero(grows & small)[:, 0]
     draft.append(draft.rows(clones))
-    weights[clones] /= 2
-    weights = torch.cat([weights, weights[clones]])
+    if most is None:
+        weights[clones] /= 2
+    weights = torch.cat([weights, weights[clones] if most is None else weights[clones] * most])
     splits = functional.pad(grows & ~small, (0, len(clones)))
-    weights = _split(draft, weights, splits, SPLIT_PARTS, generator)
+    weights = _split(draft, weights, splits, SPLIT_PARTS, generator, most)
 
     opaque = draft.tensors["opacity_logits"].sigmoid() >= rule.min_opacity
     weights = _keep(draft, weights, opaque)
@@ -153,7 +156,7 @@ def densify(
         if oversized == "prune":
             weights = _keep(draft, weights, ~large)
         elif bool(large.any()):
-            weights = _split_oversized(draft, weights, large, rule, generator)
+            weights = _split_oversized(draft, weights, large, rule, generator, most)
 
     if 0 < rule.max_primitives < len(draft):
         top = torch.topk(weights, rule.max_primitives).indices.sort().values
@@ -188,6 +191,7 @@ def _split_oversized(
     large: Tensor,
     rule: DensificationRule,
     generator: torch.Generator,
+    most: Tensor | None,
 ) -> Tensor:
     """Prune those of the rows `large` [N] that are among the least-weighted, split others in five; the weights."""
     unimportant = large & (weights <= _quantile(weights, UNIMPORTANT_SHARE))
@@ -196,7 +200,7 @@ def _split_oversized(
     if rule.max_growth:
         limit = math.ceil(rule.max_growth / (OVERSIZED_SPLIT_PARTS - 1) * len(large))
         large = _largest(large, weights, limit)
-    return _split(draft, weights, large, OVERSIZED_SPLIT_PARTS, generator)
+    return _split(draft, weights, large, OVERSIZED_SPLIT_PARTS, generator, most)
 
 
 def _largest(rows: Tensor, values: Tensor, limit: int) -> Tensor:
@@ -221,8 +225,13 @@ def _keep(draft: RowDraft, weights: Tensor, rows: Tensor) -> Tensor:
     return weights[rows]
 
 
-def _split(draft: RowDraft, weights: Tensor, rows: Tensor, parts: int, generator: torch.Generator) -> Tensor:
-    """Replace the masked rows by `parts` smaller ones, drawn from each one's own Gaussian; returns the weights."""
+def _split(
+    draft: RowDraft, weights: Tensor, rows: Tensor, parts: int, generator: torch.Generator, most: Tensor | None
+) -> Tensor:
+    """Replace the masked rows by `parts` smaller ones, drawn from each one's own Gaussian; returns the weights.
+
+    A part's weight is its share of the whole's, or that times `most` where there is one.
+    """
     index = torch.nonzero(rows)[:, 0].repeat(parts)
     if not len(index):
         return weights
@@ -233,7 +242,7 @@ def _split(draft: RowDraft, weights: Tensor, rows: Tensor, parts: int, generator
     new["means"] += _rotated(new["quaternions"], offsets)
     new["log_scales"] -= math.log(SPLIT_DIVISOR * math.sqrt(parts / 2))
     draft.append(new)
-    weights = torch.cat([weights, weights[index] / parts])
+    weights = torch.cat([weights, weights[index] / parts if most is None else weights[index] * most])
     return _keep(draft, weights, ~functional.pad(rows, (0, len(index))))
 
 

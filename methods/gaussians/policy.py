@@ -215,8 +215,15 @@ def slowed(
 
 def densification_rule(s: GaussianSettings, most: int) -> DensificationRule:
     """When a primitive is cloned, split or removed, in a set of at most so many."""
+    rule = s.rule
     return DensificationRule(
-        s.densify_threshold, s.min_opacity, most, s.min_coverage, s.rule.min_views, s.rule.max_growth
+        s.densify_threshold,
+        s.min_opacity,
+        most,
+        s.min_coverage,
+        rule.min_views,
+        rule.max_growth,
+        parts_weigh=rule.parts_weigh,
     )
 
 

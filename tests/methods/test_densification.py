@@ -93,6 +93,15 @@ def test_oversized_ones_are_split_in_five_unless_hardly_seen():
     torch.testing.assert_close(parts, torch.full((5, 2), 0.2 / (1.6 * 2.5**0.5)))
 
 
+@pytest.mark.parametrize(("parts_weigh", "left"), [("share", 0), ("most", 10)])
+def test_parts_of_the_least_weighted_go_or_stay_as_a_rule_says(parts_weigh, left):
+    """A huge primitive that hardly anything shows is split in two, and its parts are oversized still."""
+    parameters = make_parameters([0.4] + [0.02] * 19, [0.5] * 20)
+    rule = dataclasses.replace(RULE, parts_weigh=parts_weigh, max_growth=0.0)
+    densify(parameters, make_record([9.0] + [0.0] * 19, [2.0] + [3.0] * 19), rule, RADIUS, generator())
+    assert colors(parameters) == [0.0] * left + [float(i) for i in range(1, 20)]
+
+
 def test_the_cap_keeps_the_greatest_mean_weights():
     parameters = make_parameters([0.005] * 6, [0.5] * 6)
     record = DensificationRecord(6, torch.device("cpu"))
