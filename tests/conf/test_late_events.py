@@ -24,9 +24,10 @@ LEFT = {  # the fewest steps that a run has after each event
     "reset_beta": 600,
     "sabotage": 1_000,
     "propagate": 1_000,
+    "clear": 600,
 }
 LENGTHS = (60, 700, 1_900, 10_000, 29_950, 50_000)
-METHODS = sorted({*BUILT_IN, *config_names("method")} - {"renders"})
+METHODS = sorted({*BUILT_IN, *config_names("method")} - {"renders", "external"})
 OF_SCENES = [  # what a release sets apart
     (method, scene)
     for method in ("envgs_released", "3dgs_dr", "ref_gaussian")
