@@ -172,6 +172,19 @@ def test_every_method_is_on_the_page_of_methods() -> None:
     assert [name for name in config_names("method") if f"`{name}`" not in text] == []
 
 
+def test_pages_that_sources_name_are_there() -> None:
+    """`docs/…` in comments, help texts and configurations."""
+    sources = [path for room in ROOMS for kind in ("*.py", "*.yaml") for path in (ROOT / room).rglob(kind)]
+    found = {
+        f"{path}: {page}"
+        for path in sources
+        for page in re.findall(r"\bdocs/([\w/-]+\.md)", path.read_text(encoding="utf-8"))
+        if not (DOCS / page).exists()
+    }
+    assert len(sources) > 500
+    assert found == set()
+
+
 def test_a_name_that_is_none_is_found() -> None:
     text = "envgs-bench rnu -m method=envgs,envgz dataset=toy/glas experiment=demo protocol=strikt"
     assert names_that_are_none(text) == ["envgs-bench rnu", "method=envgz", "dataset=toy/glas", "protocol=strikt"]
