@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import torch
 from torch import Tensor
@@ -15,25 +16,33 @@ from envgs_bench.core.vectors import rotated, unit
 from ..gaussians.model import GaussianModel
 from .plane_proposals import Rectangle, inside_of
 
-VIEWS, COLUMNS = 6, 80  # that are compared, at most; pixels across
+VIEWS, COLUMNS = 4, 48  # that are compared, at most; pixels across
 STEPS = (0.04, 0.02, 0.01, 0.005, 0.0025, 0.00125)  # scene radii and radians that a plane is tried beside where it is
-ROUNDS = 3  # at each of these
-MIRROR = 0.5  # correlation of what is mirrored with what views show, from which a plane is a mirror
-MIRRORS, PANES = (0.3, 0.95), (0.02, 0.2)  # reflectances that these begin with, at least and at most
+ROUNDS, GAIN = 2, 1e-3  # at each of these; correlation by which another place has to be better
+MIRROR = 0.35  # correlation of what is mirrored with what views show, from which a plane is a mirror
+LEAST, MOST = 0.5, 0.95  # reflectance that a mirror begins with
 MARGIN = 0.01  # × scene radius, nearer than which a mirrored ray sees nothing
 
 
 @dataclass(frozen=True)
 class Aligned:
+    """A plane in its place, and how much it reflects."""
+
     rectangle: Rectangle
     reflectance: float
 
 
 @torch.no_grad()
 def aligned(
-    base: GaussianSet, planes: Sequence[Rectangle], views: Sequence[View], model: GaussianModel
+    base: GaussianSet, planes: Sequence[Aligned], views: Sequence[View], model: GaussianModel, furthest: float
 ) -> list[Aligned]:
-    """The planes where the base set, mirrored, correlates best with some of the views, and how much they reflect."""
+    """The mirrors among the planes where the base set, mirrored, correlates best with some of the views.
+
+    What does not correlate is no mirror, and stays where and as it is.
+
+    Args:
+        furthest: the largest step, scene radii and radians, by which a plane is tried beside its place.
+    """
     some = [_reduced(view, model.device) for view in views[:: max(1, -(-len(views) // VIEWS))]]
     bvh = build_bvh(base, backend=model.settings.backend)
 
@@ -60,25 +69,26 @@ def aligned(
             pairs.append((drawn.color[kept], image[kept]))
         return torch.cat([each for each, _ in pairs]), torch.cat([each for _, each in pairs])
 
-    found = []
-    for plane in planes:
-        best, score = plane, _correlation(*shown(plane))
-        for step in STEPS:
-            for _ in range(ROUNDS):
-                before = score
-                for axis in range(3):
-                    for sign in (1, -1):
-                        tried = _beside(best, axis, sign * step, model.radius)
-                        value = _correlation(*shown(tried))
-                        if value > score:
-                            best, score = tried, value
-                if score == before:
-                    break
-        mirrored, seen = shown(best)
-        slope = float(_slope(mirrored, seen))
-        low, high = MIRRORS if score > MIRROR else PANES
-        found.append(Aligned(best, min(max(slope, low), high)))
-    return found
+    return [_aligned(plane, shown, model.radius, furthest) for plane in planes]
+
+
+def _aligned(
+    plane: Aligned, shown: Callable[[Rectangle], tuple[Tensor, Tensor]], radius: float, furthest: float
+) -> Aligned:
+    best, score = plane.rectangle, _correlation(*shown(plane.rectangle))
+    for step in [each for each in STEPS if each <= furthest]:
+        for _ in range(ROUNDS):
+            before = score
+            for axis, sign in product(range(3), (1, -1)):
+                tried = _beside(best, axis, sign * step, radius)
+                value = _correlation(*shown(tried))
+                if value > score + GAIN:
+                    best, score = tried, value
+            if score == before:
+                break
+    if score < MIRROR:
+        return plane
+    return Aligned(best, min(max(float(_slope(*shown(best))), plane.reflectance, LEAST), MOST))
 
 
 def _reduced(view: View, device: torch.device) -> tuple[Camera, Tensor]:

@@ -22,7 +22,7 @@ from ..gaussians.model import GaussianModel
 from ..gaussians.trained_set import RESET_OPACITY
 from ..training.schedule import RESET_FLOOR, Every, Part
 from ..training.weights import Weights
-from .plane_alignment import aligned
+from .plane_alignment import Aligned, aligned
 from .plane_proposals import MOST, Rectangle, inside_of, proposed, turned
 from .settings import EnvGSSettings
 
@@ -31,7 +31,8 @@ EDGE = 0.004  # width of a plane's edge, × scene radius
 MARGIN = 0.01  # × scene radius: what is nearer to a plane belongs to it, and mirrored rays do not see it
 REACH = 3.0  # standard deviations that a surfel reaches
 DETACHED = 3_000  # steps of a run of 30,000 after the warm-up in which what planes show teaches the base nothing
-CLEARED_EVERY, MIRROR = 1_500, 0.5  # steps between clearings behind what reflects as much
+PANE = 0.1  # R₀ that planes begin with that are no mirrors
+CLEARED_EVERY, MIRROR = 1_500, 0.45  # steps between clearings behind what reflects as much
 RATES = {"plane_centers": 2e-4, "plane_turns": 1e-4, "plane_halves": 1e-3, "plane_reflectances": 1e-2}
 
 
@@ -40,13 +41,14 @@ class Planes(Part):
 
     Attributes:
         begun: whether they reflect, which they do once the base set's warm-up is over.
+        settled: whether they were aligned for the last time.
         frames: [P, 3, 3] their axes as proposed: along, across, normal; rows.
         weights: centers [P, 3] in scene radii, rotation vectors [P, 3], logarithms of half their sizes [P, 2], and
             logits of R₀ [P, 3].
     """
 
     def __init__(self, model: GaussianModel, settings: EnvGSSettings) -> None:
-        self.begun = False
+        self.begun = self.settled = False
         self._model, self._settings = model, settings
         self._views: list[View] = []
         self._bvh: Bvh | None = None
@@ -60,7 +62,7 @@ class Planes(Part):
         if not count:
             return
         self.frames = torch.stack([each.axes.detach() for each in rectangles]).to(device)
-        starts = torch.tensor([*reflectances] or [MIRROR] * count).logit()
+        starts = torch.tensor([*reflectances] or [PANE] * count).logit()
         values = {
             "plane_centers": torch.stack([each.center for each in rectangles]) / self._model.radius,
             "plane_turns": torch.zeros(count, 3),
@@ -70,20 +72,31 @@ class Planes(Part):
         self.weights.become(values)
 
     def start(self, scene: Scene) -> None:
-        self.begun = False
+        self.begun = self.settled = False
         self._views = list(scene.train)
         self._become(proposed(scene, self._settings.planes))
 
     @torch.no_grad()
     def begin_step(self, step: int) -> None:
-        if not self.begun and len(self.frames) and step > self._model.schedule.at(self._settings.bootstrap):
-            found = aligned(self._model.gaussians(BASE, step), self.rectangles(), self._views, self._model)
-            self._become([each.rectangle for each in found], [each.reflectance for each in found])
+        """The planes begin after the warm-up, and are aligned again with what the base set has become by then."""
+        if not len(self.frames) or step <= self._model.schedule.at(self._settings.bootstrap):
+            return
+        if not self.begun:
+            self._align(step, 0.005 if self._settings.planes == "masks" else 0.04)
             self.begun = True
-            self.clear(step)
+        elif not self.settled and not self._detaches(step):
+            self._align(step, 0.005)
+            self.settled = True
+
+    def _align(self, step: int, furthest: float) -> None:
+        strengths = self.weights.tensors["plane_reflectances"].sigmoid().mean(1).tolist()
+        planes = [Aligned(*each) for each in zip(self.rectangles(), strengths, strict=True)]
+        found = aligned(self._model.gaussians(BASE, step), planes, self._views, self._model, furthest)
+        self._become([each.rectangle for each in found], [each.reflectance for each in found])
+        self.clear(step)
 
     def phase(self, step: int) -> Hashable:
-        return self.begun, self._detaches(step)
+        return self.begun, self.settled, self._detaches(step)
 
     def _detaches(self, step: int) -> bool:
         at = self._model.schedule.at
@@ -173,6 +186,8 @@ class Planes(Part):
     # What befalls the base set
 
     def events(self) -> Sequence[Every]:
+        if not len(self.frames):
+            return []
         every = self._model.schedule.interval(CLEARED_EVERY, RESET_FLOOR)
         span = self._model.schedule.at(self._settings.bootstrap), self._model.schedule.at(self._settings.densify_until)
         return [Every("clear", self.clear, lambda step: every, *span, recovery=RESET_FLOOR)]
@@ -180,10 +195,10 @@ class Planes(Part):
     @torch.no_grad()
     def clear(self, step: int) -> None:
         """Let what lies behind mirrors be transparent, so that it comes back only where the planes leave something."""
-        if not self.begun:
-            return
         strengths = self.weights.tensors["plane_reflectances"].sigmoid().mean(1).tolist()
         mirrors = [plane for plane, strength in zip(self.rectangles(), strengths, strict=True) if strength > MIRROR]
+        if not mirrors:
+            return
         parameters = self._model.sets[BASE].parameters
         means, logits = parameters.tensors["means"].detach(), parameters.tensors["opacity_logits"].detach()
         hidden = torch.zeros(len(means), device=means.device)
@@ -207,12 +222,17 @@ class Planes(Part):
         return 4 * 11 * MOST
 
     def training_state(self) -> dict[str, Any]:
-        return {"begun": self.begun, "frames": self.frames, "weights": self.weights.training_state()}
+        return {
+            "begun": self.begun,
+            "settled": self.settled,
+            "frames": self.frames,
+            "weights": self.weights.training_state(),
+        }
 
     def restore_training(self, state: Mapping[str, Any]) -> None:
         self._of_frames(state["frames"])
         self.weights.restore_training(state["weights"])
-        self.begun = state["begun"]
+        self.begun, self.settled = state["begun"], state["settled"]
 
     def state(self) -> dict[str, Any]:
         return {"planes": self.begun, "plane_frames": self.frames} | self.weights.state()

@@ -13,7 +13,7 @@ from mirror_room import MIRROR, mirror_room, wall_color, walls
 from envgs_bench.core import GaussianSet
 from envgs_bench.core.vectors import rotated, unit
 from envgs_bench.methods.envgs import PLANES, EnvGS
-from envgs_bench.methods.lighting.plane_alignment import aligned
+from envgs_bench.methods.lighting.plane_alignment import Aligned, aligned
 from envgs_bench.methods.lighting.plane_proposals import Rectangle, inside_of, proposed
 from envgs_bench.methods.lighting.planes import Planes, behind
 from envgs_bench.methods.registry import create_method
@@ -154,7 +154,7 @@ def test_a_plane_beside_its_place_is_moved_and_turned_to_what_photographs_show()
     with_walls(method)
     turned = rotated(MIRROR.axes, torch.tensor([[0.02, 0, 0.03]]))
     off = Rectangle(MIRROR.center + 0.06 * MIRROR.axes[2], turned, MIRROR.half)
-    (found,) = aligned(method.model.gaussians("base", 1), [off], scene.train, method.model)
+    (found,) = aligned(method.model.gaussians("base", 1), [Aligned(off, 0.1)], scene.train, method.model, 0.04)
     assert found.reflectance > 0.8
     assert float((found.rectangle.axes[2] * MIRROR.axes[2]).sum().acos().rad2deg()) < 0.4
     assert abs(float((found.rectangle.center - MIRROR.center) @ MIRROR.axes[2])) < 0.03
