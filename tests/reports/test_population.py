@@ -77,7 +77,7 @@ def test_the_map_asks_what_decides_and_holds_on_unseen_scenes(tmp_path: Path) ->
     assert tree.below == pytest.approx(MIRRORS, abs=0.03)
     assert study.mapped.signs >= 0.9
     assert study.mapped.ranks.index[0] == "mirror"
-    said = list(sentences(tree, "envgs", 0.1))
+    said = list(sentences(tree, "envgs", "the best other method", 0.1))
     assert any(line.startswith("envgs loses to the best other method by 0.5 dB where mirror is below") for line in said)
     assert any(line.startswith("envgs beats the best other method by 2.0 dB where mirror is") for line in said)
 
@@ -122,6 +122,7 @@ def test_the_page_shows_the_population(tmp_path: Path) -> None:
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     assert "Population of scenes" in page
     assert "envgs beats the best other method by 2.0 dB" in page
+    assert "envgs beats 2dgs_tuned by 2.0 dB where mirror is" in page
     table = pd.read_csv(tmp_path / "out" / "population.csv")
     assert len(table) == 40
     assert {"part", "mirror", "psnr: envgs", "margin: envgs"} <= set(table.columns)

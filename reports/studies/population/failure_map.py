@@ -109,7 +109,7 @@ def guess(node: Node, names: list[str], x: Array) -> Array:
     return np.where(yes, guess(node.yes, names, x), guess(node.no, names, x))
 
 
-def sentences(node: Node, method: str, level: float, conditions: tuple[str, ...] = ()) -> Iterator[str]:
+def sentences(node: Node, method: str, other: str, level: float, conditions: tuple[str, ...] = ()) -> Iterator[str]:
     """One a leaf: whether the method wins, ties or loses there, by how much, and what scenes are like there.
 
     Args:
@@ -117,13 +117,17 @@ def sentences(node: Node, method: str, level: float, conditions: tuple[str, ...]
     """
     if isinstance(node, Question):
         value = f"{node.below:.3g}"
-        yield from sentences(node.yes, method, level, (*conditions, f"{_named(node.attribute)} is below {value}"))
-        yield from sentences(node.no, method, level, (*conditions, f"{_named(node.attribute)} is {value} or more"))
+        yield from sentences(
+            node.yes, method, other, level, (*conditions, f"{_named(node.attribute)} is below {value}")
+        )
+        yield from sentences(
+            node.no, method, other, level, (*conditions, f"{_named(node.attribute)} is {value} or more")
+        )
         return
     where = f" where {' and '.join(conditions)}" if conditions else ""
     verdict = "ties with" if abs(node.mean) <= level else ("beats" if node.mean > 0 else "loses to")
     by = "" if verdict == "ties with" else f" by {abs(node.mean):.1f} dB"
-    yield f"{method} {verdict} the best other method{by}{where} ({node.scenes} scenes)."
+    yield f"{method} {verdict} {other}{by}{where} ({node.scenes} scenes)."
 
 
 def _named(attribute: str) -> str:

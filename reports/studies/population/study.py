@@ -63,7 +63,7 @@ class PopulationStudy(Study):
                 for part in parts
             ],
             "subject": found.subject,
-            "leaves": list(sentences(mapped.tree, found.subject, LEVEL_DB)),
+            "leaves": list(sentences(mapped.tree, found.subject, "the best other method", LEVEL_DB)),
             "signs": f"{100 * mapped.signs:.0f} %",
             "majority": f"{100 * mapped.majority:.0f} %",
             "explained": f"{100 * max(mapped.explained, 0):.0f} %",
@@ -91,7 +91,15 @@ class PopulationStudy(Study):
             share = sum(pair[1] == method for pair in pairs) / len(pairs)
             if share:
                 said.append(f"{method} is the smallest model that is enough on {100 * share:.0f} % of the scenes.")
+        if len(self.found.ladder) > 1:
+            said += sentences(self._gain().tree, self.found.ladder[-1], self.found.ladder[0], LEVEL_DB)
         return said
+
+    def _gain(self) -> FailureMap:
+        """Of the top of the ladder over its baseline: which scenes need what is between."""
+        psnr = self.found.psnr
+        gain = psnr[self.found.ladder[-1]] - psnr[self.found.ladder[0]]
+        return failure_map(self.found.attributes.loc[psnr.index], gain)
 
 
 def _row(one: Standing) -> dict[str, str]:
