@@ -8,7 +8,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, Rendering, Scene, Statistics
+from envgs_bench.core import Scene
 from envgs_bench.parts import BASE, ENV, MethodCard
 
 from .gaussian_method import GaussianMethod, fresh
@@ -49,11 +49,6 @@ class EnvGS(GaussianMethod):
             return {BASE: replace(base, start=replace(base.start, beta=None))}
         return {BASE: base, ENV: environment_policy(self.settings, schedule, base)}
 
-    def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
-        picture, statistics = super().draw(camera, step)
-        planes = self.parts.get(PLANES)
-        return (planes.over(picture, camera, step) if isinstance(planes, Planes) else picture), statistics
-
     def initialize(self, scene: Scene, steps: int) -> None:
         if REFLECTION not in self.found and self.settings.reflection_pilot and steps >= SHORTEST_RUN:
             self.found[REFLECTION] = asdict(tried_reflections(self, scene))
@@ -74,7 +69,8 @@ def compose(method: EnvGS, settings: EnvGSSettings) -> None:
     method.reflection = Reflection(method.model, settings, light)
     method.parts = {"reflection": method.reflection, "disturbance": Disturbance(method.model, settings)}
     if settings.planes != "none":
-        method.parts[PLANES] = Planes(method.model, settings)
+        planes = method.parts[PLANES] = Planes(method.model, settings)
+        method.reflection.over = planes.over
 
 
 def is_plain(method: EnvGS) -> bool:

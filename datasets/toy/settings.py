@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
 from ..settings import SourceSettings
+
+RayTraced = Literal[
+    "chrome_room",
+    "sky_ball",
+    "diffuse_room",
+    "lacquered_table",
+    "facing_mirrors",
+    "glass",
+    "wavy_mirror",
+    "thin_rails",
+]
+PathTraced = Literal["copper_table", "brushed_patio"]  # by Mitsuba, which takes minutes
+PRESETS = {"toy": get_args(RayTraced), "path_traced": get_args(PathTraced)}  # what each scene's preset begins with
 
 
 class ToySettings(SourceSettings):
     """Settings of `kind: toy`."""
 
     kind: Literal["toy"]
-    scene: Literal[
-        "chrome_room",
-        "sky_ball",
-        "diffuse_room",
-        "lacquered_table",
-        "facing_mirrors",
-        "glass",
-        "wavy_mirror",
-        "thin_rails",
-        "copper_table",
-        "brushed_patio",
-    ]
+    scene: Literal[RayTraced, PathTraced]
     width: Annotated[int, Field(ge=8)] = 160  # pixels
     height: Annotated[int, Field(ge=8)] = 120
     views: Annotated[int, Field(ge=2)] = 48  # training and test views together

@@ -25,6 +25,7 @@ from omegaconf.errors import (
 
 from envgs_bench.datasets.registry import BUILT_IN as DATASET_KINDS
 from envgs_bench.datasets.registry import default_settings as default_dataset_settings
+from envgs_bench.datasets.toy.settings import PRESETS
 from envgs_bench.methods.registry import method_names, method_paths, settings_type
 from envgs_bench.methods.settings import RunGroup, make_settings
 from envgs_bench.programs.recipe import RecipeError, parse_choice, read_recipe
@@ -40,7 +41,8 @@ def config_names(group: str) -> list[str]:
     """The options of a configuration group, as they are written behind `<group>=`."""
     root = CONF / group
     files = (path.relative_to(root).with_suffix("").as_posix() for path in root.rglob("*.yaml"))
-    registered = {"method": method_names(), "dataset": list(DATASET_KINDS), "logger": list(LOGGERS)}
+    presets = [f"{folder}/{scene}" for folder, scenes in PRESETS.items() for scene in scenes]
+    registered = {"method": method_names(), "dataset": [*DATASET_KINDS, *presets], "logger": list(LOGGERS)}
     return sorted({*_whole(files), *registered.get(group, [])})
 
 
@@ -100,13 +102,16 @@ def _with_recipe(method: dict[str, Any]) -> dict[str, Any]:
 
 
 def register_choices(overrides: Iterable[str] = ()) -> None:
-    """Offer every dataset=<kind>, every logger=<kind> and every method=<name>, with their own defaults.
+    """Offer every dataset=<kind>, logger=<kind> and method=<name>, with their own defaults, and the project's scenes.
 
     The methods are the ones built in, those of installed packages, and whatever `overrides` choose by import path, as
     method=package.module:Class.
     """
     for kind in DATASET_KINDS:
         _offer_dataset(kind)
+    for folder, scenes in PRESETS.items():
+        for scene in scenes:
+            _offer_scene(folder, scene)
     for kind in LOGGERS:
         ConfigStore.instance().store(group="logger", name=kind, node=LoggerChoice(kind=kind).model_dump())
     chosen = [override.partition("=")[2].split(",") for override in overrides if override.startswith("method=")]
@@ -121,6 +126,14 @@ def register_choices(overrides: Iterable[str] = ()) -> None:
 @cache  # as below
 def _offer_dataset(kind: str) -> None:
     ConfigStore.instance().store(group="dataset", name=kind, node=default_dataset_settings(kind))
+
+
+@cache
+def _offer_scene(folder: str, scene: str) -> None:
+    """Offer dataset=<folder>/<scene>: a scene that is described in the project, beside what its folder shares."""
+    own = {"name": f"{folder}/{scene}", "scene": scene}
+    node = {"defaults": [f"{folder}/_base", "_self_"], "dataset": own}
+    ConfigStore.instance().store(group=f"dataset/{folder}", name=scene, node=node, package="_global_")
 
 
 @cache  # the store lives as long as the process

@@ -6,7 +6,7 @@ color is blended over the base (EnvGS paper, Sec. 4.1).
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -49,12 +49,14 @@ class Reflection(Part):
         light: where the reflected color comes from.
         begun: whether anything reflects: true once the warm-up is over.
         rays_along: reflected rays leave along the mirror direction, or along the normal: what no view can turn.
+        over: what is blended over the picture besides, of the picture, the camera and the step; None: nothing.
     """
 
     def __init__(self, model: GaussianModel, settings: ReflectionSettings, light: Light) -> None:
         self.light = light
         self.begun = False
         self.rays_along: Literal["mirrored", "normal"] = "mirrored"
+        self.over: Callable[[Rendering, Camera, int | None], Rendering] | None = None
         self._model, self._settings = model, settings
 
     def blend(self, base: Rendering, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
@@ -81,7 +83,8 @@ class Reflection(Part):
             for seen in statistics.values():
                 seen.weights = seen.weights / points**2  # in pixels, as the base's
         layers = {BASE: base.color, REFLECTION: reflected, BETA: base.extras}
-        return replace(base, color=blended, layers=layers), statistics
+        picture = replace(base, color=blended, layers=layers)
+        return picture if self.over is None else self.over(picture, camera, step), statistics
 
     def rays(self, base: Rendering, camera: Camera, step: int | None) -> tuple[Tensor, Tensor, Tensor]:
         """Origins, directions and β of `reflect`: in training of every surface, in an image where it is visible."""

@@ -13,14 +13,13 @@ import pandas as pd
 from envgs_bench.plain_text import no_formula
 from envgs_bench.records import Record, write_atomically
 
-from ..numbers.cards import card_of
+from ..numbers.cards import PLAIN, card_of
 from ..numbers.labels import SET_UP
 from ..numbers.runs import Run
 from ..numbers.tidy import COSTS, TIMES
 
 IDENTITY = ("scene", "method", "steps", "split", "protocol", "seed")  # a run of the same replaces a row
 FACTS = (*IDENTITY, "order", "status", "width", "height", "device", "commit", "run_id", "command")
-NUMBERS = ("psnr", "ssim", "lpips", "flip")  # the full image's come first, regions' and costs follow
 DIGITS = 6  # of a number: more than any table prints
 NOT_KEPT = ("checkpoint_bytes", "peak_host_bytes", "peak_device_bytes", "skipped_steps", "prepare_ms")
 
@@ -88,7 +87,7 @@ def keep_runs(runs: Iterable[Run], path: Path, commit: str = "") -> int:
     kept |= {_identity(row): row for row in (row_of(run, commit) for run in runs)}
     rows = sorted(kept.values(), key=lambda row: (row["scene"], int(row["steps"]), int(row["order"]), _identity(row)))
     names = dict.fromkeys(name for row in rows for name in row)
-    columns = [*FACTS, *NUMBERS, *sorted(set(names) - {*FACTS, *NUMBERS})]
+    columns = [*FACTS, *PLAIN, *sorted(set(names) - {*FACTS, *PLAIN})]  # regions' scores and costs come last
     path.parent.mkdir(parents=True, exist_ok=True)
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")

@@ -16,7 +16,7 @@ from envgs_bench.methods.registry import BUILT_IN, method_class
 from envgs_bench.methods.settings import setting_groups
 
 METHODS = Path(__file__).parents[2] / "methods"
-SETTINGS, FILES = 55, 112  # the most that there may be: of EnvGS; of configurations
+SETTINGS, FILES = 55, 100  # the most that there may be: of EnvGS; of configurations
 GROUPS = ["run", "rates", "growth", "losses", "reflection", "environment"]
 
 
