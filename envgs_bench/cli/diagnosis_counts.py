@@ -26,7 +26,7 @@ SPOILED: tuple[tuple[str, int, RepairKind, str], ...] = (
 
 
 def counted(scene: Scene, seed: int, device: torch.device | str = "cpu") -> list[dict[str, Any]]:
-    """One row a question asked of the scene: `asked` of it, `found` or not, with what was measured.
+    """One row a question asked of the scene: `asked` of it, `found` or not, with what was measured and `said`.
 
     Rows of `spoiled` "" are of the scene in order: what is found there is a false alarm. A repair of mirrored normals
     counts as found where it names just the views that were mirrored.
@@ -37,9 +37,12 @@ def counted(scene: Scene, seed: int, device: torch.device | str = "cpu") -> list
     warned = {warning.kind for warning in scene_warnings(diagnosis, PLENTY)}
     measured = _measured(diagnosis)
     in_order = {**about, "spoiled": "", "severity": 0, **measured}
-    rows = [{**in_order, "asked": f"repair {one.kind}", "found": one.kept} for one in outcomes]
-    rows.append({**in_order, "asked": "any warning", "found": bool(warned)})
-    rows += [{**in_order, "asked": f"warning {kind}", "found": kind in warned} for kind in sorted(_asked() | warned)]
+    rows = [{**in_order, "asked": f"repair {one.kind}", "found": one.kept, "said": one.message} for one in outcomes]
+    rows.append({**in_order, "asked": "any warning", "found": bool(warned), "said": " ".join(sorted(warned))})
+    rows += [
+        {**in_order, "asked": f"warning {kind}", "found": kind in warned, "said": ""}
+        for kind in sorted(_asked() | warned)
+    ]
     for kind, severity, repair, warning in SPOILED:
         changed = PERTURBATIONS[kind].applied(scene, severity, kind, seed)
         spoiled = Diagnosis(changed, device)
@@ -50,8 +53,8 @@ def counted(scene: Scene, seed: int, device: torch.device | str = "cpu") -> list
             right = set(spoiled.mirrored) == turned
         said = {one.kind for one in scene_warnings(spoiled, PLENTY)}
         own = {**about, "spoiled": kind, "severity": severity, **_measured(spoiled)}
-        rows.append({**own, "asked": f"repair {repair}", "found": right})
-        rows.append({**own, "asked": f"warning {warning}", "found": warning in said})
+        rows.append({**own, "asked": f"repair {repair}", "found": right, "said": outcome.message})
+        rows.append({**own, "asked": f"warning {warning}", "found": warning in said, "said": ""})
     return rows
 
 

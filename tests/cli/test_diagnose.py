@@ -57,7 +57,7 @@ def test_mirrored_normals_count_as_found_where_just_those_views_are_named(
     monkeypatch.setattr(diagnosis_counts, "Diagnosis", diagnosis)
     monkeypatch.setattr(diagnosis_counts, "_measured", lambda _: {})
     monkeypatch.setattr(diagnosis_counts, "scene_warnings", lambda *_: [SimpleNamespace(kind="poses_off")])
-    outcome = [SimpleNamespace(kind="normals", kept=True)]
+    outcome = [SimpleNamespace(kind="normals", kept=True, message="")]
     monkeypatch.setattr(diagnosis_counts, "repaired", lambda given, kinds, seed: (given, outcome))
     for every in (False, True):
         table = pd.DataFrame(counted(room, 0)).set_index(["spoiled", "asked"])["found"]
