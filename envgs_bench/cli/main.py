@@ -21,6 +21,7 @@ COMMANDS = {
     "render": "a film of a trained run along a camera path, its layers side by side",
     "clean": "remove runs that did not finish",
     "store": "the model that a run trained, as PLY, as one small file, or in a viewer's layout",
+    "predictions": "a run's pictures and scores in nerfbaselines' format",
     "layouts": "what each layout of trained models takes on disk, and what pictures lose by it",
     "download": "a published data set, fetched and unpacked where its configuration expects it",
     "export": "a data set in COLMAP's or blender's layout",

@@ -172,4 +172,5 @@ def _method(settings: RunSettings) -> dict[str, Any]:
     if settings.method.kind != RENDERS or not given.get("path"):
         return _with_fingerprints(given, settings.cache_dir)
     root = Path(given["path"])
-    return {**given, "path": _fingerprint(root, settings.cache_dir, rendered_files(root))}
+    files = rendered_files(root) if root.is_dir() else None
+    return {**given, "path": _fingerprint(root, settings.cache_dir, files)}

@@ -27,6 +27,7 @@ from .evaluation import scored_views
 from .events import EventListener
 from .loading import check_scene, load_for_run
 from .pictures import save_pair
+from .predictions import rendered_folder
 from .results import Results
 from .scoring import Pair, score_pairs
 
@@ -45,7 +46,7 @@ class RendersError(ValueError):
 
 @dataclass(frozen=True)
 class RendersSettings:
-    path: str = ""  # the folder
+    path: str = ""  # the folder, or nerfbaselines' archive of predictions
     match: str = "name"  # how files find their views: name, or order
 
 
@@ -77,7 +78,21 @@ def score_renders(
         RendersError: files or views are left over, or a file cannot be taken for its view.
     """
     choice = make_settings(RendersSettings, settings, "method renders: ")
-    files = match_renders(Path(choice.path), choice.match, views)
+    with rendered_folder(Path(choice.path)) as renders:
+        return _score(renders, choice.match, views, background, protocol, folder, report, device)
+
+
+def _score(
+    renders: Path,
+    match: str,
+    views: Sequence[View],
+    background: Tensor,
+    protocol: Protocol,
+    folder: Path,
+    report: EventListener,
+    device: str,
+) -> tuple[Metrics, dict[str, MaskedScores]]:
+    files = match_renders(renders, match, views)
 
     def pairs() -> Iterator[Pair]:
         for number, view in enumerate(views):

@@ -61,8 +61,15 @@ def rescore(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> R
         PictureError: a picture is missing or unreadable, or the record names a view or a region that names no file.
     """
     record, protocol, device = read_record(run), protocol.of_pictures(), resolve_device(device)
-    scores = None if record.metrics is None else score_pairs(_pairs(run, record), protocol, device)
+    scores = None if record.metrics is None else pictures_scored(run, record, protocol, device)
     return _write(run, record, protocol, scores, out, "pictures", (*PICTURES, CURVE_NAME, SAMPLES_NAME))
+
+
+def pictures_scored(
+    run: Path, record: Record, protocol: Protocol, device: str = "cpu"
+) -> tuple[Metrics, dict[str, MaskedScores]]:
+    """The scores of the pictures that the run left. Raises PictureError as `rescore`."""
+    return score_pairs(_pairs(run, record), protocol, device)
 
 
 def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Record:

@@ -31,6 +31,7 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
         ["view"],
         ["render"],
         ["layouts"],
+        ["predictions"],
         ["export"],
         ["download"],
         ["list"],
