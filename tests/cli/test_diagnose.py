@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,12 +14,13 @@ from scipy.stats import binomtest
 from toy_scenes import rough_toys
 
 from envgs_bench.cli import diagnosis_counts
-from envgs_bench.cli.diagnosis_counts import SPOILED, counted, rates
+from envgs_bench.cli.diagnosis_counts import OF_SCENES, SPOILED, counted, rates
 from envgs_bench.cli.main import main
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
 from envgs_bench.diagnosis.repair import REPAIRS
+from envgs_bench.diagnosis.scene_warnings import scene_warnings
 
 
 def test_rates_are_shares_with_their_intervals() -> None:
@@ -36,6 +39,12 @@ def test_what_is_spoiled_is_a_perturbation_that_a_repair_is_for() -> None:
     for kind, severity, repair, _ in SPOILED:
         assert severity <= len(PERTURBATIONS[kind].levels)
         assert repair in REPAIRS
+
+
+def test_every_warning_of_a_scene_is_asked() -> None:
+    """Those that `scene_warnings` names, but for what is of a run's length and near plane."""
+    names = re.findall(r'^            "(\w+)",$', inspect.getsource(scene_warnings), re.MULTILINE)
+    assert sorted(names) == sorted({*OF_SCENES, "run_short", "near_hides"})
 
 
 @pytest.fixture(scope="module")
