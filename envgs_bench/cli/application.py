@@ -107,13 +107,13 @@ def _run(arguments: list[str]) -> int:
         if INTERRUPTION.requested:
             code = INTERRUPTED
         runs_dir, outcomes = shown_runs_dir(), close_summary()
-        end_page(Path(runs_dir))
+        page = end_page(Path(runs_dir))
         if outcomes is None or _plan is not None:  # nothing was to run: --cfg and the like, or wrong arguments
             return code
         if outcomes:
             console = Console(width=None if sys.stdout.isatty() else 160)
             print_outcomes(outcomes, console)
-            print_next(runs_dir)
+            print_next(runs_dir, page)
         elif not code:
             print("envgs-bench run: no job reported back; `envgs-bench report` shows what is there", file=sys.stderr)
         return code or int(not outcomes or not all(outcome.ok for outcome in outcomes))

@@ -47,8 +47,8 @@ def renew_page(runs_dir: Path, under_way: Callable[[], str]) -> None:
         print(f"the page in {folder} could not be written: {error}", file=sys.stderr)
 
 
-def end_page(runs_dir: Path) -> None:
-    """A page that still waits for runs waits no longer: the call has ended, however."""
+def end_page(runs_dir: Path) -> Path | None:
+    """The page of this call, which has ended, however: it waits for no more runs. None where it has no page."""
     folder = os.environ.get(PAGE_VARIABLE)
     page = Path(folder or "") / "index.html"
     if folder and page.is_file() and LOADS_AGAIN in page.read_text(encoding="utf-8", errors="replace"):
@@ -56,6 +56,7 @@ def end_page(runs_dir: Path) -> None:
         if page.read_text(encoding="utf-8", errors="replace") == FIRST:  # of no runs there is no page
             page.unlink()
     os.environ.pop(PAGE_VARIABLE, None)
+    return page if folder and page.is_file() else None
 
 
 @contextmanager

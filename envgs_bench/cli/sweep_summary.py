@@ -184,9 +184,9 @@ def print_outcomes(outcomes: list[Outcome], console: Console) -> None:
         console.print(plain(text), soft_wrap=True, highlight=False, markup=False)
 
 
-def print_next(runs_dir: str) -> None:
-    """The command that makes tables, charts and a page of what there is now."""
-    line = shlex.join(["envgs-bench", "report", runs_dir])
+def print_next(runs_dir: str, page: Path | None) -> None:
+    """The page of what there is now, or the command that makes one, with tables and charts."""
+    line = page or shlex.join(["envgs-bench", "report", runs_dir])
     print(plain(f"tables, charts and a page: {line}"), file=sys.stderr)
 
 

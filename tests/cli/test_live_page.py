@@ -37,6 +37,7 @@ def test_a_page_fills_as_runs_end(tmp_path: Path, seen: list[str], capsys: pytes
     assert "No run has ended yet" in first
     assert WAITING in second
     assert page.read_text() == ""
+    assert shown.endswith(f"tables, charts and a page: {page}\n")
     assert run_here(tmp_path / "runs", *sweep, flags=("-m",)) == 0  # all reused, and shown once
     assert len(seen) == 3
 
