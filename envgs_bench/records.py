@@ -253,6 +253,7 @@ class Record(_Part):
     repairs: list[RepairOutcome] = []  # what became of it, in the order in which it was done
     warnings: list[TrainingWarning] = []  # in the order of their steps
     notes: list[str] = []  # what was noticed of the data, what the method made of its normals, what pilot runs found
+    given: list[str] = []  # what the method used of the data besides photographs, poses and points
     losses: list[str] = []  # the terms that the loss was made of, in some step at least
     dropped_losses: dict[str, str] = {}  # a loss that the settings ask for -> why it could not be computed
     metrics: Metrics | None = None

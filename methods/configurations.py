@@ -43,6 +43,7 @@ CONFIGURED: Mapping[str, Mapping[str, Any]] = {
     "envgs_paper_single_set": {"order": 48, "variant_of": "envgs_paper"},
     "envgs_planes": {"order": 49, "label": "EnvGS, planes"},
     "envgs_single_set": {"variant_of": "envgs"},
+    "ref_gs": {"published": "Ref-GS"},
     "ref_gs_tuned": {"order": 101},
     "ref_dgs": {"label": "Ref-DGS", "order": 102},
     "ref_dgs_tuned": {"label": "Ref-DGS", "order": 103},

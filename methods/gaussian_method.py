@@ -175,6 +175,8 @@ class GaussianMethod(Method):
             self.parts["noise"] = self.model.noise
         for part in self.parts.values():
             part.start(scene)
+        normals = ["normals"] if s.mono_weight > 0 and any(view.normal is not None for view in scene.train) else []
+        self.given = [*normals, *chain.from_iterable(part.given() for part in self.parts.values())]
         _forget_prepared(self)
         views = ResidentViews.of(self.device, learned)
         prune_all = partial(prune, self.model, self.draw, self.prepare, views.all_of(scene.train), s.prune_error)

@@ -62,6 +62,7 @@ class Draft:
             repairs=results.repairs,
             warnings=results.warnings,
             notes=[shortened(text) for text in results.notes],
+            given=results.given,
             losses=results.losses,
             dropped_losses={loss: shortened(why) for loss, why in results.dropped_losses.items()},
             metrics=results.metrics,

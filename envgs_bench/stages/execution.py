@@ -99,6 +99,7 @@ def execute(
         results.went_on_from = training.went_on_from
         results.losses = sorted(training.losses)
         results.dropped_losses = dict(method.dropped_losses)
+        results.given = list(method.given)
         results.notes = [*results.notes, *method.notes]
         results.warnings = [*results.warnings, *training.health.warnings]
         if training.step:  # however it ends, what was learned is kept

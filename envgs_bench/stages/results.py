@@ -27,6 +27,7 @@ class Results:
     went_on_from: list[int] = field(default_factory=list)  # steps of the snapshots that an interrupted run went on from
     notes: list[str] = field(default_factory=list)
     repairs: list[RepairOutcome] = field(default_factory=list)
+    given: list[str] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)
     dropped_losses: dict[str, str] = field(default_factory=dict)
     warnings: list[TrainingWarning] = field(default_factory=list)

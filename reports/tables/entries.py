@@ -86,8 +86,9 @@ def published_text(row: Row, column: Column) -> str:
     value = row.published[column.key]
     if column.elsewhere and value < Decimal("0.01"):
         return f"1/{1 / value:,.0f}"  # as the paper prints frames that take hours
-    theirs = rounded(value, PUBLISHED_PLACES if not column.elsewhere else column.places)
+    places = min(PUBLISHED_PLACES, -int(value.as_tuple().exponent))  # fewer where a paper prints fewer
+    theirs = rounded(value, places if not column.elsewhere else column.places)
     ours = row.cells.get(column.key)
     if ours is None or not ours.complete or ours.mean is None:
         return str(theirs)
-    return f"{theirs} ({rounded(ours.mean, PUBLISHED_PLACES) - theirs:+})".replace("-", "−")
+    return f"{theirs} ({rounded(ours.mean, places) - theirs:+})".replace("-", "−")

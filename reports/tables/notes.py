@@ -7,6 +7,7 @@ from math import log10
 
 from envgs_bench.parts import LOSSES
 
+from ..numbers.published import printed_by
 from ..numbers.runs import Run
 from ..numbers.spoiled_views import SPOILED_BY, spoiled_views
 from .entries import DAGGER
@@ -50,8 +51,10 @@ def notes(section: Section, table: Table) -> list[str]:
         found += _company(section, table)
     if any(column.against and not column.with_interval for column in table.columns):
         found.append("Δ: the mean over seeds of the difference on the same seed, with the spread of that difference.")
+    found += _given(section, table)
     if table.published:
-        found.append("Paper: printed in the EnvGS paper, and ours minus it. Rows marked published: by the paper only.")
+        printed = printed_by(table.datasets)
+        found.append(f"Paper: printed {printed}, and ours minus it. Rows marked published: by the paper only.")
         found.append("The paper's values stand beside its own recipe, not beside what this project has configured.")
     if any(column.elsewhere for column in table.columns):
         found.append("The paper's frame rates and training times are of its machine, an RTX 4090, not of this one.")
@@ -73,6 +76,21 @@ def dropped_losses(table: Table) -> list[str]:
         f"{DAGGER} {', '.join(names)}: trained without {LOSSES.get(loss, loss)}{f' {where}' if where else ''}: {why}."
         for (loss, why, where), names in methods.items()
     ]
+
+
+def _given(section: Section, table: Table) -> list[str]:
+    """What methods were given besides photographs, poses and points: those of one kind of data compare best."""
+    methods: dict[str, list[str]] = {}
+    for row in table.rows:
+        items = [item for name in table.datasets for item in section.of(name) if item.method == row.method]
+        words = dict.fromkeys(word for item in items if item.run.ok for word in item.run.record.given)
+        if words:
+            methods.setdefault(", ".join(words), []).append(row.method)
+    return [f"Given besides photographs, poses and points: {'; '.join(_words(methods))}."] if methods else []
+
+
+def _words(methods: dict[str, list[str]]) -> list[str]:
+    return [f"{', '.join(names)}: {given}" for given, names in methods.items()]
 
 
 def _shares(section: Section, table: Table) -> list[str]:

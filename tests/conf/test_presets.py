@@ -26,7 +26,7 @@ from envgs_bench.records import find_records, read_record
 from envgs_bench.reports.numbers.published import paper_scene, paper_tables
 from envgs_bench.settings import parse_settings
 
-FAMILIES = ("ref_real", "nerf_casting", "envgs", "shiny_blender", "mipnerf360")
+FAMILIES = ("ref_real", "ref_real_8", "nerf_casting", "envgs", "shiny_blender", "mipnerf360")
 PRESETS = [name for name in config_names("dataset") if name.startswith(FAMILIES)]
 CAPTURES = [name for name in config_names("dataset") if name.startswith("captures/")]
 SYNTHETIC = [name for name in config_names("dataset") if name.startswith("nerf_synthetic/")]
@@ -50,7 +50,7 @@ def test_every_scene_of_the_papers_tables_has_a_preset_of_its_name() -> None:
     tables = paper_tables()
     rows = tables[tables["scene"] != "mean"]
     expected = set(zip(rows["dataset"], rows["scene"], strict=True))
-    assert len(expected) == len(PRESETS) == 24
+    assert len(expected) == len(PRESETS) == 27
     assert {paper_scene(composed(f"dataset={name}")["dataset"]["name"]) for name in PRESETS} == expected
 
 
@@ -58,7 +58,7 @@ def test_every_scene_of_the_papers_tables_has_a_preset_of_its_name() -> None:
 def test_a_preset_lies_below_data_root_and_is_refused_only_because_nothing_is_there(name: str, tmp_path: Path) -> None:
     content = composed(f"dataset={name}", f"data_root={tmp_path}")
     assert content["dataset"]["name"] == name
-    assert Path(content["dataset"]["root"]).parent == tmp_path / name.split("/")[0]
+    assert Path(content["dataset"]["root"]).parent == tmp_path / name.split("/")[0].removesuffix("_8")
     with pytest.raises(DatasetError) as caught:
         load_scene(content["dataset"], tmp_path)
     source = "not published" if name in RENDERED else "http"
@@ -174,6 +174,8 @@ def test_a_data_set_states_facts_and_leaves_a_methods_settings_alone() -> None:
         "captures/gold_cape": (2.2, 0.0),
         "ref_real/spheres": (0.0, 20.0),
         "ref_real/toycar": (0.0, 20.0),
+        "ref_real_8/spheres": (0.0, 20.0),
+        "ref_real_8/toycar": (0.0, 20.0),
         **{name: (0.0, 50.0) for name in PRESETS if name.startswith("shiny_blender/")},
     }
 

@@ -72,6 +72,13 @@ def test_a_mirror_is_proposed_where_it_is() -> None:
     torch.testing.assert_close(found.half.sort().values, MIRROR.half.sort().values, atol=0.08, rtol=0)
 
 
+def test_a_method_says_that_it_was_given_masks() -> None:
+    for scene, given in ((mirror_room(), ["normals", "masks of mirrors and glass"]), (tiny_scene(), ["normals"])):
+        method = made()
+        method.initialize(scene, 30_000)
+        assert method.given == given
+
+
 def test_nothing_is_proposed_where_nothing_is_flat_or_marked() -> None:
     assert proposed(mirror_room(reflectance=0), "masks") == []
     assert proposed(mirror_room(), "photographs") == []  # nobody has said where something lies behind

@@ -17,6 +17,7 @@ from envgs_bench.reports.numbers.published import (
     paper_method,
     paper_scene,
     paper_tables,
+    printed_by,
     published_source,
     published_values,
 )
@@ -73,12 +74,29 @@ def test_unreadable_cells_of_the_paper_are_empty() -> None:
         ("nerf_casting-toaster", ("NeRF-Casting", "toaster")),
         ("shiny_blender-toaster", ("Shiny-Blender", "toaster")),
         ("mipnerf360/garden", ("Mip-NeRF-360", "garden")),
+        ("ref_real_8/sedan", ("Ref-Real ÷8", "sedan")),
         ("garden", None),  # anybody's garden
         ("toy/chrome_room", None),
     ],
 )
 def test_a_paper_scene_needs_its_family(name: str, scene: tuple[str, str] | None) -> None:
     assert paper_scene(name) == scene
+
+
+def test_each_protocol_of_ref_real_has_its_own_numbers() -> None:
+    """EnvGS's paper prints the car at a quarter; the numbers of the car at an eighth are others'."""
+    quarter, eighth = (
+        published_values(tuple(f"{family}/{scene}" for scene in ("sedan", "spheres", "toycar")), "full", "psnr")
+        for family in ("ref_real", "ref_real_8")
+    )
+    assert (quarter["3DGS"], eighth["3DGS"]) == (Decimal("23.700"), Decimal("23.85"))
+    assert "EnvGS" in quarter
+    assert "EnvGS" not in eighth
+    assert (eighth["SV"], eighth["Ref-GS"]) == (Decimal("23.91"), Decimal("23.81"))
+    mixed = published_values(("ref_real_8/sedan", "ref_real/spheres", "ref_real/toycar"), "full", "psnr")
+    assert not mixed
+    assert "retrained" in printed_by(("ref_real_8/sedan",))
+    assert printed_by(("ref_real/sedan",)) == "in the EnvGS paper"
 
 
 def test_published_psnr_stands_beside_ours(tmp_path: Path) -> None:
@@ -225,3 +243,15 @@ def test_every_method_of_the_paper_has_one_name() -> None:
     assert published_source("NDE") == "non_realtime"
     assert published_source("my method") is None
     assert published_source("3iGS") == "realtime"
+
+
+def test_a_table_says_what_methods_were_given(tmp_path: Path) -> None:
+    given = {"2dgs": [], "envgs": ["normals"], "envmap": ["normals", "masks of mirrors and glass"]}
+    for method, words in given.items():
+        content = record("toy/glass", method, 0, given=words)
+        write_record(tmp_path / "runs" / "toy-glass" / method / "seed0-0000", content)
+    (section,) = sections_of(tmp_path)
+    said = [line for line in notes(section, titled(section, "toy/glass")) if line.startswith("Given")]
+    assert said == [
+        "Given besides photographs, poses and points: envmap: normals, masks of mirrors and glass; envgs: normals."
+    ]
