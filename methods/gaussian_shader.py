@@ -29,7 +29,8 @@ from .training.schedule import Part, Schedule, set_rate
 INITIAL_TINT, INITIAL_ROUGHNESS = 0.0, 0.6  # logits
 INITIAL_LIGHT = 0.8
 LEAST_ALPHA = 1e-3  # of the logarithms that make alpha 0 or 1
-MATERIALS = {"tint_logits": 3, "roughness_logits": 1, "outer_residuals": 3, "inner_residuals": 3}  # fields, columns
+INNER = "inner_residuals"
+MATERIALS = {"tint_logits": 3, "roughness_logits": 1, "outer_residuals": 3, INNER: 3}  # fields, columns
 
 
 class GaussianShader(GaussianMethod):
@@ -54,7 +55,9 @@ class GaussianShader(GaussianMethod):
     def policies(self, schedule: Schedule, scene: Scene | None) -> dict[str, SetPolicy]:
         base = super().policies(schedule, scene)[BASE]
         start = replace(base.start, materials=self._materials, material_columns=MATERIALS)
-        rates = replace(base.rates, materials=dict.fromkeys(MATERIALS, self.settings.material_lr))
+        materials = dict.fromkeys(MATERIALS, self.settings.material_lr)
+        materials[INNER] = self.settings.inner_lr * schedule.rate_scale
+        rates = replace(base.rates, materials=materials)
         return {BASE: replace(base, start=start, rates=rates)}
 
     def _materials(self, count: int) -> dict[str, Tensor]:
@@ -109,6 +112,6 @@ class DecayingRates(Part):
     def begin_step(self, step: int) -> None:
         s, schedule = self._settings, self._model.schedule
         rate = schedule.rate(step, s.material_lr, s.material_lr_final)
-        for name in MATERIALS:
+        for name in MATERIALS.keys() - {INNER}:
             self._model.sets[BASE].parameters.set_learning_rate(name, rate * schedule.rate_scale)
         set_rate(self._light.optimizer.param_groups[0], schedule.rate(step, s.envmap_lr, s.material_lr_final))

@@ -15,7 +15,9 @@ from .validation import Amount, Count, Length, Power, Share, Steps, checked
 
 REFERENCE_STEPS = 30_000  # what 3DGS, 2DGS and EnvGS are tuned for
 
-RecipeName = Literal["ours", "2dgs", "3dgs", "paper", "released", "3dgs_dr", "ref_gaussian", "ref_gs"]
+RecipeName = Literal[
+    "ours", "2dgs", "3dgs", "paper", "released", "3dgs_dr", "gaussian_shader", "ref_gaussian", "ref_gs"
+]
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,7 @@ class Rules:
 
     sh_every: Steps = 0  # steps after which another SH degree is added; 0: all at once
     sh_from: Steps = 0  # step up to which the base set's color is the same from everywhere, SH degree 0
+    position_radius: Length = 0.0  # that the positions' rate grows with, world units; 0: the scene's
     initial_orientation: Literal["surface", "random", "positive", "world"] = "surface"  # of the base set, as of Start
     growth: Literal["gradient", "mcmc"] = "gradient"  # the base set's; mcmc: to its size limit, with noise
     densify_from: Steps = 500  # step after which the base set is densified
@@ -139,6 +142,7 @@ RECIPES: dict[RecipeName, Rules] = {
         | {"beta_starts_anew": True}
         | {"mean_gradient_of": "color", "map_start": "random"}
     ),
+    "gaussian_shader": Rules(**OF_3DGS | {"position_radius": 5.0}),  # GaussianShader's released code
     "ref_gaussian": Rules(  # Ref-Gaussian's released code
         **OF_2DGS
         | {"stretches": False, "longest_run": 50_000, "sh_from": 5_000, "beta_reset_from": 1, "beta_reset": "raise"}

@@ -80,7 +80,7 @@ class SetPolicy:
     Attributes:
         rates: Adam's step sizes of a new set.
         position_lr: the positions' rate × scene radius, at the run's start and end; log-linear between.
-        position_scale, radius_power: × it, and the power of the radius that it grows with.
+        position_scale, radius_power: × it, and the power of the radius that it grows with; 0: not at all.
         rotation_lr: the rotations' rate, at the run's start and end.
         sh_degree, sh_every, sh_from: the color's SH degree, steps until another one is added, from which step on.
         criterion: by which its primitives are cloned or split, [N] of one step's pass.
@@ -187,6 +187,7 @@ def base_policy(
         cap=s.max_primitives,
         oversized=s.rule.oversized,
         growth=s.rule.growth,
+        **({"position_scale": s.rule.position_radius, "radius_power": 0} if s.rule.position_radius else {}),
     )
 
 

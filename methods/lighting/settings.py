@@ -130,7 +130,7 @@ class RefGaussianSettings(PublishedSettings, EnvMapSettings):
 # PublishedSettings stands first, so that all that every Gaussian method has is as in 3DGS's released code.
 @dataclass(frozen=True)
 class GaussianShaderSettings(PublishedSettings, MapSettings):
-    recipe: RecipeName = "3dgs"
+    recipe: RecipeName = "gaussian_shader"
     rules: dict[str, Any] = field(default_factory=lambda: {"normal_weighting": "alpha"}, hash=False)
     min_opacity: Amount = 0.005
 
@@ -142,6 +142,7 @@ class GaussianShaderSettings(PublishedSettings, MapSettings):
 
     material_lr: Rate = 1.6e-2  # learning rate of tints, roughnesses and normals at the start; log-linear to the last
     material_lr_final: Rate = 1.6e-3  # learning rate of those and of the map at the end
+    inner_lr: Rate = 2e-4  # learning rate of normals' residuals on the side that faces inward
     envmap_size: Size = 64
     envmap_lr: Rate = 1.6e-2
 
