@@ -121,8 +121,12 @@ class PathTracer:
 
     def _with_textures(self, bsdf: Bsdf) -> Bsdf:
         """The same, as Mitsuba takes it."""
-        given = {Texture: self._texture, dict: self._with_textures}
-        return {key: given[type(value)](value) if type(value) in given else value for key, value in bsdf.items()}
+        return {key: self._given(value) for key, value in bsdf.items()}
+
+    def _given(self, value: Any) -> Any:
+        if isinstance(value, Texture):
+            return self._texture(value)
+        return self._with_textures(value) if isinstance(value, dict) else value
 
     def _texture(self, texture: Texture) -> dict[str, Any]:
         bitmap = self._mitsuba.Bitmap(np.ascontiguousarray(texture.linear, dtype=np.float32))

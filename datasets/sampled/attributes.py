@@ -13,7 +13,7 @@ from envgs_bench.core import View
 from ..formats.srgb import to_linear
 from ..toy.world import Array
 from .points import Cloud
-from .truth import Truth
+from .truth import Mask, Truth
 
 CELL = 8  # pixels along the cells that hold points or none
 TEXTURED = 0.03  # standard deviation of light in a cell that shows something
@@ -59,7 +59,7 @@ def attributes_of(
     return found
 
 
-def _share(part: Array, whole: Array) -> float:
+def _share(part: Mask, whole: Mask) -> float:
     return float(part.sum() / whole.sum()) if whole.any() else 0.0
 
 

@@ -66,7 +66,7 @@ def gallery(rng: np.random.Generator) -> Place:
     stock = Stock(rng, liked=("smooth_metal", "brushed_metal", "car_paint"))
     half, height = (between(rng, (2.8, 3.4)), between(rng, (2.8, 3.8))), between(rng, (2.8, 3.3))
     parts = _shell(stock, half, height, _floor(stock, "gallery"))
-    white: Finish = (MATT, pat.plaster(tuple(0.97 * channel for channel in stock.white)))
+    white: Finish = (MATT, pat.plaster(pat.blend(stock.white, (0.0, 0.0, 0.0), 0.03)))
     for index, wall in enumerate(built.four_walls(half, height)):
         opening = (-0.6, 0.0, 0.6, 2.1) if index == 3 and rng.uniform() < 0.5 else None
         parts += built.walled(stock, wall, white, (opening,) if opening else ())
@@ -157,7 +157,7 @@ def _floor(stock: Stock, name: str) -> Finish:
 
 def _wallpaper(stock: Stock) -> pat.Pattern:
     first, second = stock.color(), stock.white
-    pale = tuple(0.5 * a + 0.5 * b for a, b in zip(first, second, strict=True))
+    pale = pat.blend(first, second, 0.5)
     choices = (
         pat.plaster(pale),
         lambda x, y, rng: pat.tex.weathered(pat.tex.stripes(x, y, 0, 0.3, (pale, second)), rng),
@@ -204,12 +204,12 @@ def _sofa(stock: Stock, wall: Wall) -> list[Surface]:
     wide, turn = between(stock.rng, (1.4, 1.9)), wall.turn_degrees()
     seat, back = wall.at(0, 0.25, 0.42), wall.at(0, 0.5, 0.16)
     shapes = [
-        Superellipsoid(tuple(map(float, seat)), (wide / 2, 0.38, 0.22), 8, turn),
-        Superellipsoid(tuple(map(float, back)), (wide / 2, 0.13, 0.42), 8, turn),
+        Superellipsoid(built.vector(seat), (wide / 2, 0.38, 0.22), 8, turn),
+        Superellipsoid(built.vector(back), (wide / 2, 0.13, 0.42), 8, turn),
     ]
     for side in (-1, 1):
         arm = wall.at(side * wide / 2, 0.33, 0.42)
-        shapes.append(Superellipsoid(tuple(map(float, arm)), (0.1, 0.38, 0.3), 8, turn))
+        shapes.append(Superellipsoid(built.vector(arm), (0.1, 0.38, 0.3), 8, turn))
     return stock.surfaces(shapes, finish)
 
 

@@ -43,7 +43,7 @@ def panorama(kind: str, ground: Array, rng: np.random.Generator) -> Array:
 def _outdoors(kind: str, ground: Array, elevation: Array, azimuth: Array, rng: np.random.Generator) -> Array:
     zenith, horizon = (to_linear(np.array(color)) for color in AIR[kind])
     up = np.sin(np.maximum(elevation, 0))[..., None]
-    sky = zenith * up**0.6 + horizon * (1 - up**0.6)
+    sky: Array = zenith * up**0.6 + horizon * (1 - up**0.6)
     direction = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     sky = _clouded(sky, kind, direction, rng)
     if kind in SUN_ELEVATION:
@@ -87,9 +87,9 @@ def _behind_horizon(sky: Array, horizon: Array, elevation: Array, azimuth: Array
     kind = one_of(rng, HORIZONS)
     for layer in range(3):
         near = (layer + 1) / 3
-        ridge = 0.10 * (1 - 0.55 * layer / 2) * (1 + noise((2, COLUMNS), 90, rng, octaves=5, wrap=True)[0])
-        color = to_linear(np.array(((0.34, 0.42, 0.50), (0.27, 0.36, 0.26), (0.17, 0.24, 0.13))[layer]))
-        shade = np.ones((ROWS, COLUMNS))
+        ridge: Array = 0.10 * (1 - 0.55 * layer / 2) * (1 + noise((2, COLUMNS), 90, rng, octaves=5, wrap=True)[0])
+        color: Array = to_linear(np.array(((0.34, 0.42, 0.50), (0.27, 0.36, 0.26), (0.17, 0.24, 0.13))[layer]))
+        shade: Array = np.ones((ROWS, COLUMNS))
         if kind == "houses" and layer:
             width = rng.integers(14, 40)
             block = (np.arange(COLUMNS) // width).astype(int)

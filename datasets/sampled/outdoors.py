@@ -72,12 +72,13 @@ def courtyard(rng: np.random.Generator) -> Place:
         pat.plaster((0.86, 0.74, 0.55)),
         pat.plaster(stock.white),
     )
-    facade: Finish = (MATT, facades[int(rng.integers(3))])
+    front = facades[int(rng.integers(3))]
+    facade: Finish = (MATT, front)
     for wall in built.four_walls(half, height)[: whole(rng, (2, 4))]:
         parts += built.walled(stock, wall, facade)
         door = pat.wood(stock.color(), 0.2)
         at = between(rng, (-0.5, 0.5))
-        parts += built.hung(stock, wall, (at - 0.45, 0.0, at + 0.45, min(2.0, height - 0.2)), (MATT, door), facade[1])
+        parts += built.hung(stock, wall, (at - 0.45, 0.0, at + 0.45, min(2.0, height - 0.2)), (MATT, door), front)
         for right in (-1.8, 1.8):
             pane = stock.finish() if rng.uniform() < 0.3 else (MATT, pat.leaded([(0.2, 0.25, 0.3), (0.3, 0.36, 0.42)]))
             frame = (right - 0.4, 0.7, right + 0.4, min(1.6, height - 0.2))

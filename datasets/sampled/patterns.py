@@ -36,6 +36,12 @@ def palette(rng: np.random.Generator, count: int = 6) -> list[Color]:
     return [*found, (0.9 + warm, 0.89, 0.86 - warm), (0.16 + warm, 0.15, 0.15)]
 
 
+def blend(first: Color, second: Color, share: float) -> Color:
+    """The first color with that share of the second."""
+    red, green, blue = ((1 - share) * a + share * b for a, b in zip(first, second, strict=True))
+    return red, green, blue
+
+
 def _noise(x: Array, cell: float, rng: np.random.Generator, octaves: int = 4) -> Array:
     """Fractal noise in about [−1, 1]; the largest blobs span `cell` meters."""
     spacing = x[0, 1] - x[0, 0]

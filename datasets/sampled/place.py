@@ -28,7 +28,12 @@ class Place:
 
 
 def rectangle(corner: Array, across: Array, down: Array) -> Rectangle:
-    return Rectangle(tuple(map(float, corner)), tuple(map(float, across)), tuple(map(float, down)))
+    return Rectangle(vector(corner), vector(across), vector(down))
+
+
+def vector(values: Array) -> Vector:
+    x, y, z = map(float, values)
+    return x, y, z
 
 
 def flat(center: Vector, width: float, depth: float) -> Rectangle:

@@ -93,8 +93,8 @@ def _seen_by(points: Array, views: Sequence[View]) -> NDArray[np.int64]:
 
 def _outliers(points: Array, colors: Array, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """Colors of the cloud, anywhere in its box."""
-    low, high = np.quantile(points, (0.02, 0.98), axis=0)
-    return rng.uniform(low, high, (count, 3)), colors[rng.integers(0, len(colors), count)]
+    low, high = (np.quantile(points, share, axis=0) for share in (0.02, 0.98))
+    return low + (high - low) * rng.uniform(size=(count, 3)), colors[rng.integers(0, len(colors), count)]
 
 
 def _on_sky(view: View, count: int, rng: np.random.Generator) -> tuple[Array, Array]:

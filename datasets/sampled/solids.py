@@ -68,7 +68,8 @@ class Lump:
 
     def evaluate(self, u: Array, v: Array) -> tuple[Array, Array]:
         direction = _on_sphere(u, v)
-        size, slope = np.ones(direction.shape[:-1]), np.zeros_like(direction)
+        size: Array = np.ones(direction.shape[:-1])
+        slope: Array = np.zeros_like(direction)
         for amplitude, frequency, phase in self.bumps:
             angle = direction @ np.array(frequency) + phase
             size = size + amplitude * np.sin(angle)

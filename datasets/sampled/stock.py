@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..formats.srgb import to_linear
@@ -82,7 +84,7 @@ class Stock:
         linear = darker * to_linear(pat.picture(pattern, shape.extent, self.rng))
         return Surface(shape, material, linear, thing, emission)
 
-    def surfaces(self, shapes: list[Shape], finish: Finish, thing: int | None = None) -> list[Surface]:
+    def surfaces(self, shapes: Sequence[Shape], finish: Finish, thing: int | None = None) -> list[Surface]:
         """Shapes of one thing, all of one finish."""
         number = self.thing() if thing is None else thing
         return [self.surface(shape, finish, number) for shape in shapes]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, get_args
 
 import pandas as pd
@@ -71,7 +71,7 @@ def _measured(diagnosis: Diagnosis) -> dict[str, float]:
     }
 
 
-def rates(rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
+def rates(rows: Iterable[Mapping[Any, Any]]) -> pd.DataFrame:
     """A row a question: of how many scenes it was asked, of how many it found, the share and its 95 % interval.
 
     The interval is Clopper and Pearson's. Of scenes in order the share is of false alarms, of spoiled ones recall.
