@@ -16,28 +16,22 @@ from .formats.names import PICTURES
 from .sampled.settings import SampledSettings
 from .settings import SceneSettings, SourceSettings, parse_dataset_settings, require_folder
 from .source import Source
-from .sources.settings import BlenderSettings, ColmapSettings, PhotosSettings, TransformsSettings
+from .sources.settings import SETTINGS as OF_FILES
 from .toy.settings import ToySettings
 
 if TYPE_CHECKING:
     from envgs_bench.core import Scene
 
 ADDRESSES = ("obtain", "download", "photographs")  # where data are to be had: nothing that a scene is made from
+SETTINGS: dict[str, type[SourceSettings]] = {  # apart from sources: composing a run imports none
+    "toy": ToySettings,
+    **OF_FILES,
+    "sampled": SampledSettings,
+}
 BUILT_IN = {
     "toy": "envgs_bench.datasets.toy.source:SOURCE",
-    "colmap": "envgs_bench.datasets.sources.colmap:SOURCE",
-    "blender": "envgs_bench.datasets.sources.blender:SOURCE",
-    "transforms": "envgs_bench.datasets.sources.transforms:SOURCE",
-    "photos": "envgs_bench.datasets.sources.photos:SOURCE",
+    **{kind: f"envgs_bench.datasets.sources.{kind}:SOURCE" for kind in OF_FILES},
     "sampled": "envgs_bench.datasets.sampled.source:SOURCE",
-}
-SETTINGS: dict[str, type[SourceSettings]] = {  # of these, apart from them: composing a run imports no source
-    "toy": ToySettings,
-    "colmap": ColmapSettings,
-    "blender": BlenderSettings,
-    "transforms": TransformsSettings,
-    "photos": PhotosSettings,
-    "sampled": SampledSettings,
 }
 MISSING = "???"  # Hydra's word for what has to be given
 

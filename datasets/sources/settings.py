@@ -85,3 +85,11 @@ class PhotosSettings(PhotographSettings):
     feature_size: Annotated[int, Field(ge=100)] = 1600  # pixels along the longer side, for finding features
     min_registered: Annotated[float, Field(gt=0, le=1)] = 0.5  # share of the images that must be placed
     normals_frame: Frame = "camera"  # axes of normals/; camera: right, down, forward; opengl: right, up, backward
+
+
+SETTINGS: dict[str, type[SourceSettings]] = {  # kind -> its settings; the source is the file of the same name
+    "colmap": ColmapSettings,
+    "blender": BlenderSettings,
+    "transforms": TransformsSettings,
+    "photos": PhotosSettings,
+}
