@@ -22,7 +22,10 @@ PAGES = sorted(set(DOCS.rglob("*.md")) - set(NOTEBOOK))
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES]
 ROOMS = ("methods", "datasets", "metrics", "reports", "tests", "envgs_bench")  # folders of sources
 SOURCE = re.compile(r"[\w./*-]+\.(py|cpp|h|cu|cuh)")
-ELSEWHERE = {"eval.py", "metrics.py", "render.py", "utils.py", "my_method.py", "my_format.py"}  # not of this project
+ELSEWHERE = {  # not of this project
+    *("eval.py", "metrics.py", "render.py", "utils.py"),
+    *("my_method.py", "my_format.py", "nearest.py"),
+}
 
 CODE = re.compile(r"`([^`\n]+)`")
 COMMAND = re.compile(r"^ {4,}.*$|^```.*?^```", re.MULTILINE | re.DOTALL)

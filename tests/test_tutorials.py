@@ -21,7 +21,7 @@ from envgs_bench.testing import check_method
 
 TUTORIALS = Path(__file__).parents[1] / "envgs_bench" / "docs" / "tutorials"
 CONSOLE = re.compile(r"^```console\n(.*?)^```", re.MULTILINE | re.DOTALL)
-SOURCE = re.compile(r"^```python\n# (\w+\.py)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+SOURCE = re.compile(r"^```(?:python|yaml)\n# (\w+\.(?:py|yaml))\n(.*?)^```", re.MULTILINE | re.DOTALL)
 SHORT = ["steps=6", "timing.frames=1", "timing.seconds=0.01", "device=cpu"]
 TINY = [*SHORT, "dataset.width=32", "dataset.height=24", "dataset.supersampling=1"]
 PHOTOS = [*SHORT, "dataset.feature_size=240", "dataset.camera_model=SIMPLE_PINHOLE"]
