@@ -108,6 +108,16 @@ ENV_PRIMITIVES = Column(
     "of the primitives, those that only reflected rays meet",
     ranked=False,
 )
+AGREEMENT = Column(
+    "agreement_db",
+    "full",
+    "agreement dB",
+    1,
+    "higher",
+    "agreement, dB",
+    "another program's pictures against the core's of its model",
+    ranked=False,
+)
 MEGA = Decimal("1e-6")
 MEGABYTES = Column(
     "model_bytes", "full", "memory MB", 1, "lower", "memory, MB", "the model as float32", ranked=False, scale=MEGA
@@ -136,7 +146,8 @@ def accuracy_columns(metrics: Mapping[str, MetricCard]) -> tuple[Column, ...]:
 
 def main_columns(metrics: Mapping[str, MetricCard]) -> tuple[Column, ...]:
     """Everything that is known of a data set."""
-    return (*accuracy_columns(metrics), FRAME_MS, TRAIN_SECONDS, PRIMITIVES, ENV_PRIMITIVES, MEGABYTES, FILE_MEGABYTES)
+    costs = (FRAME_MS, TRAIN_SECONDS, PRIMITIVES, ENV_PRIMITIVES, MEGABYTES, FILE_MEGABYTES)
+    return (*accuracy_columns(metrics), *costs, AGREEMENT)
 
 
 SPEED_COLUMNS = (

@@ -188,6 +188,13 @@ def test_a_program_that_draws_nothing_is_scored_by_what_the_core_draws_of_its_mo
     assert record.metrics.mean["psnr"] is not None
 
 
+def test_a_report_prints_the_agreement(tmp_path: Path) -> None:
+    model_and_pictures(tmp_path / "made", flip=False)
+    with_model(tmp_path)
+    build_report(tmp_path / "runs", tmp_path / "report")
+    assert "agreement dB" in (tmp_path / "report" / "table.md").read_text()
+
+
 def test_other_conventions_show_in_the_agreement(tmp_path: Path) -> None:
     model_and_pictures(tmp_path / "made", flip=True)
     record = with_model(tmp_path)
