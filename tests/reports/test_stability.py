@@ -20,6 +20,7 @@ from envgs_bench.reports import build_report
 from envgs_bench.reports.charts.drawn import Canvas
 from envgs_bench.reports.numbers.intervals import mean_interval
 from envgs_bench.reports.studies.stability.breaking_points import breaking_point, breaking_points
+from envgs_bench.reports.studies.stability.corruption_error import mean_corruption_error
 from envgs_bench.reports.studies.stability.csv_tables import cells_table
 from envgs_bench.reports.studies.stability.expectations import expectations
 from envgs_bench.reports.studies.stability.perturbed_runs import PerturbedRun
@@ -271,6 +272,24 @@ def test_the_probability_of_improvement_is_the_u_statistic() -> None:
     assert probability_of_improvement([([1.0], [0.0])]) == (1.0, None)
 
 
+def test_the_mean_corruption_error_is_the_mean_of_ratios_of_summed_errors(tmp_path: Path) -> None:
+    """Two kinds: EnvGS has twice the baseline's error in one, and in the other a run that failed beside half of it."""
+    for severity in (1, 2):
+        write(tmp_path, "2dgs", 0, severity, 20.0)  # RMSE 0.1
+        write(tmp_path, "envgs", 0, severity, 20.0 - 20 * math.log10(2))
+        write(tmp_path, "2dgs", 0, severity, 20.0, kind="noise")
+    write(tmp_path, "envgs", 0, 1, None, kind="noise")
+    write(tmp_path, "envgs", 0, 2, 20.0 + 20 * math.log10(2), kind="noise")
+    found = mean_corruption_error(stability_of(tmp_path), "envgs")
+    assert found == (pytest.approx((2 + (1 + 0.05) / 0.2) / 2), 2)
+    assert mean_corruption_error(stability_of(tmp_path), "2dgs") == (pytest.approx(1), 2)
+
+
+def test_a_method_without_a_baseline_beside_it_has_no_corruption_error(tmp_path: Path) -> None:
+    write(tmp_path, "envgs", 0, 1, 20.0)
+    assert mean_corruption_error(stability_of(tmp_path), "envgs") is None
+
+
 def test_a_profile_counts_runs_that_did_not_finish_as_lost(tmp_path: Path) -> None:
     for seed, psnr in enumerate([29.5, 28.0, None, 30.5]):
         write(tmp_path, "envgs", seed, 0, 30.0)
@@ -383,7 +402,9 @@ def test_every_number_of_the_page_stands_in_the_csv(tmp_path: Path) -> None:
         summary = list(csv.DictReader(stream))
     points = {row["at"]: row["value"] for row in summary if row["quantity"] == "breaking_severity"}
     assert {at: float(value) for at, value in points.items()} == pytest.approx({"0.5": 1.0, "0.0": 2.0})
-    assert {row["quantity"] for row in summary} >= {"probability_of_improvement", "profile", "survival"}
+    assert {row["quantity"] for row in summary} >= {
+        *("probability_of_improvement", "mean_corruption_error", "profile", "survival")
+    }
 
 
 def sampled(folder: Path, method: str, seed: int, depth: float, degrees: float, reflected: float | None) -> None:

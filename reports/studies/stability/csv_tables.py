@@ -10,6 +10,7 @@ import pandas as pd
 from ...numbers.estimates import Estimate
 from ...numbers.intervals import Interval
 from .breaking_points import breaking_points
+from .corruption_error import mean_corruption_error
 from .perturbed_runs import FAILURES, QUANTITIES, SURVIVED, UNTRIED
 from .profiles import DROPS, drops, improvement_tasks, probability_of_improvement, profile, survival
 from .seed_distances import SEED_DISTANCES
@@ -87,13 +88,18 @@ def summary_table(stability: Stability) -> pd.DataFrame:
                 rows.append(
                     (*case, method, stability.baseline(case), name, point.share, point.severity, *ends, point.seeds)
                 )
+    baselines = {b for case in stability.cases if (b := stability.baseline(case)) is not None}
     for method in stability.methods:
         if tasks := improvement_tasks(stability, method):
             share, interval = probability_of_improvement(tasks)
-            baselines = {b for case in stability.cases if (b := stability.baseline(case)) is not None}
             against = " or ".join(sorted(baselines - {method}))
             name = "probability_of_improvement"
             rows.append(("", "", method, against, name, math.nan, share, *(interval or (None, None)), len(tasks)))
+        if (found := mean_corruption_error(stability, method)) is not None:
+            error, kinds = found
+            against = " or ".join(sorted(baselines))
+            ends = (math.nan, math.nan)
+            rows.append(("", "", method, against, "mean_corruption_error", math.nan, error, *ends, kinds))
         lost = drops(stability, method)
         severities = sorted({s for case in stability.cases for s in stability.severities(case)})
         curves = [("profile", drop, profile(lost, drop)) for drop in DROPS]

@@ -12,6 +12,7 @@ from ...tables.columns import PSNR
 from ...tables.sections import Section
 from ...tables.table import Table
 from .breaking_points import BreakingPoint, breaking_points
+from .corruption_error import mean_corruption_error
 from .expectations import expectations
 from .perturbed_runs import FAILURES, SURVIVED, UNTRIED, PerturbedRun
 from .profiles import improvement_tasks, probability_of_improvement
@@ -143,6 +144,11 @@ def _improvements(stability: Stability) -> list[str]:
             found.append(
                 f"A perturbed run of {method} scores higher than one of its baseline with a probability of "
                 f"{100 * share:.0f} % ({ends}, mean over {len(tasks)} perturbations; failed runs score lowest)."
+            )
+        if (error := mean_corruption_error(stability, method)) is not None:
+            found.append(
+                f"The mean corruption error of {method} is {error[0]:.2f} of its baseline's, over {error[1]} kinds of "
+                "perturbation; of a failed run the error is 1."
             )
     return found
 
