@@ -16,6 +16,11 @@ REFLECTIVE = "reflective"  # the region of what reflects, where a data set knows
 
 MONO = "mono"  # the loss against the views' own normals
 PERCEPTUAL = "perceptual"  # the loss between VGG-16's features
+GIVEN = {  # what a method may use of the data besides photographs, poses and points, as reports say it
+    "normals": "normals",
+    "masks": "masks of mirrors and glass",
+    "ball": "a ball that may reflect",
+}
 LOSSES = {MONO: "L_mono", PERCEPTUAL: "L_perc"}  # what cannot be had everywhere, as the paper writes it (Eq. 11)
 
 # Names of what takes torch to import: for whoever lists them.

@@ -54,7 +54,6 @@ class DeferredReflection(GaussianMethod):
         super().initialize(scene, steps)
         if self.settings.scope_radius == 0:
             return
-        self.given = [*self.given, "a ball that may reflect"]
         around = foreground_ball([view.camera for view in scene.train])
         self._scope = Ball(around.center.to(self.device), self.settings.scope_radius * around.radius)
 

@@ -135,8 +135,11 @@ class GaussianMethod(Method):
     @property
     def needs(self) -> Needs:
         s = self.settings
+        masks, ball = getattr(s, "planes", "") == "masks", getattr(s, "scope_radius", 0) > 0
+        given = (("normals", s.mono_weight > 0), ("masks", masks), ("ball", ball))
         return Needs(
             perceptual=s.rule.perceptual_loss if s.perceptual_weight > 0 else None,
+            given=tuple(name for name, uses in given if uses),
             clearance=NEAR,
             agreed_normals=s.rule.normals == "agreed" and s.mono_weight > 0,
         )
@@ -175,8 +178,6 @@ class GaussianMethod(Method):
             self.parts["noise"] = self.model.noise
         for part in self.parts.values():
             part.start(scene)
-        normals = ["normals"] if s.mono_weight > 0 and any(view.normal is not None for view in scene.train) else []
-        self.given = [*normals, *chain.from_iterable(part.given() for part in self.parts.values())]
         _forget_prepared(self)
         views = ResidentViews.of(self.device, learned)
         prune_all = partial(prune, self.model, self.draw, self.prepare, views.all_of(scene.train), s.prune_error)

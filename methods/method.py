@@ -35,11 +35,13 @@ class Needs:
     Attributes:
         perceptual: which perceptual loss it trains with, a key of `envgs_bench.metrics.PERCEPTUAL_LOSSES`; None: none.
         agreed_normals: whether it learns from normals in agreement: the harness then gives `Scene.normals`.
+        given: what it uses of the data besides photographs, poses and points, where these have it: GIVEN's keys.
         clearance: nothing may be nearer to a camera, world units, as it would not be drawn.
     """
 
     perceptual: str | None = None
     agreed_normals: bool = False
+    given: tuple[str, ...] = ()
     clearance: float = 0.0
 
 
@@ -109,8 +111,6 @@ class Method(ABC):
         dropped_losses: a loss that the settings ask for and that cannot be computed here -> why, a loss of
             `envgs_bench.parts.LOSSES` under its key there; complete once `initialize` is done. The harness adds the
             perceptual loss where it has none to offer, the method what the scene lacks.
-        given: what it used of the data besides photographs, poses and points, in a word or two each; complete once
-            `initialize` is done. Reports show it beside the row.
         notes: what the method made of the scene's normals, and what a pilot run on the scene has shown to be needed or
             not. A sentence each; complete once `initialize` is done.
     """
@@ -125,7 +125,6 @@ class Method(ABC):
         self.generator = torch.Generator().manual_seed(seed)  # on the CPU: the same numbers for every device
         self.perceptual: Callable[[Tensor, Tensor], Tensor] | None = None
         self.dropped_losses: dict[str, str] = {}
-        self.given: list[str] = []
         self.notes: list[str] = []
 
     def training_steps(self, steps: int) -> int:

@@ -8,7 +8,7 @@ place, which holds what is reflected nearby.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -117,9 +117,6 @@ class Surfaces(Part):
             near = self._model.new_set(ENV, points, torch.full_like(points, 0.5))
             near.parameters.tensors["log_scales"] += 0.5 * math.log(NEAR_SCALE)
             self._model.sets[ENV] = near
-
-    def given(self) -> Sequence[str]:
-        return ["a ball that may reflect"] if self._settings.scope_radius else []
 
     def shaded(self, gaussians: GaussianSet, camera: Camera, step: int | None) -> GaussianSet:
         """With roughness, albedo and, in Ref-GS, features as extras, [N, 4] or [N, 8]."""

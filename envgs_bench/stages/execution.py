@@ -19,7 +19,7 @@ from envgs_bench.fixed_rays import write_samples
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.settings import quickness
 from envgs_bench.metrics import WeightsUnavailable, get_protocol, make_perceptual_loss
-from envgs_bench.parts import PERCEPTUAL
+from envgs_bench.parts import GIVEN, PERCEPTUAL
 from envgs_bench.records import EXTERNAL, RENDERS
 from envgs_bench.run_folder import CHECKPOINT, CURVE_NAME
 from envgs_bench.settings import RunSettings
@@ -99,7 +99,7 @@ def execute(
         results.went_on_from = training.went_on_from
         results.losses = sorted(training.losses)
         results.dropped_losses = dict(method.dropped_losses)
-        results.given = list(method.given)
+        results.given = given_of(scene, method)
         results.notes = [*results.notes, *method.notes]
         results.warnings = [*results.warnings, *training.health.warnings]
         if training.step:  # however it ends, what was learned is kept
@@ -135,6 +135,15 @@ def offer_perceptual_loss(method: Method) -> None:
 def scene_for(method: Method, diagnosis: Diagnosis) -> Scene:
     """The scene as the method is given it: with what its normals are worth, where it learns from agreed ones."""
     return with_agreed_normals(diagnosis) if method.needs.agreed_normals else diagnosis.scene
+
+
+def given_of(scene: Scene, method: Method) -> list[str]:
+    """What the method uses of the scene's data besides photographs, poses and points, in words."""
+    there = {
+        "normals": any(view.normal is not None for view in scene.train),
+        "masks": any(mask.any() for view in scene.train for mask in view.masks.values()),
+    }
+    return [GIVEN[name] for name in method.needs.given if there.get(name, True)]
 
 
 def _seed(seed: int) -> None:

@@ -76,9 +76,6 @@ class Planes(Part):
         self._views = list(scene.train)
         self._become(proposed(scene, self._settings.planes))
 
-    def given(self) -> Sequence[str]:
-        return ["masks of mirrors and glass"] if self._settings.planes == "masks" and len(self.frames) else []
-
     @torch.no_grad()
     def begin_step(self, step: int) -> None:
         """The planes begin after the warm-up, and are aligned again with what the base set has become by then."""

@@ -174,10 +174,6 @@ class Part:
     def start(self, scene: Scene) -> None:
         """Become as before the first step of a training, whose sets have just been made."""
 
-    def given(self) -> Sequence[str]:
-        """What it uses of the data besides photographs, poses and points, see `Method.given`."""
-        return ()
-
     def begin_step(self, step: int) -> None:
         """Get ready for a training step, before anything is drawn: another phase, another resolution, other rates."""
 

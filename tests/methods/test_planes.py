@@ -17,6 +17,7 @@ from envgs_bench.methods.lighting.plane_alignment import Aligned, aligned
 from envgs_bench.methods.lighting.plane_proposals import Rectangle, inside_of, proposed
 from envgs_bench.methods.lighting.planes import Planes, behind
 from envgs_bench.methods.registry import create_method
+from envgs_bench.stages.execution import given_of
 from envgs_bench.testing import check_method, tiny_scene
 
 SMALL: dict[str, Any] = {"env_grid": 2, "env_far_count": 50}
@@ -72,11 +73,11 @@ def test_a_mirror_is_proposed_where_it_is() -> None:
     torch.testing.assert_close(found.half.sort().values, MIRROR.half.sort().values, atol=0.08, rtol=0)
 
 
-def test_a_method_says_that_it_was_given_masks() -> None:
-    for scene, given in ((mirror_room(), ["normals", "masks of mirrors and glass"]), (tiny_scene(), ["normals"])):
-        method = made()
-        method.initialize(scene, 30_000)
-        assert method.given == given
+def test_a_run_says_that_a_method_was_given_masks_where_there_are_any() -> None:
+    assert given_of(mirror_room(), made()) == ["normals", "masks of mirrors and glass"]
+    assert given_of(tiny_scene(), made()) == ["normals"]
+    assert given_of(mirror_room(), made(planes="photographs", mono_weight=0.0)) == []
+    assert given_of(tiny_scene(), create_method("ref_gs", {"scope_radius": 0.5})) == ["a ball that may reflect"]
 
 
 def test_nothing_is_proposed_where_nothing_is_flat_or_marked() -> None:
