@@ -20,7 +20,7 @@ VIEWS, COLUMNS = 4, 48  # that are compared, at most; pixels across
 STEPS = (0.04, 0.02, 0.01, 0.005, 0.0025, 0.00125)  # scene radii and radians that a plane is tried beside where it is
 ROUNDS, GAIN = 2, 1e-3  # at each of these; correlation by which another place has to be better
 MIRROR = 0.35  # correlation of what is mirrored with what views show, from which a plane is a mirror
-LEAST, MOST = 0.5, 0.95  # reflectance that a mirror begins with
+LEAST, MOST = 0.8, 0.95  # reflectance that a mirror begins with
 MARGIN = 0.01  # × scene radius, nearer than which a mirrored ray sees nothing
 
 
