@@ -79,8 +79,8 @@ def _members(path: Path) -> Iterator[tuple[str, int, IO[bytes]]]:
                     with archive.open(entry) as stream:
                         yield entry.filename, entry.file_size, stream
         return
-    with tarfile.open(path, "r:gz") as archive:
-        for member in archive:
-            stream = archive.extractfile(member) if member.isfile() else None
-            if stream is not None:
-                yield member.name.removeprefix("./"), member.size, stream
+    with tarfile.open(path, "r:gz") as members:
+        for member in members:
+            content = members.extractfile(member) if member.isfile() else None
+            if content is not None:
+                yield member.name.removeprefix("./"), member.size, content
