@@ -53,9 +53,8 @@ class GaussianMethod(Method):
         model: the sets.
         reflection: what is blended over the base set by β; None of a method without, or with another way to draw.
         parts: what the method is made of besides the sets, by name; each is told of every step.
-        runner: how steps are taken.
+        runner: how steps are taken, and what they minimize.
         pictures: how images are drawn.
-        loss: what steps minimize.
         found: what pilot runs have found, by name.
     """
 
@@ -71,7 +70,7 @@ class GaussianMethod(Method):
         self.model.policies = self.policies(self.model.schedule, None)
         self.reflection: Reflection | None = None
         self.parts: dict[str, Part] = {}
-        self.loss = TrainingLoss(settings, self.model.schedule)
+        loss = TrainingLoss(settings, self.model.schedule)
         work = Work(
             draw=lambda camera, step: self.draw(camera, step),
             losses=lambda *drawn: self.losses(*drawn),
@@ -82,7 +81,7 @@ class GaussianMethod(Method):
             restrain=self.model.restrain,
         )
         graphs = self.device.type == "cuda" and bool(vars(type(self)).get("cuda_graph"))
-        self.runner = StepRunner(work, self.device, type(self).__name__, graphs)
+        self.runner = StepRunner(work, loss, self.device, type(self).__name__, graphs)
         self.pictures = Pictures(
             lambda camera: self.draw(camera, None)[0], lambda camera: _color(self, camera), self.device, graphs
         )
@@ -119,7 +118,7 @@ class GaussianMethod(Method):
         """
         trusted = None if self.reflection is None else self.reflection.mono_weights
         perceptual = self.perceptual if self.needs.perceptual else None
-        return self.loss.terms(rendering, target, view, step, trusted, perceptual) | self.model.losses()
+        return self.runner.loss.terms(rendering, target, view, step, trusted, perceptual) | self.model.losses()
 
     def phase(self, step: int) -> Hashable:
         """What the host decides of a step: steps of equal phases launch the same kernels, whatever the numbers are.
@@ -128,7 +127,7 @@ class GaussianMethod(Method):
         device, where the class says `cuda_graph = True`.
         """
         parts = (part.phase(step) for part in self.parts.values())
-        return *self.loss.began(step), self.model.phase(step), *parts
+        return *self.runner.loss.began(step), self.model.phase(step), *parts
 
     # From start to end
 
@@ -166,7 +165,7 @@ class GaussianMethod(Method):
         pilot = partial(fresh, self, s.ruled(normals="as_given"))  # whose views agree already
         learned = learned_normals(scene, steps, self.needs.agreed_normals, self.found, pilot)
         self.notes = list(learned.notes)
-        self.loss = TrainingLoss(s, schedule, learned.weight)
+        self.runner.loss = TrainingLoss(s, schedule, learned.weight)
         self.model.start(scene, schedule, self.policies(schedule, scene))
         self.parts.pop("exposure", None)
         self.runner.exposure = None

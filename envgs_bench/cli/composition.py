@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, get_args
 
+import yaml
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.errors import CompactHydraException, MissingConfigException, OverrideParseException
@@ -41,8 +42,7 @@ def config_names(group: str) -> list[str]:
     """The options of a configuration group, as they are written behind `<group>=`."""
     root = CONF / group
     files = (path.relative_to(root).with_suffix("").as_posix() for path in root.rglob("*.yaml"))
-    presets = [f"{folder}/{scene}" for folder, scenes in PRESETS.items() for scene in scenes]
-    registered = {"method": method_names(), "dataset": [*DATASET_KINDS, *presets], "logger": list(LOGGERS)}
+    registered = {"method": method_names(), "dataset": [*DATASET_KINDS, *_presets()], "logger": list(LOGGERS)}
     return sorted({*_whole(files), *registered.get(group, [])})
 
 
@@ -109,9 +109,8 @@ def register_choices(overrides: Iterable[str] = ()) -> None:
     """
     for kind in DATASET_KINDS:
         _offer_dataset(kind)
-    for folder, scenes in PRESETS.items():
-        for scene in scenes:
-            _offer_scene(folder, scene)
+    for preset in _presets():
+        _offer_preset(preset)
     for kind in LOGGERS:
         ConfigStore.instance().store(group="logger", name=kind, node=LoggerChoice(kind=kind).model_dump())
     chosen = [override.partition("=")[2].split(",") for override in overrides if override.startswith("method=")]
@@ -129,10 +128,23 @@ def _offer_dataset(kind: str) -> None:
 
 
 @cache
-def _offer_scene(folder: str, scene: str) -> None:
-    """Offer dataset=<folder>/<scene>: a scene that is described in the project, beside what its folder shares."""
-    own = {"name": f"{folder}/{scene}", "scene": scene}
-    node = {"defaults": [f"{folder}/_base", "_self_"], "dataset": own}
+def _presets() -> dict[str, dict[str, Any]]:
+    """Scenes without a file of their own, <folder>/<scene> -> the keys of `dataset` that each has for itself.
+
+    They are those that the project describes, and those that a folder's `_scenes.yaml` lists.
+    """
+    found = {f"{folder}/{scene}": {"scene": scene} for folder, scenes in PRESETS.items() for scene in scenes}
+    for file in sorted((CONF / "dataset").glob("*/_scenes.yaml")):
+        for scene, own in yaml.safe_load(file.read_text(encoding="utf-8")).items():
+            name = f"{file.parent.name}/{scene}"
+            found[name] = {"root": f"${{data_root}}/{name}", **own}
+    return found
+
+
+@cache
+def _offer_preset(name: str) -> None:
+    folder, _, scene = name.partition("/")
+    node = {"defaults": [f"{folder}/_base", "_self_"], "dataset": {"name": name, **_presets()[name]}}
     ConfigStore.instance().store(group=f"dataset/{folder}", name=scene, node=node, package="_global_")
 
 

@@ -16,7 +16,7 @@ from envgs_bench.parts import ALPHA, BETA
 
 from .averaging import ParameterAverage
 from .exposure import AffineExposure
-from .losses import StepNumbers, training_psnr
+from .losses import StepNumbers, TrainingLoss, training_psnr
 from .resident_views import ResidentViews
 from .schedule import Every, Schedule
 from .step_graphs import Learning, StepGraphs
@@ -52,6 +52,7 @@ class StepRunner:
     """Takes the steps of one training.
 
     Attributes:
+        loss: the terms that steps minimize.
         skipped: training steps that were not applied because a loss or gradient was not finite.
         maps: what the last step drew, see `Monitor.last_maps`.
         views: the training views on the device.
@@ -61,7 +62,8 @@ class StepRunner:
         uses_graphs: whether steps are taken from them.
     """
 
-    def __init__(self, work: Work, device: torch.device, owner: str, uses_graphs: bool) -> None:
+    def __init__(self, work: Work, loss: TrainingLoss, device: torch.device, owner: str, uses_graphs: bool) -> None:
+        self.loss = loss
         self.skipped: int | Tensor = 0
         self.maps: Mapping[str, Tensor] = {}
         self.uses_graphs = uses_graphs
