@@ -107,7 +107,8 @@ def test_names_are_keys_of_their_own(name: str) -> None:
 
 
 def test_no_list_of_metrics_is_kept_elsewhere() -> None:
-    """Three names in one file are a list. One is of what older records lack; a study asks for metrics by name."""
+    """Three names in one file are a list. One is of what older records lack, one of what another program's format has;
+    a study asks for metrics by name."""
     files = {f"{room.name}/{path.relative_to(room)}": path for room in ROOMS for path in room.rglob("*.py")}
     files |= {str(path.relative_to(PACKAGE)): path for path in PACKAGE.rglob("*.py")}
     found = set()
@@ -118,4 +119,4 @@ def test_no_list_of_metrics_is_kept_elsewhere() -> None:
         strings = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)}
         if len(strings & REGISTERED.keys()) > 2:
             found.add(place)
-    assert found == {"metrics/registry.py", "reports/numbers/cards.py"}
+    assert found == {"metrics/registry.py", "reports/numbers/cards.py", "stored/nerfbaselines.py"}
