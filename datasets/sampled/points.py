@@ -101,7 +101,8 @@ def _on_sky(view: View, count: int, rng: np.random.Generator) -> tuple[Array, Ar
     assert view.depth is not None
     pixels = np.flatnonzero(view.depth.numpy().reshape(-1) == 0)
     chosen = rng.choice(pixels, min(count, pixels.size), replace=False)
-    distance = np.exp(rng.uniform(*np.log(FAR), chosen.size))
+    nearest, farthest = (float(np.log(end)) for end in FAR)
+    distance = np.exp(rng.uniform(nearest, farthest, chosen.size))
     origins, directions = (rays.reshape(-1, 3).double().numpy()[chosen] for rays in view.camera.rays())
     return origins + distance[:, None] * directions, _colors(view)[chosen]
 

@@ -74,7 +74,7 @@ class Lump:
             angle = direction @ np.array(frequency) + phase
             size = size + amplitude * np.sin(angle)
             slope = slope + (amplitude * np.cos(angle))[..., None] * np.array(frequency)
-        slope -= (slope * direction).sum(-1, keepdims=True) * direction
+        slope = slope - (slope * direction).sum(-1, keepdims=True) * direction
         stretch = np.array([1, 1, self.flat])
         normal = _unit((direction - slope / size[..., None]) / stretch)
         return np.array(self.center) + self.radius * size[..., None] * direction * stretch, normal
@@ -101,7 +101,7 @@ class Knot:
         step = 1e-4
         middle, ahead, behind = self._curve(u), self._curve(u + step), self._curve(u - step)
         along = _unit(ahead - behind)
-        first = ahead + behind - 2 * middle
+        first: Array = ahead + behind - 2 * middle
         first = _unit(first - (first * along).sum(-1, keepdims=True) * along)
         angle = 2 * np.pi * v[..., None]
         normal = np.cos(angle) * first + np.sin(angle) * np.cross(along, first)
