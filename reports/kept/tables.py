@@ -144,7 +144,9 @@ def scores(runs: KeptRuns, metric: str = "psnr", region: str = FULL) -> str:
             printed.append(_cell(column, found[method], values.get(method) == best and column.ranked))
         rows.append([f"`{method}`", *printed])
     heads = [heading(place) for place in places]
-    what = f"{column.axis[:1].upper()}{column.axis[1:]}, mean over seeds ± their standard deviation"
+    what = f"{column.axis[:1].upper()}{column.axis[1:]}"
+    if runs.rows["seed"].nunique() > 1:
+        what += ", mean over seeds ± their standard deviation"
     return f"{_markdown(['method', *heads], rows)}\n{runs.caption(what)}\n"
 
 
