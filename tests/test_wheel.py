@@ -75,7 +75,13 @@ def test_it_holds_a_module_for_each_target_but_no_pictures_and_no_sources_of_the
     assert not [name for name in names if name.startswith(left_out) or name.endswith(".cpp")]
     assert "envgs_bench/docs/reference/core.md" in names
     assert len(names) == len(set(names))  # the links to folders of the package bring nothing twice
-    for kernel in ("core/cuda/draw_tiles.cu", "core/kernels/blend.h", "methods/envgs.py", "conf/config.yaml"):
+    for kernel in (
+        "core/cuda/draw_tiles.cu",
+        "core/kernels/blend.h",
+        "methods/envgs.py",
+        "conf/config.yaml",
+        "programs/recipes/gsplat.yaml",
+    ):
         assert f"envgs_bench/{kernel}" in names
     assert wheel.stat().st_size < 4e6
     modules = {name.split("/")[-1].split(".")[0] for name in names if name.startswith("envgs_bench/core/cpu/_native_")}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from envgs_bench.core import rasterize
 from envgs_bench.datasets.formats.pictures import read_picture
 from envgs_bench.methods.storage.ply import read_gaussians, write_ply
 from envgs_bench.methods.storage.splats import encode_splats
+from envgs_bench.programs.memory import MemoryWatch
 from envgs_bench.records import Record
 from envgs_bench.reports import build_report
 from envgs_bench.stages.pictures import as_bytes
@@ -248,6 +250,28 @@ def test_an_interrupted_training_goes_on_where_the_recipe_can(tmp_path: Path, re
     (record,) = records(tmp_path / "runs")
     assert record.program is not None
     assert len(record.program.commands["train"]) == (2 if resume else 1)
+
+
+def test_ctrl_c_ends_the_program_and_the_same_command_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    recipe = recipe_file(tmp_path, "hangs", "--once")
+
+    def look(watch: MemoryWatch, pid: int | None) -> None:
+        """Interrupts once the program and what it started are there."""
+        if pid is not None and psutil.Process(pid).children():
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(MemoryWatch, "look", look)
+        assert run_here(tmp_path / "runs", *external(recipe)) == 130
+    time.sleep(0.2)
+    child = int(capfd.readouterr().err.partition("child ")[2].split()[0])
+    assert not psutil.pid_exists(child) or psutil.Process(child).status() == psutil.STATUS_ZOMBIE
+    assert run_here(tmp_path / "runs", *external(recipe)) == 0
+    (record,) = records(tmp_path / "runs")
+    assert record.status == "ok"
+    assert (only_folder(tmp_path / "runs") / "attempts.txt").read_text().splitlines() == 2 * ["4 --once"]
 
 
 def test_a_time_limit_ends_the_program_and_all_that_it_started(tmp_path: Path) -> None:
