@@ -118,7 +118,7 @@ def test_what_a_worker_leaves_behind_is_ended(tmp_path: Path, monkeypatch: pytes
     monkeypatch.chdir(tmp_path)
     began = time.monotonic()
     assert run_anew(tmp_path / "runs", "method.kind=fakes.methods:LeavesProcesses") == 0
-    assert time.monotonic() - began < 15
+    assert time.monotonic() - began < 120  # those that are left sleep for ten minutes
     left = [int(number) for number in (tmp_path / "left").read_text().split()]
     assert len(left) == 3
     until(lambda: not any(lives(number) for number in left), 15)
