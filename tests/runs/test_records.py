@@ -34,6 +34,8 @@ PROVENANCE = {
 }
 SCORES = {"psnr": 20.0, "ssim": 0.5, "flip": 0.2, "lpips": None}
 CONTENT = {
+    "attributes": {},
+    "given": [],
     "schema_version": 1,
     "status": "ok",
     "error": None,
@@ -100,6 +102,8 @@ CONTENT = {
     "provenance": PROVENANCE,
 }
 LATER = (
+    "attributes",
+    "given",
     "card",
     "data",
     "placement",
