@@ -5,7 +5,7 @@ SciPy's spatial module takes 0.3 s to import: where methods are only listed or c
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 import torch
@@ -16,7 +16,6 @@ from .ordering import morton_codes
 from .parameters import inverse_sigmoid, sh_from_rgb
 
 Orientation = Literal["surface", "random", "positive", "world"]
-ORIENTATIONS: tuple[Orientation, ...] = get_args(Orientation)
 
 NEIGHBORS = 3
 PLANE_NEIGHBORS = 8

@@ -1,6 +1,6 @@
 """FrameGraphs: the kernels of a picture recorded once as a CUDA graph, and replayed for other cameras of its size.
 
-A small picture is some dozens of kernels, which Python launches more slowly than they run. As of a recorded step,
+A small picture is some dozens of kernels, which Python launches more slowly than they run. As of a step's CUDA graph,
 nobody can look into a graph that runs: a picture that had too little room for its lists is NaN, and is drawn again as
 it would have been without a graph.
 """

@@ -1,6 +1,7 @@
 """Initialization against closed forms."""
 
 from dataclasses import replace
+from typing import get_args
 
 import pytest
 import torch
@@ -9,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from envgs_bench.core import Scene
 from envgs_bench.methods.envgs import environment_box
 from envgs_bench.methods.gaussians.initialization import (
-    ORIENTATIONS,
+    Orientation,
     initial_orientation,
     initial_tensors,
     neighbor_distance,
@@ -88,7 +89,7 @@ def test_initial_orientations():
     generator = torch.Generator().manual_seed(0)
     points = torch.rand(2000, 3, generator=generator) * torch.tensor([0.0, 1, 1])
     faced = {}
-    for orientation in ORIENTATIONS:
+    for orientation in get_args(Orientation):
         quaternions = initial_orientation(points, orientation, generator).double().numpy()
         faced[orientation] = torch.from_numpy(Rotation.from_quat(quaternions, scalar_first=True).as_matrix()[:, :, 2])
     torch.testing.assert_close(faced["surface"][:, 0].abs(), torch.ones(2000, dtype=torch.float64))

@@ -18,7 +18,7 @@ GROUND = 5.0  # from the middle to its edge
 
 
 def copper_table(rng: np.random.Generator) -> Description:
-    """Half of a picture is glaze over a painted table, a tenth chrome and copper; the rest is matt."""
+    """Half of a picture is glaze over a painted table, a tenth chrome and copper; the rest is diffuse."""
     parts = [*_ground(rng), *_table(rng), *_metal(), *_painted_things(rng)]
     return Description(parts, afternoon(rng), Orbit((0, 0, TOP + 0.1), 2.3, 0.25, 1.7, 0.4, 50), far_points=300)
 

@@ -19,7 +19,6 @@ from ...tables.sections import Section
 FEWEST_SCENES = 8
 CHOOSING = 32  # scenes of a smaller seed are for choosing settings, others for judging them
 LEVEL_DB = 0.1  # behind by no more is level
-SURELY_DB = 0.3  # behind by more is a failure
 PARTS = {"choosing": f"seeds below {CHOOSING}", "judging": f"seeds from {CHOOSING}"}
 METRICS = ("psnr", "frame_ms", "train_seconds", "primitives", "model_bytes")
 
