@@ -27,6 +27,7 @@ from envgs_bench.methods.storage.splats import encode_splats
 from envgs_bench.programs.memory import MemoryWatch
 from envgs_bench.records import Record
 from envgs_bench.reports import build_report
+from envgs_bench.run_folder import layer_path
 from envgs_bench.stages.pictures import as_bytes
 from envgs_bench.stored.reopening import reopen
 
@@ -164,12 +165,12 @@ def test_gaussians_that_it_writes_are_drawn_timed_and_held_against_its_pictures(
     assert record.cost.primitives == {"base": len(tiny({"name": "tiny"}, tmp_path).points), "env": 0}
     folder = only_folder(tmp_path / "runs")
     assert record.cost.checkpoint_bytes == (folder / "checkpoint" / "model.ply").stat().st_size
-    assert (folder / "layers" / "view0-core.png").is_file()
+    assert layer_path(folder, "view0", "core").is_file()
     _, method = reopen(folder, "cpu")
     method.prepare()
     view = tiny({"name": "tiny"}, tmp_path).test[0]
     drawn = as_bytes(method.render(view.camera).color)
-    assert np.array_equal(drawn, np.asarray(Image.open(folder / "layers" / "view0-core.png")))
+    assert np.array_equal(drawn, np.asarray(Image.openlayer_path(folder, "view0", "core")))
 
 
 def test_a_program_that_draws_nothing_is_scored_by_what_the_core_draws_of_its_model(tmp_path: Path) -> None:
