@@ -170,7 +170,7 @@ def test_gaussians_that_it_writes_are_drawn_timed_and_held_against_its_pictures(
     method.prepare()
     view = tiny({"name": "tiny"}, tmp_path).test[0]
     drawn = as_bytes(method.render(view.camera).color)
-    assert np.array_equal(drawn, np.asarray(Image.openlayer_path(folder, "view0", "core")))
+    assert np.array_equal(drawn, np.asarray(Image.open(layer_path(folder, "view0", "core"))))
 
 
 def test_a_program_that_draws_nothing_is_scored_by_what_the_core_draws_of_its_model(tmp_path: Path) -> None:
