@@ -105,10 +105,10 @@ def test_albedos_begin_as_the_points_colors() -> None:
 def test_gradients_are_those_of_finite_differences(settings: dict[str, Any]) -> None:
     method = at_random(**settings)
     base = method.model.sets["base"].parameters.tensors
-    inputs = dict(method.light.tensors) | {name: base[name] for name in ("albedo_logs", "roughness_logits")}
+    inputs = dict(method.light.tensors) | {name: base[name] for name in ("albedo_logs",)}
     second = method.model.sets["env" if settings else "base"].parameters.tensors
     inputs["features"] = second["feature_logits"]
-    assert_gradients_are_differences(method, CAMERA, inputs, 1e-2)
+    assert_gradients_are_differences(method, CAMERA, inputs, 2e-2)
 
 
 @pytest.mark.parametrize("layout", ["ply", "compact"])
