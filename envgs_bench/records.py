@@ -23,7 +23,8 @@ ELSEWHERE = (RENDERS, EXTERNAL)  # the kinds whose pictures another program draw
 
 Status = Literal["ok", "failed", "diverged", "out_of_memory", "timeout", "interrupted"]
 ScoredOn = Literal["test", "validation"]
-RepairKind = Literal["points", "poses", "exposures", "normals"]  # what a run may repair of its scene; normals: mirrored
+RepairKind = Literal["exposures", "normals"]  # what a run may repair of its scene; normals: mirrored ones
+RepairName = Annotated[str, Field(pattern=r"^[a-z_]{1,40}$")]  # a RepairKind, or what an older record has in its place
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
 Count = Annotated[int, Field(ge=0, le=int(LARGEST))]
 MetricName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,59}$")]  # a part of files' names
@@ -103,7 +104,7 @@ class TrainingWarning(_Part):
 class RepairOutcome(_Part):
     """What became of a repair that the run asked for; see `envgs_bench.diagnosis`."""
 
-    kind: RepairKind
+    kind: RepairName
     kept: bool  # whether anything was changed
     message: str  # what was changed, or why nothing was
     evidence: dict[str, Finite] = {}  # what it was decided by
@@ -249,7 +250,7 @@ class Record(_Part):
     protocol: ProtocolName
     scored_on: ScoredOn = "test"  # which views' scores and times these are
     perturbation: Perturbed | None = None
-    repair: tuple[RepairKind, ...] = ()  # what the run asked for, of all its methods alike
+    repair: tuple[RepairName, ...] = ()  # what the run asked for, of all its methods alike
     repairs: list[RepairOutcome] = []  # what became of it, in the order in which it was done
     warnings: list[TrainingWarning] = []  # in the order of their steps
     notes: list[str] = []  # what was noticed of the data, what the method made of its normals, what pilot runs found

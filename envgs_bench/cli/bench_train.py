@@ -132,7 +132,7 @@ def _contest(options: argparse.Namespace) -> tuple[Contest, list[Entry]]:
     _check_gsplat(options.gsplat, device)
     scene = load_run_scene(first)
     check_scene(scene)
-    scene = repaired(Diagnosis(scene, device), first.repair, first.seed)[0].scene
+    scene = repaired(Diagnosis(scene, device), first.repair)[0].scene
     views = scored_views(scene, first.score_on)
     entries = [_entry(settings, device) for settings in chosen]
     steps = first.steps

@@ -15,23 +15,19 @@ CONTRAST = 0.02  # deviation of gray values, in [0, 1], above which a cell shows
 
 
 @torch.no_grad()
-def empty_cells(scene: Scene, near: float, device: torch.device | str = "cpu") -> tuple[Tensor, float]:
-    """Which cells of each view show something and none of the scene's points; and the share that has some.
+def coverage(scene: Scene, near: float, device: torch.device | str = "cpu") -> float:
+    """Of the cells that show something the share with a point, of the median view; 1 where no cell does.
 
     A cell of one color, a clear sky, shows nothing that a point could be found on.
 
     Args:
         device: where all pixels and points are looked at, much sooner on a GPU.
-
-    Returns:
-        [V, CELLS, CELLS] by rows and columns, on the CPU; and of the cells that show something the share with a point,
-        of the median view: 1 where no cell does.
     """
     points = scene.points.detach().to(device).float()
     textured = torch.stack([_textured_cells(view, device) for view in scene.train]).cpu()
     empty = textured & ~torch.stack([cells_with(points, view, near) for view in scene.train]).cpu()
     shares = 1 - empty.sum(dim=(1, 2)) / textured.sum(dim=(1, 2)).clamp_min(1)
-    return empty, statistics.median(shares.tolist())
+    return statistics.median(shares.tolist())
 
 
 def cells_with(points: Tensor, view: View, near: float) -> Tensor:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from envgs_bench.core import Scene
 
-from .coverage import empty_cells
+from .coverage import coverage
 from .exposures import Exposures, exposures
 from .mirrored_normals import mirrored_views, normals_unmirrored
 from .normal_agreement import NormalAgreement, normal_agreement
@@ -50,7 +50,7 @@ class Diagnosis:
     @cached_property
     def coverage(self) -> float:
         """Share of what the median view shows that has a point."""
-        return empty_cells(self.scene, self.near, self.device)[1]
+        return coverage(self.scene, self.near, self.device)
 
     @property
     def points_in_order(self) -> bool:

@@ -1,10 +1,7 @@
-"""Points from photographs alone, where structure from motion left none: a sparse plane sweep (Collins, CVPR 1996).
+"""Depths of single pixels from photographs alone: a sparse plane sweep (Collins, CVPR 1996).
 
 A pixel's depth is that at which the patch around it looks alike in the nearest other views. It is taken for known
-only where all other depths look clearly worse, so that neither walls without texture nor curved mirrors get points.
-
-What is too far away for a depth, a sky, looks alike in whatever views show its direction. The nearest mostly do not:
-cameras around a scene that move by a tenth of it turn by six degrees. So all views are asked for that.
+only where all other depths look clearly worse: neither walls without texture nor curved mirrors have such depths.
 """
 
 from __future__ import annotations
@@ -27,9 +24,7 @@ FINER = 9  # of a second one around the best of them
 CLEARLY = 0.6  # × the least difference at any other depth is the most that a match may have
 LEAST_CONTRAST = 0.01  # by how much other depths must look worse, of the range of sRGB
 OTHERWISE = 2  # depths beside the best that are no others
-INFINITY = 1e4  # × the farthest depth
 NEAREST, FARTHEST = 0.1, 20.0  # depths that are swept, × the scene radius
-DISTANT = 4  # pixels by which the nearest views show what is at infinity beside what is at a depth that is another
 
 
 def depth_range(scene: Scene, near: float) -> tuple[float, float]:
@@ -70,22 +65,20 @@ class Matches:
     """How the nearest other views show K pixels of a view at each of the depths that are looked at.
 
     Attributes:
-        differences: [K, DEPTHS] how differently.
-        least, best: [K] the least of these, and its index.
+        best: [K] index of the depth at which they show them least differently.
         clear: [K] whether something lies at that depth: at all others it looks clearly worse.
     """
 
-    differences: Tensor
-    least: Tensor
     best: Tensor
     clear: Tensor
 
     @classmethod
     def of(cls, differences: Tensor) -> Matches:
+        """Of differences [K, DEPTHS]."""
         least, best = differences.min(dim=1)
         elsewhere = (torch.arange(DEPTHS, device=best.device) - best[:, None]).abs() > OTHERWISE
         other = torch.where(elsewhere, differences, torch.inf).amin(dim=1)
-        return cls(differences, least, best, (best > 0) & (best < DEPTHS - 1) & _clearly(least, other))
+        return cls(best, (best > 0) & (best < DEPTHS - 1) & _clearly(least, other))
 
 
 class PlaneSweep:
@@ -99,7 +92,7 @@ class PlaneSweep:
     """
 
     def __init__(self, views: Sequence[SweptView], near: float, far: float) -> None:
-        self.views, self.near, self.far = views, near, far
+        self.views = views
         self._step = (far / near) ** (1 / (DEPTHS - 1))
         centers = torch.stack([each.camera.center for each in views])
         axes = torch.stack([each.camera.world_to_camera[2, :3] for each in views])
@@ -124,32 +117,6 @@ class PlaneSweep:
         return camera.center + depths[:, None] * _directions(camera, pixels)
 
 
-@torch.no_grad()
-def swept_points(
-    views: Sequence[View],
-    wanted: Sequence[Tensor],
-    near: float,
-    far: float,
-    generator: torch.Generator,
-    device: torch.device,
-) -> tuple[Tensor, Tensor]:
-    """Points [P, 3], world frame, and their colors [P, 3] in [0, 1], sRGB, on the CPU.
-
-    Args:
-        wanted: pixel positions (x, y) [K, 2] in each view whose depth is looked for; many of them have none to find.
-        near, far: depths between which it lies, world units, 0 < near < far.
-        generator: for the depths, up to `far`, of what is at infinity as far as views can tell.
-    """
-    sweep = PlaneSweep([SweptView.of(view, device) for view in views], near, far)
-    found: list[tuple[Tensor, Tensor]] = [(torch.zeros(0, 3), torch.zeros(0, 3))]
-    for index, pixels in enumerate(wanted):
-        if len(pixels) and sweep.neighbors[index]:
-            points = _swept(sweep, index, pixels.to(device), generator)
-            found.append((points.cpu(), sweep.views[index].colors(points).nan_to_num(0.5).cpu()))
-    points, colors = (torch.cat(parts) for parts in zip(*found, strict=True))
-    return points, colors
-
-
 def _nearest(centers: Tensor, axes: Tensor, index: int) -> list[int]:
     distance = (centers - centers[index]).norm(dim=1)
     usable = (axes @ axes[index] > 0.5) & (distance > 1e-6)
@@ -157,33 +124,8 @@ def _nearest(centers: Tensor, axes: Tensor, index: int) -> list[int]:
     return torch.where(usable, distance, torch.inf).argsort()[:count].tolist() if count >= AGREEING else []
 
 
-def _swept(sweep: PlaneSweep, index: int, pixels: Tensor, generator: torch.Generator) -> Tensor:
-    """Points of those of the pixels [K, 2] whose depth is clear, or that are clearly too far away to have one."""
-    view, everywhere = sweep.views[index], [*sweep.views[:index], *sweep.views[index + 1 :]]
-    matches = sweep.matches(index, pixels)
-    infinite = pixels.new_full((len(pixels), 1), INFINITY * sweep.far)
-    at_infinity = _differences(view, everywhere, pixels, infinite)[:, 0]
-
-    nearest_distant = min(max(_distant_from(view, sweep.neighbors[index]), sweep.near), sweep.far)
-    nearby = torch.where(sweep.depths < nearest_distant, matches.differences, torch.inf).amin(dim=1)
-    clear = matches.clear & (matches.least < CLEARLY * at_infinity)
-    distant = ~clear & _clearly(at_infinity, nearby)
-
-    drawn = torch.rand(int(distant.sum()), generator=generator).to(pixels)
-    far_away = nearest_distant * (sweep.far / nearest_distant) ** drawn
-    depths = torch.cat([sweep.finer(index, pixels[clear], matches.best[clear]), far_away])
-    return sweep.points(index, torch.cat([pixels[clear], pixels[distant]]), depths)
-
-
 def _clearly(least: Tensor, other: Tensor) -> Tensor:
     return other.isfinite() & (least < CLEARLY * other) & (other - least > LEAST_CONTRAST)
-
-
-def _distant_from(view: SweptView, others: list[SweptView]) -> float:
-    """The depth from which on the other views show something at most DISTANT pixels beside what is at infinity."""
-    baseline = torch.stack([(other.camera.center - view.camera.center).norm() for other in others]).median()
-    focal = view.camera.intrinsics[0, 0] * view.picture.shape[3] / view.camera.width
-    return float(baseline * focal / DISTANT)
 
 
 def _differences(view: SweptView, others: list[SweptView], pixels: Tensor, depths: Tensor) -> Tensor:

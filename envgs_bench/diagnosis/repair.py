@@ -8,60 +8,35 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import torch
-
 from envgs_bench.core import Scene, View
 from envgs_bench.records import RepairKind, RepairOutcome
 
 from .diagnosis import Diagnosis
 from .exposures import equalized
 from .mirrored_normals import mirrored_normals
-from .points import repaired_points, with_far_points
-from .poses import turned
-from .thresholds import TURNED
 
 Repaired = tuple[Scene, RepairOutcome]
 
 
-def repaired(diagnosis: Diagnosis, kinds: Sequence[RepairKind], seed: int) -> tuple[Diagnosis, list[RepairOutcome]]:
+def repaired(diagnosis: Diagnosis, kinds: Sequence[RepairKind]) -> tuple[Diagnosis, list[RepairOutcome]]:
     """The diagnosis of the scene after these repairs, the same object where none was made; and what became of each.
 
-    Points come first, since poses and exposures are told by them; normals last, since views turn theirs.
-
-    Args:
-        seed: of the pixels that a plane sweep looks at.
+    Exposures come first.
     """
     outcomes = []
     for kind in (kind for kind in REPAIRS if kind in kinds):
-        scene, outcome = REPAIRS[kind](diagnosis, seed)
+        scene, outcome = REPAIRS[kind](diagnosis)
         outcomes.append(outcome)
         if scene is not diagnosis.scene:
             diagnosis = Diagnosis(scene, diagnosis.device)
     return diagnosis, outcomes
 
 
-def _points(diagnosis: Diagnosis, seed: int) -> Repaired:
-    scene, near, device = diagnosis.scene, diagnosis.near, diagnosis.device
-    generator = torch.Generator().manual_seed(seed)
-    found = {"photo_consistency": diagnosis.photo_consistency, "coverage": diagnosis.coverage}
-    start = repaired_points(scene, near, generator, device)
-    if start is not scene:
-        said = (
-            f"{len(start.points):,} points in place of {len(scene.points):,}: those that the training views support, "
-            "and others found by a plane sweep over them"
-        )
-        return start, RepairOutcome(kind="points", kept=True, message=said, evidence=found)
-    start = with_far_points(scene, near, generator, device)
-    if start is not scene:
-        more = len(start.points) - len(scene.points)
-        said = f"{more:,} points far away, found by a plane sweep: the scene has none on most of what is there"
-        return start, RepairOutcome(kind="points", kept=True, message=said, evidence=found)
-    return scene, RepairOutcome(kind="points", kept=False, message="points are in order", evidence=found)
-
-
-def _exposures(diagnosis: Diagnosis, seed: int) -> Repaired:
+def _exposures(diagnosis: Diagnosis) -> Repaired:
     if not diagnosis.points_in_order:
-        return diagnosis.scene, _unknown("exposures", diagnosis)
+        said = "the points, which are missing, wrong or of one color, say nothing of that"
+        unknown = {"photo_consistency": diagnosis.photo_consistency, "coverage": diagnosis.coverage}
+        return diagnosis.scene, RepairOutcome(kind="exposures", kept=False, message=said, evidence=unknown)
     bright = diagnosis.exposures
     found = {"stops": bright.stops}
     if not bright.factors:
@@ -81,24 +56,7 @@ def _exposures(diagnosis: Diagnosis, seed: int) -> Repaired:
     return _with_views(diagnosis.scene, equal), outcome
 
 
-def _poses(diagnosis: Diagnosis, seed: int) -> Repaired:
-    if not diagnosis.points_in_order or diagnosis.observations.colorless:
-        return diagnosis.scene, _unknown("poses", diagnosis)
-    aligned = diagnosis.alignment
-    found = {"gain": aligned.gain, "degrees": aligned.degrees}
-    if aligned.gain < TURNED:
-        return diagnosis.scene, RepairOutcome(kind="poses", kept=False, message="poses are in order", evidence=found)
-    each = zip(diagnosis.scene.train, aligned.turns, aligned.gains, strict=True)
-    turns = {view.name: turn for view, turn, gain in each if gain > 0}
-    said = (
-        f"{len(turns)} of {len(diagnosis.scene.train)} training views are turned to where they show the points, the "
-        f"median view by {aligned.degrees:.1f}°"
-    )
-    scene = _with_views(diagnosis.scene, lambda view: turned(view, turns[view.name]) if view.name in turns else view)
-    return scene, RepairOutcome(kind="poses", kept=True, message=said, evidence=found)
-
-
-def _normals(diagnosis: Diagnosis, seed: int) -> Repaired:
+def _normals(diagnosis: Diagnosis) -> Repaired:
     scene, mirrored = diagnosis.scene, frozenset(diagnosis.mirrored)
     found = {"mirrored_views": float(len(mirrored))}
     if not mirrored:
@@ -113,22 +71,11 @@ def _normals(diagnosis: Diagnosis, seed: int) -> Repaired:
     return _with_views(scene, unmirrored), RepairOutcome(kind="normals", kept=True, message=said, evidence=found)
 
 
-def _unknown(kind: RepairKind, diagnosis: Diagnosis) -> RepairOutcome:
-    return RepairOutcome(
-        kind=kind,
-        kept=False,
-        message="the points, which are missing, wrong or of one color, say nothing of that",
-        evidence={"photo_consistency": diagnosis.photo_consistency, "coverage": diagnosis.coverage},
-    )
-
-
 def _with_views(scene: Scene, changed: Callable[[View], View]) -> Scene:
     return replace(scene, train=[changed(view) for view in scene.train])
 
 
-REPAIRS: dict[RepairKind, Callable[[Diagnosis, int], Repaired]] = {
-    "points": _points,
+REPAIRS: dict[RepairKind, Callable[[Diagnosis], Repaired]] = {
     "exposures": _exposures,
-    "poses": _poses,
     "normals": _normals,
 }

@@ -78,7 +78,7 @@ def execute(
     diagnosis = Diagnosis(scene, method.device)
     if len(scene.points):  # a method refuses others
         results.warnings = scene_warnings(diagnosis, results.steps, quickness(method.settings), near_of(method, scene))
-        diagnosis, results.repairs = repaired(diagnosis, settings.repair, settings.seed)
+        diagnosis, results.repairs = repaired(diagnosis, settings.repair)
         scene = scene_for(method, diagnosis)
     for warning in results.warnings:
         report({"stage": "training", "step": 0, "steps": results.steps, "warning": warning.model_dump()})

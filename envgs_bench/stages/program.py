@@ -90,9 +90,7 @@ def run_program(
 def _repaired(scene: Scene, settings: RunSettings, results: Results) -> Scene:
     if not settings.repair:
         return scene
-    diagnosis, results.repairs = repaired(
-        Diagnosis(scene, torch.device(settings.device)), settings.repair, settings.seed
-    )
+    diagnosis, results.repairs = repaired(Diagnosis(scene, torch.device(settings.device)), settings.repair)
     return diagnosis.scene
 
 

@@ -38,7 +38,7 @@ def test_rates_are_shares_with_their_intervals() -> None:
 def test_what_is_spoiled_is_a_perturbation_that_a_repair_is_for() -> None:
     for kind, severity, repair, _ in SPOILED:
         assert severity <= len(PERTURBATIONS[kind].levels)
-        assert repair in REPAIRS
+        assert repair is None or repair in REPAIRS
 
 
 def test_every_warning_of_a_scene_is_asked() -> None:
@@ -66,8 +66,8 @@ def test_mirrored_normals_count_as_found_where_just_those_views_are_named(
     monkeypatch.setattr(diagnosis_counts, "Diagnosis", diagnosis)
     monkeypatch.setattr(diagnosis_counts, "_measured", lambda _: {})
     monkeypatch.setattr(diagnosis_counts, "scene_warnings", lambda *_: [SimpleNamespace(kind="poses_off")])
-    outcome = [SimpleNamespace(kind="normals", kept=True, message="")]
-    monkeypatch.setattr(diagnosis_counts, "repaired", lambda given, kinds, seed: (given, outcome))
+    named = [SimpleNamespace(kind="normals", kept=True, message="")]
+    monkeypatch.setattr(diagnosis_counts, "repaired", lambda given, kinds: (given, named if "normals" in kinds else []))
     for every in (False, True):
         table = pd.DataFrame(counted(room, 0)).set_index(["spoiled", "asked"])["found"]
         assert table["normals_mirrored", "repair normals"] == (not every)

@@ -182,12 +182,12 @@ def test_protocols_and_devices_never_share_a_table(tmp_path: Path) -> None:
 
 def test_repaired_and_unrepaired_runs_never_share_a_table(tmp_path: Path) -> None:
     write_runs(tmp_path / "runs", pictures=False)
-    write_runs(tmp_path / "runs/b", seeds=(0, 1), pictures=False, repair=["poses", "normals"])
+    write_runs(tmp_path / "runs/b", seeds=(0, 1), pictures=False, repair=["exposures", "normals"])
     sections = sections_of(tmp_path / "runs")
-    assert [(s.repair, len(s.runs)) for s in sections] == [((), 12), (("poses", "normals"), 8)]
+    assert [(s.repair, len(s.runs)) for s in sections] == [((), 12), (("exposures", "normals"), 8)]
     assert len({section.slug for section in sections}) == 2
     for text in (sections[1].title, sections[1].short, markdown(list(map(chapter, sections)), [])):
-        assert "repair of poses and normals" in text
+        assert "repair of exposures and normals" in text
     assert "repair" not in sections[0].title
 
 

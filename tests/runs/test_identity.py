@@ -55,7 +55,7 @@ def settings(**changes: Any) -> RunSettings:
         {"protocol": "strict"},
         {"score_on": "validation"},
         {"budget": {"primitives": 1000, "mb": None}},
-        {"repair": "poses"},
+        {"repair": "exposures"},
         {"seed": 1},
         {"steps": 11},
         {"timing": {"frames": 51, "seconds": 1.0}},
@@ -75,10 +75,10 @@ def test_scoring_on_validation_views_takes_them_out_of_the_training_views() -> N
 
 def test_equal_repairs_are_one_run_however_they_are_written() -> None:
     assert settings(repair="none").repair == settings(repair=None).repair == settings().repair == ()
-    assert settings(repair=["normals", "points"]).repair == settings(repair=["points", "normals"]).repair
-    assert settings(repair="poses").repair == settings(repair=["poses"]).repair == ("poses",)
+    assert settings(repair=["normals", "exposures"]).repair == settings(repair=["exposures", "normals"]).repair
+    assert settings(repair="normals").repair == settings(repair=["normals"]).repair == ("normals",)
     with pytest.raises(
-        SettingsError, match=r"repair=\['windows'\]: Input should be 'none', or a list of points, poses"
+        SettingsError, match=r"repair=\['windows'\]: Input should be 'none', or a list of exposures, normals"
     ):
         settings(repair=["windows"])
 

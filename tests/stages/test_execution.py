@@ -17,7 +17,7 @@ from envgs_bench.methods.registry import create_method
 from envgs_bench.metrics import WeightsUnavailable
 from envgs_bench.records import RepairOutcome
 from envgs_bench.settings import parse_settings
-from envgs_bench.stages import cost, execution
+from envgs_bench.stages import cost, execution, loading
 from envgs_bench.stages.results import Results
 from envgs_bench.stages.training import Training
 from envgs_bench.testing import tiny_scene
@@ -113,7 +113,7 @@ def test_what_is_wrong_with_a_scene_and_what_was_repaired_are_results(
 ) -> None:
     scene = tiny_scene()
     at_a_camera = replace(scene, points=scene.train[0].camera.center + 0.01 * scene.points)
-    outcome = RepairOutcome(kind="points", kept=True, message="other points", evidence={"coverage": 0.5})
+    outcome = RepairOutcome(kind="exposures", kept=True, message="other light", evidence={"stops": 0.5})
     given: list[tuple[Any, ...]] = []
 
     def repaired(diagnosis: Diagnosis, *arguments: Any) -> tuple[Diagnosis, list[RepairOutcome]]:
@@ -125,15 +125,15 @@ def test_what_is_wrong_with_a_scene_and_what_was_repaired_are_results(
     monkeypatch.setattr(
         execution, "Training", lambda method, scene, *_: started.append(scene) or Training(method, scene, *_)
     )
-    results = execute("2dgs", {}, 1, monkeypatch, tmp_path, at_a_camera, ["exposures", "points"])
-    assert given == [(("points", "exposures"), 0)]
+    results = execute("2dgs", {}, 1, monkeypatch, tmp_path, at_a_camera, ["normals", "exposures"])
+    assert given == [(("exposures", "normals"),)]
     assert started == [scene]
     assert results.repairs == [outcome]
     assert [(warning.kind, warning.step) for warning in results.warnings] == [
         ("run_short", 0),
         ("points_unsupported", 0),
     ]
-    assert results.notes[-1] == "repair of points: other points"
+    assert results.notes[-1] == "repair of exposures: other light"
 
 
 def test_test_views_without_exact_normals_are_said_to_be(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -171,7 +171,7 @@ def execute(
     repair: Sequence[str] = (),
 ) -> Results:
     """What a run has reached, on a tiny scene without normals for training where no other is given."""
-    monkeypatch.setattr(execution, "load_run_scene", lambda *_: scene or scene_without_normals(5))
+    monkeypatch.setattr(loading, "load_run_scene", lambda *_: scene or scene_without_normals(5))
     run = {
         "method": {"name": kind, "kind": kind, "settings": settings},
         "dataset": {"name": "tiny", "kind": "tiny"},
