@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from .shapes import Mesh
 from .textures import linear_weights
 from .world import OFFSET, Part, World, tangents
 
@@ -51,6 +52,7 @@ def bake(world: World, rng: np.random.Generator) -> None:
 
 def _places(part: Part) -> tuple[Array, Array]:
     """Points and normals, [rows, columns, 3] each, where light is gathered on a part."""
+    assert not isinstance(part.shape, Mesh), "meshes are path-traced, which needs no gathered light"
     columns, rows = (int(np.clip(np.ceil(length / TEXEL), 6, 128)) for length in part.shape.extent)
     v, u = np.meshgrid((np.arange(rows) + 0.5) / rows, (np.arange(columns) + 0.5) / columns, indexing="ij")
     return part.shape.evaluate(u, v)

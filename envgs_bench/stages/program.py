@@ -107,9 +107,14 @@ def _export(scene: Scene, choice: ProgramChoice, work: Work) -> None:
 def _cost(work: Work) -> Cost:
     state = work.state
     return Cost(
-        **{"primitives": {}, "bytes": {}, "model_bytes": None, "skipped_steps": None, "peak_primitives": None},
-        **{"train_seconds": state.train_seconds},
-        **{"peak_host_bytes": state.peak_host_bytes, "peak_device_bytes": state.peak_device_bytes},
+        primitives={},
+        bytes={},
+        model_bytes=None,
+        skipped_steps=None,
+        peak_primitives=None,
+        train_seconds=state.train_seconds,
+        peak_host_bytes=state.peak_host_bytes,
+        peak_device_bytes=state.peak_device_bytes,
     )
 
 
@@ -134,9 +139,15 @@ def _program(choice: ProgramChoice, work: Work) -> ProgramRun:
     if state.peak_device_bytes is not None:
         not_measured["peak_device_bytes"] = f"{LOOKED_AT}, on the whole GPU"
     return ProgramRun(
-        **{"page": recipe.page, "commit": recipe.commit, "found": commit_of(choice.home), "licence": recipe.licence},
-        **{"tried": recipe.tried, "commands": state.commands},
-        **{"own_seconds": state.own_seconds, "draw_seconds": state.draw_seconds, "not_measured": not_measured},
+        page=recipe.page,
+        commit=recipe.commit,
+        found=commit_of(choice.home),
+        licence=recipe.licence,
+        tried=recipe.tried,
+        commands=state.commands,
+        own_seconds=state.own_seconds,
+        draw_seconds=state.draw_seconds,
+        not_measured=not_measured,
     )
 
 

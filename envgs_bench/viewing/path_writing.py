@@ -48,7 +48,8 @@ def write_path(path: Path, cameras: Sequence[Camera], placement: Placement, form
 
 def _to_world(camera: Camera, placement: Placement) -> Array:
     """Camera to the data's world [4, 4], with our axes."""
-    return np.linalg.inv(placement.pose_to_data(camera.world_to_camera.double().numpy()))
+    pose = placement.pose_to_data(camera.world_to_camera.double().numpy())
+    return np.asarray(np.linalg.inv(pose), np.float64)
 
 
 def _field_of_view(camera: Camera) -> float:

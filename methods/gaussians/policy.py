@@ -187,7 +187,8 @@ def base_policy(
         cap=s.max_primitives,
         oversized=s.rule.oversized,
         growth=s.rule.growth,
-        **({"position_scale": s.rule.position_radius, "radius_power": 0} if s.rule.position_radius else {}),
+        position_scale=s.rule.position_radius or 1.0,
+        radius_power=0 if s.rule.position_radius else 1,
     )
 
 

@@ -11,7 +11,7 @@ from functools import cached_property
 import pandas as pd
 
 from envgs_bench.parts import MethodCard, MetricCard
-from envgs_bench.records import ProtocolName, Record, RepairKind, ScoredOn
+from envgs_bench.records import ProtocolName, Record, RepairName, ScoredOn
 
 from ..numbers.cards import metric_cards, newest_cards
 from ..numbers.estimates import Numbers
@@ -40,7 +40,7 @@ class LabeledRun:
 class Section:
     protocol: ProtocolName
     scored_on: ScoredOn
-    repair: tuple[RepairKind, ...]
+    repair: tuple[RepairName, ...]
     device: str
     runs: tuple[LabeledRun, ...]  # the unperturbed ones
     superseded: tuple[LabeledRun, ...]  # older runs of the same data set, method and seed
@@ -217,7 +217,7 @@ def split_sections(runs: Sequence[Run]) -> list[Section]:
     Perturbed runs are kept apart within each. Runs that took no times, as their pictures came from elsewhere, stand
     beside every device's.
     """
-    groups: dict[tuple[str, str, ScoredOn, tuple[RepairKind, ...]], dict[str, list[Run]]] = {}
+    groups: dict[tuple[str, str, ScoredOn, tuple[RepairName, ...]], dict[str, list[Run]]] = {}
     for run in runs:
         record = run.record
         alike = (record.protocol.name, record.protocol.hash, record.scored_on, record.repair)

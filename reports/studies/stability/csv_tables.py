@@ -98,8 +98,8 @@ def summary_table(stability: Stability) -> pd.DataFrame:
         if (found := mean_corruption_error(stability, method)) is not None:
             error, kinds = found
             against = " or ".join(sorted(baselines))
-            ends = (math.nan, math.nan)
-            rows.append(("", "", method, against, "mean_corruption_error", math.nan, error, *ends, kinds))
+            name = "mean_corruption_error"
+            rows.append(("", "", method, against, name, math.nan, error, math.nan, math.nan, kinds))
         lost = drops(stability, method)
         severities = sorted({s for case in stability.cases for s in stability.severities(case)})
         curves = [("profile", drop, profile(lost, drop)) for drop in DROPS]
