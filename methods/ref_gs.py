@@ -38,7 +38,7 @@ FEATURE = {"feature_logits": FEATURES}  # of Ref-GS's surfels, and of the near s
 class RefGS(GaussianMethod):
     """Ref-GS (Zhang et al., CVPR 2025), and with `near_count` Ref-DGS (SIGGRAPH 2026)."""
 
-    card = MethodCard("ref_gs", "Ref-GS", 100, "#0080B3")
+    card = MethodCard("ref_gs", "Ref-GS", 100, "#889999")
     Settings: ClassVar[type] = RefGSSettings
     settings: RefGSSettings
     axes = 2

@@ -187,7 +187,12 @@ def explain(error: Exception) -> str:
     """What the user gave, what was expected, and what to do, of an error in composing the configuration."""
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         group, _, name = str(error.missing_cfg_file).rpartition("/")
-        options = sorted({*_whole(error.options or []), *config_names(group)})
+        root, _, folder = group.partition("/")
+        named = config_names(root)
+        options = [option.removeprefix(f"{folder}/") for option in named if option.startswith(f"{folder}/")]
+        if folder and not options:  # nor is there such a folder
+            group, name = root, f"{folder}/{name}"
+        options = sorted(options or {*_whole(error.options or []), *named})
         if options:
             return f"there is no {group} {name!r}; {group} is one of {', '.join(options)}{_guess(name, options)}"
         return f"there is no configuration {error.missing_cfg_file!r}; `envgs-bench list` shows what there is"
