@@ -20,7 +20,7 @@ from .lighting.planes import Planes
 from .lighting.reflection import Origin, Reflection, Traced
 from .lighting.settings import EnvGSSettings
 from .training.pilot_run import SHORTEST_RUN
-from .training.reflection_pilot import BOOTSTRAP, PLAIN, ReflectionOutcome, reflection_pilot
+from .training.reflection_pilot import PLAIN, WARM_UP, ReflectionOutcome, reflection_pilot
 from .training.schedule import ENV_RESET_FLOOR, RECOVERY, Schedule
 
 REFLECTION = "reflection"  # in `found`: what the pilot run on reflections has shown
@@ -106,7 +106,7 @@ class Environment(Origin):
 
 def environment_policy(s: EnvGSSettings, schedule: Schedule, base: SetPolicy) -> SetPolicy:
     """The base's, but for what is the environment's own; it does not grow more slowly while reflections settle."""
-    start = schedule.at(s.bootstrap)
+    start = schedule.at(s.warm_up)
     return replace(
         base,
         name=ENV,
@@ -117,7 +117,7 @@ def environment_policy(s: EnvGSSettings, schedule: Schedule, base: SetPolicy) ->
         criterion=spatial_criterion,
         rule=replace(base.rule, gradient_threshold=s.env_densify_threshold, max_primitives=s.env_max_primitives),
         interval=regular(schedule, s.env_densify_every),
-        grows_from=s.bootstrap,
+        grows_from=s.warm_up,
         grows_until=s.env_densify_until,
         resets=Resets(schedule, s.env_opacity_reset_every, s.env_densify_until, ENV_RESET_FLOOR, start),
         cap=s.env_max_primitives,
@@ -130,7 +130,7 @@ def environment_policy(s: EnvGSSettings, schedule: Schedule, base: SetPolicy) ->
 def tried_reflections(method: EnvGS, scene: Scene) -> ReflectionOutcome:
     """What a pilot run finds of the scene: from random primitives alone, eight times as many, as it was tuned."""
     s = method.settings
-    settings = replace(s, reflection_pilot=False, bootstrap=BOOTSTRAP, env_grid=2 * s.env_grid)
+    settings = replace(s, reflection_pilot=False, warm_up=WARM_UP, env_grid=2 * s.env_grid)
     settings = settings.ruled(env_from_points=False)
     mirrored, control = (fresh(method, settings) for _ in range(2))
     assert control.reflection is not None

@@ -55,7 +55,7 @@ class Rules:
     perceptual_loss: Literal["features", "lpips"] = "features"  # L_perc: the L1 distance of VGG-16's features, or LPIPS
     perceptual_from: Steps = 0  # step after which L_perc counts
 
-    settling_interval: Count = 5  # × densify_every between bootstrap and disturb_until; less in a short run
+    settling_interval: Count = 5  # × densify_every between warm_up and disturb_until; less in a short run
     settling_pixels: Amount = 64.0  # but not before the base has a primitive for so many training pixels; 0: always
     beta_threshold: Share = 1 / 255  # an image traces no ray whose β is below; in training every surface reflects
     ray_offset: Amount = 1e-3  # a reflected ray starts this far above the surface, × scene radius

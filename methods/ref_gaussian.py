@@ -181,7 +181,7 @@ class Surfaces(Part):
 
     def _shades_surfels(self) -> bool:
         """Whether surfels are shaded before pixels are; the authors' commands for captures leave that out."""
-        return self._settings.shade_until > self._settings.bootstrap
+        return self._settings.shade_until > self._settings.warm_up
 
     def is_sabotaged(self) -> Tensor:
         """Whose base color is disturbed, [N]; none before pixels are shaded, and none where surfels never were."""

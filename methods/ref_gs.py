@@ -68,7 +68,7 @@ class RefGS(GaussianMethod):
     def _near_policy(self, base: SetPolicy) -> SetPolicy:
         """The base's, but for what starts it."""
         start = Start(INITIAL_OPACITY, "random", None, lambda count: self._zeros(count, FEATURE), FEATURE)
-        young = base.schedule.at(self.settings.bootstrap) + RECOVERY
+        young = base.schedule.at(self.settings.warm_up) + RECOVERY
         return replace(base, name=ENV, start=start, sh_degree=0, young_until=young, growth="gradient")
 
     def _zeros(self, count: int, columns: dict[str, int]) -> dict[str, Tensor]:

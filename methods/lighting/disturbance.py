@@ -95,7 +95,7 @@ class Disturbance(Part):
         s = self._settings
         return self._model.schedule.disturbs(
             step,
-            start=s.bootstrap,
+            start=s.warm_up,
             stop=s.disturb_until,
             interval=s.disturb_every,
             reset_interval=s.opacity_reset_every,
@@ -111,7 +111,7 @@ def reflecting_policy(s: ReflectionSettings, schedule: Schedule, scene: Scene | 
     start = Start(INITIAL_OPACITY, s.rule.initial_orientation, beta=s.initial_beta)
     rates = replace(initial_rates(s, schedule), beta=s.beta_lr * schedule.rate_scale)
     policy = base_policy(s, schedule, scene, start=start, rates=rates)
-    span = schedule.at(s.bootstrap), schedule.at(s.disturb_until)
+    span = schedule.at(s.warm_up), schedule.at(s.disturb_until)
     pixels = s.rule.settling_pixels
     above = int(training_pixels(scene) / pixels) if scene is not None and pixels else 0
     return replace(policy, interval=slowed(policy.interval, s.rule.settling_interval, *span, above))

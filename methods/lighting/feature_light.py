@@ -50,7 +50,7 @@ class FeatureLight(Weights):
         self.become({"map": torch.zeros_like(self.tensors["map"]), **values})
 
     def begin_step(self, step: int) -> None:
-        self.begun = step > self._model.schedule.at(self._settings.bootstrap)
+        self.begun = step > self._model.schedule.at(self._settings.warm_up)
 
     def phase(self, step: int) -> Hashable:
         return self.begun

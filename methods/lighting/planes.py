@@ -79,7 +79,7 @@ class Planes(Part):
     @torch.no_grad()
     def begin_step(self, step: int) -> None:
         """The planes begin after the warm-up, and are aligned again with what the base set has become by then."""
-        if not len(self.frames) or step <= self._model.schedule.at(self._settings.bootstrap):
+        if not len(self.frames) or step <= self._model.schedule.at(self._settings.warm_up):
             return
         if not self.begun:
             self._align(step, 0.005 if self._settings.planes == "masks" else 0.04)
@@ -100,7 +100,7 @@ class Planes(Part):
 
     def _detaches(self, step: int) -> bool:
         at = self._model.schedule.at
-        return step <= at(self._settings.bootstrap + DETACHED)
+        return step <= at(self._settings.warm_up + DETACHED)
 
     def rectangles(self) -> list[Rectangle]:
         """The planes as they are; differentiable."""
@@ -189,7 +189,7 @@ class Planes(Part):
         if not len(self.frames):
             return []
         every = self._model.schedule.interval(CLEARED_EVERY, RESET_FLOOR)
-        span = self._model.schedule.at(self._settings.bootstrap), self._model.schedule.at(self._settings.densify_until)
+        span = self._model.schedule.at(self._settings.warm_up), self._model.schedule.at(self._settings.densify_until)
         return [Every("clear", self.clear, lambda step: every, *span, recovery=RESET_FLOOR)]
 
     @torch.no_grad()

@@ -138,7 +138,7 @@ class Reflection(Part):
         self.light.start(scene)
 
     def begin_step(self, step: int) -> None:
-        if not self.begun and step > self._model.schedule.at(self._settings.bootstrap):
+        if not self.begun and step > self._model.schedule.at(self._settings.warm_up):
             self.light.begin()
             self.begun = True
             if self._settings.rule.beta_starts_anew:

@@ -32,7 +32,7 @@ class ReflectionSettings(GaussianSettings):
     min_coverage: Amount = 1.5
     pixels_per_primitive: Amount = 7.0
 
-    bootstrap: Steps = 3_000  # steps with the base set alone
+    warm_up: Steps = 3_000  # steps with the base set alone
     joint: bool = True  # reflected rays pass gradients on to the base set's normals and positions
     initial_beta: Weight = 0.1  # β that base primitives start with: 1e-3 where little reflects, to 0.1 where much does
     beta_lr: Rate = 1e-2  # learning rate of β's logits
@@ -112,7 +112,7 @@ class RefGaussianSettings(PublishedSettings, EnvMapSettings):
     smooth_weight: Amount = 0.0  # weight of the edge-aware smoothness of normals
     smooth_until: Steps = 18_000  # step up to which that counts
 
-    bootstrap: Steps = 0
+    warm_up: Steps = 0
     shade_until: Steps = 18_000  # step up to which each surfel is shaded, not each pixel; then materials start anew
     indirect_from: Steps = 20_000  # step after which what hides the map from a pixel lights it
     initial_beta: Weight = 1e-2
@@ -169,7 +169,7 @@ class RefGSSettings(PublishedSettings):
     mono_weight: Amount = 0.0
     perceptual_weight: Amount = 0.0
 
-    bootstrap: Steps = 700  # steps in which nothing is mirrored
+    warm_up: Steps = 700  # steps in which nothing is mirrored
     scope_radius: Amount = 0.0  # the ball that may mirror, × the cameras' mean distance from its middle; 0: everything
     near_count: Limit = 0  # surfels at first of what is mirrored nearby (Ref-DGS); 0: surfaces have features
     map_levels: Count = 9  # of the map, whose first has 2^levels rows and twice as many columns

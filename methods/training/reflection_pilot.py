@@ -23,7 +23,7 @@ from .pilot_run import smaller, train_briefly
 
 NEVER = 10**12  # a step that no run has
 PLAIN: dict[str, Any] = {  # of a base set that reflects nothing: what `2dgs_tuned` has in the place of EnvGS's
-    "bootstrap": NEVER,
+    "warm_up": NEVER,
     "densify_every": 100,
     "densify_until": 15_000,
     "min_coverage": 1.0,
@@ -35,7 +35,7 @@ PLAIN: dict[str, Any] = {  # of a base set that reflects nothing: what `2dgs_tun
     "prune_from": 14_000,  # `2dgs_lean`'s
 }
 
-BOOTSTRAP = 3_000  # steps of a run of 30,000 with the base set alone: 60 of a pilot run
+WARM_UP = 3_000  # steps of a run of 30,000 with the base set alone: 60 of a pilot run
 LEAST_WEIGHT = 0.85  # scenes of the tuning suite have 0.95 and more, `diffuse_room` 0.75
 LEAST_GAIN = 0.8  # dB; `diffuse_room` has up to 0.3
 TINY = 1e-12

@@ -48,7 +48,7 @@ DIFFERENCES = {
     | {"pixels_per_primitive": 7.0, "mono_weight": 0.05},
     "ref_dgs": {
         "near_count": 50_000,
-        "bootstrap": 1_050,
+        "warm_up": 1_050,
         "densify_every": 150,
         "opacity_reset_every": 4_500,
         "rules": {"longest_run": 20_000, "densify_from": 750},
@@ -75,7 +75,7 @@ ABLATIONS = {  # of the published recipe
 SYNTHETIC = {
     "sh_from": 10_000,
     "env_sh_from": 10_000,
-    "bootstrap": 6_000,
+    "warm_up": 6_000,
     "initial_beta": 0.1,
     "beta_reset_from": 9_000,
     "env_densify_until": 42_000,

@@ -371,7 +371,7 @@ def test_tiles_that_a_slanted_primitive_misses_do_not_list_it(columns):
 
 
 def test_a_trained_run_is_timed_on_its_own_views(tmp_path, capsys):
-    method = trained_run(tmp_path / "run", "envgs", steps=4, bootstrap=0, env_grid=2, env_far_count=8)
+    method = trained_run(tmp_path / "run", "envgs", steps=4, warm_up=0, env_grid=2, env_far_count=8)
     file = tmp_path / "rows.json"
     arguments = ["--scene", str(tmp_path / "run"), "--backend", "cpu", "--repeats", "1", "--views", "1"]
     assert main([*arguments, "--json", str(file)]) == 0

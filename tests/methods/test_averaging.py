@@ -24,7 +24,7 @@ KINDS = ("2dgs", "envmap", "envgs", "3igs")  # of a set; and a map, a second set
 def trained(kind: str, average_from: int, reset_at: int = 0) -> list[dict[str, Tensor]]:
     """All that a method trains, after each step of its run, with reflections from step 5 on where it has any."""
     settings = {**SMALL[kind], "backend": "cpu", "rules": {"average_from": average_from}}
-    method = create_method(kind, settings | ({"bootstrap": 3_000} if kind.startswith("env") else {}))
+    method = create_method(kind, settings | ({"warm_up": 3_000} if kind.startswith("env") else {}))
     scene = tiny_scene()
     method.initialize(scene, STEPS)
     reset = Every("reset", partial(method.model.reset_opacity, "base"), also=lambda step: step == reset_at)

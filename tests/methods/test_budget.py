@@ -23,7 +23,7 @@ BASE_BYTES, ENV_BYTES = 4 * 38, 4 * 37
 BOTH = {"base": BASE_BYTES, "env": ENV_BYTES}
 NO_BOUND = {"base": 0, "env": 0}
 GROWS = with_rules(densify_threshold=1e-9, min_coverage=0.0, min_views=0.0, pixels_per_primitive=0.0)
-REFLECTS = {"bootstrap": 300, "densify_until": 30_000, **GROWS}
+REFLECTS = {"warm_up": 300, "densify_until": 30_000, **GROWS}
 METHODS: dict[str, dict[str, Any]] = {
     "2dgs": GROWS,
     "3dgs": GROWS,  # doubles, without max_growth

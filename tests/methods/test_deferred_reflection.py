@@ -35,7 +35,7 @@ def test_adam_counts_the_steps_of_reflection_strength_from_the_first_reflection_
     """Its first step, whatever the gradients are, is the learning rate; after three steps of zeros it is 0.6 of it."""
     rates, moved, scene = {"3dgs_dr": 6e-3, "ref_gaussian": 5e-3}, {}, tiny_scene()
     for anew in (True, False):
-        settings = with_rules(envmap_size=8, bootstrap=3, beta_starts_anew=anew, shade_until=0)
+        settings = with_rules(envmap_size=8, warm_up=3, beta_starts_anew=anew, shade_until=0)
         if kind == "3dgs_dr":
             del settings["shade_until"]
         method = create_method(kind, settings)
@@ -127,7 +127,7 @@ def test_resets_raise_the_reflection_strength_to_its_start() -> None:
 
 def test_only_the_ball_that_the_cameras_look_at_may_reflect() -> None:
     """The cameras of the tiny scene stand 4 from the origin: at half of that, points within 2 of it may."""
-    method = initialized(scope_radius=0.5, bootstrap=0)
+    method = initialized(scope_radius=0.5, warm_up=0)
     parameters = method.model.sets["base"].parameters
     inside = tiny_scene().points.norm(dim=1) <= 2
     assert 20 < inside.sum() < 180
@@ -148,7 +148,7 @@ def test_only_the_ball_that_the_cameras_look_at_may_reflect() -> None:
 
 
 def test_a_pixel_is_the_blend_of_its_own_color_and_the_maps() -> None:
-    method = initialized(bootstrap=0)
+    method = initialized(warm_up=0)
     begin(method, 1)
     assert method.reflection.light.texels.shape == (6, 8, 8, 3)
     method.reflection.light.become(torch.randn(6, 8, 8, 3))

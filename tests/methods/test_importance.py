@@ -71,7 +71,7 @@ def test_the_least_go_first_whichever_set_they_are_of(most: float, base: list[bo
     assert kept["env"].tolist() == env
 
 
-REFLECTS = {"bootstrap": 9_000, "env_grid": 3, "env_far_count": 50}
+REFLECTS = {"warm_up": 9_000, "env_grid": 3, "env_far_count": 50}
 
 
 def trained(kind: str, steps: int, **settings: float) -> GaussianMethod:

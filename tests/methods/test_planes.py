@@ -170,7 +170,7 @@ def test_a_plane_beside_its_place_is_moved_and_turned_to_what_photographs_show()
 
 def test_gradients_of_a_plane_are_finite_differences() -> None:
     scene = mirror_room()
-    method = made(bootstrap=0, rules={"average_from": 0})
+    method = made(warm_up=0, rules={"average_from": 0})
     method.initialize(scene, 30_000)
     with_walls(method)
     planes = planes_of(method)
@@ -204,7 +204,7 @@ def test_nothing_changes_where_there_are_none() -> None:
     """To the last bit, of a scene without marks."""
     pictures = []
     for planes in ("none", "masks"):
-        method = made(planes=planes, bootstrap=0)
+        method = made(planes=planes, warm_up=0)
         scene = tiny_scene()
         method.initialize(scene, 30)
         for step in range(1, 31):

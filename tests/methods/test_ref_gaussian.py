@@ -129,7 +129,7 @@ def test_what_hides_the_map_lights_in_its_place() -> None:
     lone = Scene("lone", scene.train, scene.test, torch.zeros(2, 3), torch.full((2, 3), 0.5))
     colors = {}
     for where in (6.0, 9.0):
-        method = initialized(lone, bootstrap=0, shade_until=0, indirect_from=0)
+        method = initialized(lone, warm_up=0, shade_until=0, indirect_from=0)
         begin(method, 1)
         parameters = method.model.sets["base"].parameters
         behind = toward * where  # the camera, which is at 4: on the mirrored ray

@@ -130,7 +130,7 @@ def test_a_mirror_ball_is_learned(near: int) -> None:
     scene = mirror_ball()
     still = {"densify_until": 0, "opacity_reset_every": 0, "mono_weight": 0.05, "initial_orientation": "surface"}
     mirrors, plain = (
-        gain_of_training(initialized(scene, 300, map_levels=5, near_count=near, bootstrap=start, **still), scene, 300)
+        gain_of_training(initialized(scene, 300, map_levels=5, near_count=near, warm_up=start, **still), scene, 300)
         for start in (0, 30_000)
     )
     assert mirrors > plain + 1

@@ -127,7 +127,7 @@ def test_a_run_that_keeps_its_reflections_is_to_the_last_bit_what_it_is_without_
 
 
 def test_a_run_that_reflects_late_is_tried_as_any_other(short_runs: pytest.MonkeyPatch) -> None:
-    method = create_method("envgs", SMALL | {"bootstrap": 29_000})
+    method = create_method("envgs", SMALL | {"warm_up": 29_000})
     method.initialize(tiny_scene(), STEPS)
     assert "times the weight" in method.notes[0]
 

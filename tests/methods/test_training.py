@@ -178,7 +178,7 @@ def test_sh_degrees_are_added_one_by_one(scene):
 )
 def test_either_set_adds_sh_degrees_from_a_step_of_its_own(scene, every, base, env):
     """In a run of 300 steps a thousand of the reference run are ten."""
-    method = make_method("envgs", sh_every=every, sh_from=5_000, env_sh_from=3_000, bootstrap=3_000)
+    method = make_method("envgs", sh_every=every, sh_from=5_000, env_sh_from=3_000, warm_up=3_000)
     method.initialize(scene, 300)
     begin(method, 31)
     steps = (39, 40, 50, 59, 60, 70)
@@ -327,7 +327,7 @@ def test_a_long_run_stretches_the_schedule_unless_it_is_told_not_to(scene, stret
 
 def test_the_environment_starts_in_its_box_and_on_a_sphere_around_it(scene):
     sphere = {"env_far_count": 40, "env_initial_opacity": 0.07}
-    method = make_method("envgs", **sphere, bootstrap=0, env_from_points=False)
+    method = make_method("envgs", **sphere, warm_up=0, env_from_points=False)
     method.initialize(dataclasses.replace(scene, bounds=2.0), STEPS)
     begin(method, 1)
     tensors = method.model.sets["env"].parameters.detached()
@@ -347,7 +347,7 @@ def test_the_environment_starts_in_its_box_and_on_a_sphere_around_it(scene):
 
 
 def test_the_environment_starts_at_the_points_too(scene):
-    method = make_method("envgs", env_far_count=40, bootstrap=0)
+    method = make_method("envgs", env_far_count=40, warm_up=0)
     method.initialize(scene, STEPS)
     begin(method, 1)
     env, base = (method.model.sets[name].parameters.detached() for name in ("env", "base"))

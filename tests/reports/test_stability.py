@@ -420,11 +420,11 @@ def test_the_distance_between_seeds_is_that_of_their_models_along_the_same_rays(
     for seed, (depth, degrees, reflected) in enumerate([(4.0, 0.0, 0.5), (4.1, 1.0, 0.5), (4.5, 30.0, 2.0)]):
         sampled(tmp_path, "envgs", seed, depth, degrees, reflected)
         sampled(tmp_path, "2dgs", seed, depth, degrees, None)
-    (tmp_path / "envgs-blur-1-2-100" / "probe.safetensors").rename(tmp_path / "kept")
+    (tmp_path / "envgs-blur-1-2-100" / "fixed_rays.safetensors").rename(tmp_path / "kept")
     write(tmp_path, "envgs", 3, 1, None)
     cell = stability_of(tmp_path).cell(BLUR, 1, "envgs")
     assert cell.seed_distance("seeds_depth").strata[0] == pytest.approx((0.05, 0.05))  # of two, each from the other
-    (tmp_path / "kept").rename(tmp_path / "envgs-blur-1-2-100" / "probe.safetensors")
+    (tmp_path / "kept").rename(tmp_path / "envgs-blur-1-2-100" / "fixed_rays.safetensors")
     cell = stability_of(tmp_path).cell(BLUR, 1, "envgs")
     assert cell.seed_distance("seeds_depth").strata[0] == pytest.approx((0.15, 0.125, 0.225))
     assert cell.seed_distance("seeds_normal_degrees").strata[0] == pytest.approx((15.5, 15, 29.5), abs=0.05)
@@ -444,7 +444,7 @@ def test_the_distance_between_seeds_is_that_of_their_models_along_the_same_rays(
 def test_a_sample_file_that_cannot_be_read_is_left_out(tmp_path: Path, content: bytes) -> None:
     for seed in range(3):
         sampled(tmp_path, "envgs", seed, 4.0 + seed, 0.0, None)
-    (tmp_path / "envgs-blur-1-1-100" / "probe.safetensors").write_bytes(content)
+    (tmp_path / "envgs-blur-1-1-100" / "fixed_rays.safetensors").write_bytes(content)
     estimate = stability_of(tmp_path).cell(BLUR, 1, "envgs").seed_distance("seeds_depth")
     assert (estimate.strata, estimate.done, estimate.expected) == (((1.0, 1.0),), 2, 3)
 

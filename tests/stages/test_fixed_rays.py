@@ -77,7 +77,7 @@ def test_seeds_are_sampled_along_the_same_rays_and_files_are_small(tmp_path: Pat
     torch.testing.assert_close(first.rays, second.rays, atol=0, rtol=0)
     write_samples(tmp_path, written)
     stored = read_samples_if_any(tmp_path)
-    assert (tmp_path / "probe.safetensors").stat().st_size < 60_000
+    assert (tmp_path / "fixed_rays.safetensors").stat().st_size < 60_000
     assert stored.radius == pytest.approx(scene.radius)
     np.testing.assert_array_equal(stored.depth, again.depth)
     np.testing.assert_allclose(stored.normal, again.normal, atol=1e-3)

@@ -28,7 +28,7 @@ from envgs_bench.testing import NotFinite, tiny_scene
 
 STEPS = 125  # from step 2 on reflections; the base is densified every 30, the environment at 120
 INTERRUPTED_AFTER = (37, 121)
-REFLECTS = {"bootstrap": 300, "densify_until": 30_000, "densify_threshold": 1e-6}
+REFLECTS = {"warm_up": 300, "densify_until": 30_000, "densify_threshold": 1e-6}
 
 SETTINGS: dict[str, dict[str, Any]] = {
     "2dgs": {
