@@ -79,7 +79,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     root = tmp_path_factory.mktemp("undisturbed")
     with pytest.MonkeyPatch.context() as patch:
         set_environment(patch)
-        assert run(root, *REAL, flags=("-m",)) == 0
+        assert run_anew(root, *REAL, flags=("-m",)) == 0  # with as many threads as the sweeps that are killed
     return results(root)
 
 
@@ -152,7 +152,7 @@ def kill_rounds(root: Path, start: Start, rounds: int, draw: random.Random, expe
         if not again:
             assert {path: after[path] for path in before} == before  # neither lost nor run twice
         assert done == {name: expected[name] for name in done}
-    assert run(runs, *REAL, flags=("-m",)) == 0
+    assert run_anew(runs, *REAL, flags=("-m",)) == 0
     assert results(runs) == expected
     seen["went on"] += _went_on(records(runs))
     return seen
