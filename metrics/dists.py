@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from envgs_bench.parts import MetricCard
 
 from .metric import Metric
 from .vgg16 import load_vgg16, weights_source
-from .weights import WeightsUnavailable
+from .weights import WeightsUnavailable, why_unavailable
 
 CHANNELS = (3, 64, 128, 256, 512, 512)  # of the image and of the five stages
 STABILIZER = 1e-6  # c₁ and c₂
@@ -93,20 +93,11 @@ def l2_pooled(features: Tensor) -> Tensor:
     return (squares + 1e-12).sqrt()
 
 
-def _not_computed() -> str:
-    try:
-        load_shares()
-        weights_source()
-    except WeightsUnavailable as error:
-        return str(error)
-    return ""
-
-
 METRIC = Metric(
     MetricCard("DISTS", 3, "lower", explanation="learned distance of structure and texture"),
     # Both pictures are white outside of a mask, or the protocol does not take it.
     value=lambda prediction, target, mask, choices: dists(prediction, target),
     definition=lambda _: "DISTS at the pictures' own size",
     asked_for=True,
-    not_computed=_not_computed,
+    not_computed=partial(why_unavailable, load_shares, weights_source),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import torch
@@ -15,7 +15,7 @@ from envgs_bench.parts import MetricCard
 
 from .metric import Metric
 from .vgg16 import load_vgg16, weights_source
-from .weights import TORCHVISION_SHA256, WeightsUnavailable
+from .weights import TORCHVISION_SHA256, WeightsUnavailable, why_unavailable
 
 INPUT_RANGES = ("[0, 1]", "[-1, 1]")
 
@@ -104,20 +104,11 @@ def _unit(features: Tensor) -> Tensor:
     return features / (features.square().sum(1, keepdim=True).clamp_min(1e-36).sqrt() + 1e-10)
 
 
-def _not_computed() -> str:
-    try:
-        load_heads()
-        weights_source()
-    except WeightsUnavailable as error:
-        return str(error)
-    return ""
-
-
 METRIC = Metric(
     MetricCard("LPIPS", 3, "lower", explanation="learned perceptual distance"),
     value=lambda prediction, target, mask, choices: lpips(prediction, target, choices.lpips_input, mask),
     definition=lambda choices: f"LPIPS-VGG v0.1 on {choices.lpips_input} input",
     constants=["VGG-16", TORCHVISION_SHA256[:8], "0.1"],
-    not_computed=_not_computed,
+    not_computed=partial(why_unavailable, load_heads, weights_source),
     corrected=True,
 )

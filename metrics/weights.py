@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,6 +51,16 @@ class Weights:
             return load_file(self.path)
         state = torch.load(self.path, map_location="cpu", weights_only=True)
         return {name: value for name, value in state.items() if name.startswith("features.")}
+
+
+def why_unavailable(*readers: Callable[[], object]) -> str:
+    """Why one of these, which read weights, cannot; "" where all can."""
+    try:
+        for read in readers:
+            read()
+    except WeightsUnavailable as error:
+        return str(error)
+    return ""
 
 
 def cached_weights() -> Path:

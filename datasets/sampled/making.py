@@ -13,9 +13,7 @@ from envgs_bench.core import Camera, Scene, View
 from ..progress import streamed
 from ..split import split_views, taken_out, validation_of
 from ..store.scene_file import on_disk
-from ..toy.covisibility import covisible
-from ..toy.making import without_slivers
-from ..toy.world import World
+from ..toy.making import with_covisible, without_slivers
 from .attributes import attributes_of
 from .distribution import PLACES as SHARES
 from .distribution import one_of
@@ -68,7 +66,7 @@ def make_scene(choice: SampledSettings, name: str, pictures: Callable[[Drawn], P
     train, test = split_views(views, name)
     val = validation_of(train)
     world = scene.truth.world
-    val, test = _with_covisible(world, val, taken_out(train, val)), _with_covisible(world, test, train)
+    val, test = with_covisible(world, val, taken_out(train, val)), with_covisible(world, test, train)
     known = [truth_of[view.name] for view in train]
     cloud = sfm_cloud(train, known, _stream(choice, "points"))
     for_normals = _stream(choice, "normals")
@@ -93,15 +91,3 @@ def _view(name: str, camera: Camera, truth: Truth, picture: np.ndarray) -> View:
         normal=torch.from_numpy(truth.normal).float(),
         depth=torch.from_numpy(truth.depth).float(),
     )
-
-
-def _with_covisible(world: World, views: list[View], train: list[View]) -> list[View]:
-    """The views with the region of what some training view shows too."""
-    cameras = [view.camera for view in train]
-
-    def compared(view: View) -> View:
-        assert view.depth is not None
-        seen = covisible(world, view.camera, view.depth.numpy(), cameras)
-        return replace(view, masks=view.masks | {"covisible": torch.from_numpy(seen)})
-
-    return on_disk(streamed("comparing views", compared, views))

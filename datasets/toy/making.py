@@ -49,8 +49,8 @@ def make_scene(choice: ToySettings, name: str) -> Scene:
     views = without_slivers(on_disk(streamed("tracing views", make_view, range(choice.views))))
     train, test = split_views(views, name)
     val = validation_of(train)  # with exact normals, as test views
-    val = _with_covisible(world, val, taken_out(train, val))
-    test = _with_covisible(world, test, train)
+    val = with_covisible(world, val, taken_out(train, val))
+    test = with_covisible(world, test, train)
     points, colors = sfm_points(train, choice.noise, description.far_points, for_points)
     if choice.normal_noise:
         train = on_disk(_with_estimated_normals(view, choice.normal_noise, for_normals) for view in train)
@@ -71,7 +71,7 @@ def without_slivers(views: list[View]) -> list[View]:
     return [replace(view, masks=emptied(view.masks)) for view in views]
 
 
-def _with_covisible(world: World, views: list[View], train: list[View]) -> list[View]:
+def with_covisible(world: World, views: list[View], train: list[View]) -> list[View]:
     """The views with the region of what some training view shows too."""
     cameras = [view.camera for view in train]
 

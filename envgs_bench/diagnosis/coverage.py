@@ -25,12 +25,12 @@ def coverage(scene: Scene, near: float, device: torch.device | str = "cpu") -> f
     """
     points = scene.points.detach().to(device).float()
     textured = torch.stack([_textured_cells(view, device) for view in scene.train]).cpu()
-    empty = textured & ~torch.stack([cells_with(points, view, near) for view in scene.train]).cpu()
+    empty = textured & ~torch.stack([_cells_with(points, view, near) for view in scene.train]).cpu()
     shares = 1 - empty.sum(dim=(1, 2)) / textured.sum(dim=(1, 2)).clamp_min(1)
     return statistics.median(shares.tolist())
 
 
-def cells_with(points: Tensor, view: View, near: float) -> Tensor:
+def _cells_with(points: Tensor, view: View, near: float) -> Tensor:
     """Which cells of the view, [CELLS, CELLS] by rows and columns, would show any of the points."""
     found = torch.zeros(CELLS * CELLS + 1, dtype=torch.bool, device=points.device)
     found[cells_of(points, view.camera, near)] = True
