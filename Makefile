@@ -1,4 +1,4 @@
-# make install | tools | weights | demo | published | test | test-slow | lint | docs | bench | clean. Needs Python 3.11+, a C++ compiler and make.
+# make install | tools | weights | demo | published | results | test | test-slow | lint | docs | bench | clean. Needs Python 3.11+, a C++ compiler and make.
 PYTHON ?= python3
 VENV ?= .venv
 # Waiting threads sleep: two programs that spin on one machine slow each other tenfold.
@@ -12,7 +12,7 @@ WEIGHTS := $(VENV)/.weights
 SOURCES := pyproject.toml constraints.txt CMakeLists.txt \
 	$(wildcard envgs_bench/core/cpu/*.cpp envgs_bench/core/cpu/*.h envgs_bench/core/kernels/*.h)
 
-.PHONY: install tools weights demo published test test-slow lint docs bench clean
+.PHONY: install tools weights demo published results test test-slow lint docs bench clean
 .NOTPARALLEL: # one installation at a time
 
 install: $(RUNTIME)
@@ -62,14 +62,28 @@ lint: $(TOOLS)
 	$(BIN)/python .ci/prose.py
 	MYPYPATH=. $(BIN)/mypy -p envgs_bench
 
-# The documentation, as pages that open from disk: build/site/index.html. A warning is an error.
-SITE := build/site
 # Two toy scenes again, at 64×48 pixels, beside the scores that the repository keeps: fails where one got worse.
 TOYS := size=tiny method=2dgs_tuned,3dgs_tuned,envgs dataset=toy/chrome_room,toy/diffuse_room seed=0,1,2
 published: install weights
 	$(BIN)/envgs-bench run -m $(TOYS) hydra/launcher=joblib runs_dir=out/published/runs
 	$(BIN)/envgs-bench report out/published/runs --out out/published --against envgs_bench/docs/records/toys_tiny.csv
 
+# What RUNS/photographs, RUNS/population and RUNS/rivals hold becomes rows of the repository's records, the photograph's
+# figure, and the tables of all pages. A folder may be absent. COMMIT=<hash> is for runs that do not know theirs.
+DOCS := envgs_bench/docs
+SUITES := photographs population rivals
+FIGURE := $(foreach method,2dgs_tuned 3dgs_tuned envgs,--only '*bananas/$(method)/*') --exclude 'steps=30000'
+results: install
+	@test -d '$(RUNS)' || { echo "expected make results RUNS=<folder with $(SUITES)>"; exit 1; }
+	for suite in $(SUITES); do [ ! -d "$(RUNS)/$$suite" ] || $(BIN)/envgs-bench report "$(RUNS)/$$suite" \
+		--keep $(DOCS)/records/$$suite.csv $(if $(COMMIT),--commit $(COMMIT)) || exit 1; done
+	[ ! -d "$(RUNS)/photographs" ] || $(BIN)/envgs-bench report "$(RUNS)/photographs" $(FIGURE) \
+		--figure $(DOCS)/images/photograph.webp
+	for page in $$(grep -rlE '<!-- (table|number): ' README.md $(DOCS) --include=*.md); do \
+		$(BIN)/envgs-bench report $(DOCS)/records --fill $$page || exit 1; done
+
+# The documentation, as pages that open from disk: build/site/index.html. A warning is an error.
+SITE := build/site
 docs: $(TOOLS)
 	$(BIN)/python -m sphinx -q -W --keep-going -c envgs_bench/docs/site envgs_bench/docs $(SITE)
 

@@ -13,6 +13,7 @@ OF_ERRORS = {  # an error's class, by its name as records have it -> the page on
     "RendersError": "how_to/other_programs",
     "RecordError": "reference/records",
     "TableError": "how_to/add_table",
+    "FigureError": "reference/reports",
     "RunsFileError": "how_to/add_table",
 }
 

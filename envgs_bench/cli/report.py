@@ -21,7 +21,8 @@ def main(arguments: Sequence[str]) -> int:
             action="append",
             default=[],
             metavar="PATTERN",
-            help=f"{help_text}: a method, a data set, a status or a path below RUNS, with * and ?; may be given again",
+            help=f"{help_text}: a method, a data set, a status, steps=COUNT or a path below RUNS, with * and ?; "
+            "may be given again",
         )
     parser.add_argument(
         "--print",
@@ -43,6 +44,13 @@ def main(arguments: Sequence[str]) -> int:
         help="write no report: make the tables of this page anew from the kept runs, CSV files in the folder RUNS",
     )
     parser.add_argument(
+        "--figure",
+        type=Path,
+        metavar="FILE.webp",
+        help="write no report: one picture of two test views of a data set, as every method drew them, with a window "
+        "at the pixels' own size; .jpg too",
+    )
+    parser.add_argument(
         "--against",
         type=Path,
         metavar="OLD",
@@ -52,6 +60,8 @@ def main(arguments: Sequence[str]) -> int:
     options = parser.parse_args(arguments)
     if options.fill:
         return explained("report", lambda: _fill(options.fill, options.runs))
+    if options.figure:
+        return explained("report", lambda: _figure(options))
     if options.keep:
         return explained("report", lambda: _keep(options))
     return explained("report", lambda: _report(options))
@@ -61,8 +71,19 @@ def _fill(page: Path, folder: Path) -> int:
     from envgs_bench.records import write_atomically
     from envgs_bench.reports.kept.page import fill_page
 
-    write_atomically(page, fill_page(page, folder))
+    text, absent = fill_page(page, folder)
+    write_atomically(page, text)
     print(page)
+    for asked in absent:
+        print(f"envgs-bench report: {page}: not measured: {asked}", file=sys.stderr)
+    return 0
+
+
+def _figure(options: argparse.Namespace) -> int:
+    from envgs_bench.reports.pictures.figure import draw_figure
+
+    gallery = draw_figure(options.runs, options.figure, options.only, options.exclude)
+    print(f"{gallery.dataset}, {', '.join(gallery.methods)}: {options.figure}")
     return 0
 
 

@@ -6,6 +6,7 @@ A table stands between two comments, of which the first says what it shows:
     <!-- end of table -->
 
 and a number in a sentence likewise, `<!-- number: of=envgs less=2dgs_tuned records=… -->+0.3<!-- end -->`.
+Where no such runs are kept, the page says so in the place of the table or number.
 """
 
 from __future__ import annotations
@@ -14,39 +15,45 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from .runs_file import read_kept
+from .over_scenes import over_scenes
+from .runs_file import NoRunsError, read_kept
 from .tables import FULL, KeptRuns, TableError, column_of, costs, difference, gains, scores
 
 TABLE = re.compile(r"(<!-- table: (\w+) (.*?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 NUMBER = re.compile(r"(<!-- number: (.*?) -->).*?(<!-- end -->)", re.DOTALL)
 CHOICES = ("scene", "method", "steps", "split", "protocol", "device")
-KINDS: dict[str, Callable[..., str]] = {"scores": scores, "gains": gains, "costs": costs}
+KINDS: dict[str, Callable[..., str]] = {"scores": scores, "gains": gains, "costs": costs, "over_scenes": over_scenes}
 
 
-def fill_page(page: Path, folder: Path) -> str:
-    """The page's text with every table and number made anew from the files in the folder.
+def fill_page(page: Path, folder: Path) -> tuple[str, list[str]]:
+    """The page's text with every table and number made anew from the files in the folder, and what no run is kept of.
 
     Raises:
         TableError: a comment asks for what is not there; the message names the page and the comment.
         RunsFileError: a file that a comment names cannot be used.
     """
     text = page.read_text(encoding="utf-8")
+    absent: list[str] = []
 
-    def explained(asked: str, make: Callable[[], str]) -> str:
+    def explained(asked: str, make: Callable[[], str], instead: str) -> str:
         try:
             return make()
+        except NoRunsError as error:
+            absent.append(f"{asked}: {error}")
+            return instead.format(error)
         except TableError as error:
             raise TableError(f"{page}: {asked}: {error}") from None
 
     def table(found: re.Match[str]) -> str:
         head, kind, asked, end = found.groups()
-        return f"{head}\n{explained(f'{kind} {asked}', lambda: _table(kind, asked, folder))}\n{end}"
+        made = explained(f"{kind} {asked}", lambda: _table(kind, asked, folder), "*Not measured: {}.*\n")
+        return f"{head}\n{made}\n{end}"
 
     def number(found: re.Match[str]) -> str:
         head, asked, end = found.groups()
-        return f"{head}{explained(asked, lambda: _number(asked, folder))}{end}"
+        return f"{head}{explained(asked, lambda: _number(asked, folder), '(not measured)')}{end}"
 
-    return NUMBER.sub(number, TABLE.sub(table, text))
+    return NUMBER.sub(number, TABLE.sub(table, text)), absent
 
 
 def _table(kind: str, asked: str, folder: Path) -> str:

@@ -31,6 +31,10 @@ class RunsFileError(ValueError):
     """A CSV of kept runs that cannot be used; the message names the file and what is wrong with it."""
 
 
+class NoRunsError(ValueError):
+    """Runs that were never kept; the message says which."""
+
+
 def row_of(run: Run, commit: str = "") -> dict[str, str]:
     """A run as a row: facts, then every score as `<metric>` or `<metric>_<region>`, then its costs.
 
@@ -101,8 +105,11 @@ def read_kept(path: Path) -> pd.DataFrame:
     """The rows of a file of kept runs; numbers that a run has not are NaN.
 
     Raises:
-        RunsFileError: there is no such file, or it is no CSV of kept runs.
+        NoRunsError: there is no such file.
+        RunsFileError: it is no CSV of kept runs.
     """
+    if not path.exists():
+        raise NoRunsError(f"there is no {path.parent.name}/{path.name}")
     rows = _rows(path)
     frame = pd.DataFrame(rows)
     numbers = [name for name in frame.columns if name not in FACTS or name in ("steps", "seed", "order")]

@@ -12,7 +12,7 @@ from ..numbers.cards import PLAIN
 from ..numbers.comparison import Comparison, compare
 from ..numbers.estimates import Estimate, Numbers
 from ..tables.columns import ENV_PRIMITIVES, FRAME_MS, NORMALS, PRIMITIVES, SCORES, TRAIN_SECONDS, Column, in_region
-from .runs_file import FACTS
+from .runs_file import FACTS, NoRunsError
 
 COSTS = (PRIMITIVES, ENV_PRIMITIVES, TRAIN_SECONDS, FRAME_MS)
 COLUMNS = {column.metric: column for column in (*SCORES, NORMALS, *COSTS)}
@@ -41,12 +41,13 @@ class KeptRuns:
         """Those rows whose steps, split, protocol, scene and method are among the wanted ones (`a,b`).
 
         Raises:
-            TableError: none is left, or what is left has several steps, splits or protocols.
+            NoRunsError: none is left.
+            TableError: what is left has several steps, splits or protocols.
         """
         for key, values in wanted.items():
             rows = rows[rows[key].astype(str).isin(values.split(","))]
             if rows.empty:
-                raise TableError(f"{name} has no run with {key}={values}")
+                raise NoRunsError(f"{name} has no run with {key}={values}")
         runs = cls(name, rows)
         for key in ("steps", "split", "protocol"):
             runs.of_one(key)
@@ -147,7 +148,7 @@ def scores(runs: KeptRuns, metric: str = "psnr", region: str = FULL) -> str:
     what = f"{column.axis[:1].upper()}{column.axis[1:]}"
     if runs.rows["seed"].nunique() > 1:
         what += ", mean over seeds ± their standard deviation"
-    return f"{_markdown(['method', *heads], rows)}\n{runs.caption(what)}\n"
+    return f"{as_markdown(['method', *heads], rows)}\n{runs.caption(what)}\n"
 
 
 def gains(runs: KeptRuns, of: str, metric: str = "psnr", region: str = FULL) -> str:
@@ -164,7 +165,7 @@ def gains(runs: KeptRuns, of: str, metric: str = "psnr", region: str = FULL) -> 
     heads = [heading(place) for place in places]
     what = f"{column.axis[:1].upper()}{column.axis[1:]}, of `{of}` less the row's method, paired by seed"
     what += "; brackets are 95 % intervals, bold where they exclude 0"
-    return f"{_markdown([f'`{of}` less', *heads], rows)}\n{runs.caption(what)}\n"
+    return f"{as_markdown([f'`{of}` less', *heads], rows)}\n{runs.caption(what)}\n"
 
 
 def difference(column: Column, found: Comparison) -> str:
@@ -190,7 +191,7 @@ def costs(runs: KeptRuns) -> str:
         for method in runs.methods
     ]
     heads = [column.title for column in columns]
-    return f"{_markdown(['method', *heads], rows)}\n{runs.caption('Means over scenes')}\n"
+    return f"{as_markdown(['method', *heads], rows)}\n{runs.caption('Means over scenes')}\n"
 
 
 def _cell(column: Column, found: Estimate, best: bool = False) -> str:
@@ -211,6 +212,7 @@ def _metric_and_region(name: str) -> tuple[str, str]:
     return (metric, region) if metric in PLAIN and region else (name, FULL)
 
 
-def _markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def as_markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table whose first column is of words."""
     lines = [heads, [":--", *["--:"] * (len(heads) - 1)], *rows]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)

@@ -61,7 +61,8 @@ def read_runs(
 
     Args:
         only, exclude: patterns with * and ?, of which a run matches some, where there are any, or none. They are held
-            against its method, its data set, its status and its path below `folder`; of a broken record the path.
+            against its method, its data set, its status, `steps=<count>` and its path below `folder`; of a broken
+            record the path.
 
     Raises:
         RecordError: `folder` is not there.
@@ -77,7 +78,8 @@ def read_runs(
             if _wanted([place], only, exclude):
                 broken.append(BrokenRecord(path, str(error)))
             continue
-        if _wanted([place, run.record.method, run.record.dataset, run.record.status], only, exclude):
+        record = run.record
+        if _wanted([place, record.method, record.dataset, record.status, f"steps={record.steps}"], only, exclude):
             runs.append(run)
     return runs, broken
 

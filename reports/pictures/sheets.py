@@ -49,25 +49,28 @@ def draw_headline(shot: Shot, methods: Sequence[str], path: Path) -> bool:
         return False
     target = drawn[0]
     errors = [np.abs(picture / 255.0 - target / 255.0).mean(-1) for picture in drawn[1:]]
-    window = zoom_window(errors, _weight(shot, target.shape[:2]))
+    window = zoom_window(errors, weight_of(shot, target.shape[:2]))
     notes = ["", *(f"{shot.psnr[method]:.2f} dB" if method in shot.psnr else "" for method in methods)]
     lines: list[tuple[str, list[Panel]]] = [
-        ("", [(_framed(picture, *window), "") for picture in drawn]),
+        ("", [(framed(picture, *window), "") for picture in drawn]),
         ("", [(picture[window], "") for picture in drawn]),
     ]
     _save(draw_grid(["ground truth", *methods], notes, lines, target.shape[0] / target.shape[1]), path)
     return True
 
 
-def zoom_window(errors: Sequence[np.ndarray], weight: np.ndarray) -> tuple[slice, slice]:
+def zoom_window(
+    errors: Sequence[np.ndarray], weight: np.ndarray, size: tuple[int, int] | None = None
+) -> tuple[slice, slice]:
     """Rows and columns where the methods differ most.
 
     Args:
         errors: [H, W] of each method.
         weight: [H, W] ≥ 0, where to look: the reflective region.
+        size: of the window, rows and columns, px; otherwise 1 / ZOOM of the edges.
     """
     height, width = weight.shape
-    rows, columns = max(1, round(height / ZOOM)), max(1, round(width / ZOOM))
+    rows, columns = size or (max(1, round(height / ZOOM)), max(1, round(width / ZOOM)))
     difference = np.std(errors, axis=0) if len(errors) > 1 else errors[0]
     score = uniform_filter(difference * weight, size=(rows, columns), mode="constant")
     inner = score[rows // 2 : height - (rows - 1) // 2, columns // 2 : width - (columns - 1) // 2]
@@ -85,7 +88,7 @@ def _comparison(gallery: Gallery, shot: Shot, out: Path) -> Image.Image:
     rows, columns = slice(0, target.shape[0]), slice(0, target.shape[1])
     if fitting:
         errors = [np.abs(picture / 255.0 - target / 255.0).mean(-1) for picture in fitting.values()]
-        rows, columns = zoom_window(errors, _weight(shot, target.shape[:2]))
+        rows, columns = zoom_window(errors, weight_of(shot, target.shape[:2]))
     maps = {m: read_png_if_any(out / flip["flip"]) for m in fitting if (flip := gallery.flips.get((shot.view, m)))}
     notes = ["", *(f"{shot.psnr[m]:.2f} dB" if m in shot.psnr else "" for m in methods)]
     failed = list(gallery.missing)[: MAX_COLUMNS - len(methods)]
@@ -94,7 +97,7 @@ def _comparison(gallery: Gallery, shot: Shot, out: Path) -> Image.Image:
         drawn = [(of(method), "") if method in fitting else (None, "not readable") for method in methods]
         return [first, *drawn, *((None, gallery.missing[method]) for method in failed)]
 
-    whole = line((_framed(target, rows, columns), ""), lambda m: _framed(fitting[m], rows, columns))
+    whole = line((framed(target, rows, columns), ""), lambda m: framed(fitting[m], rows, columns))
     zoomed = line((target[rows, columns], ""), lambda m: fitting[m][rows, columns])
     flips = line((None, "FLIP error map\nblack 0, white 1"), lambda m: maps.get(m))
     titles = ["ground truth", *methods, *failed]
@@ -121,7 +124,7 @@ def _layer_sheet(shot: Shot) -> Image.Image:
     return draw_grid(titles, [""] * len(titles), lines, shape[0] / shape[1] if shape else 0.75)
 
 
-def _weight(shot: Shot, shape: tuple[int, int]) -> np.ndarray:
+def weight_of(shot: Shot, shape: tuple[int, int]) -> np.ndarray:
     """Where the scene reflects: its mask, or else the β of the last method that has one, or else everywhere."""
     betas = [layers[BETA] for layers in shot.layers.values() if BETA in layers]
     for path in filter(None, (shot.mask, *betas[-1:])):
@@ -131,7 +134,8 @@ def _weight(shot: Shot, shape: tuple[int, int]) -> np.ndarray:
     return np.ones(shape)
 
 
-def _framed(picture: np.ndarray, rows: slice, columns: slice) -> np.ndarray:
+def framed(picture: np.ndarray, rows: slice, columns: slice) -> np.ndarray:
+    """The picture with a frame around the window."""
     framed = Image.fromarray(picture)
     width = max(1, round(picture.shape[1] / CELL * 2))
     corners = (columns.start, rows.start, columns.stop - 1, rows.stop - 1)

@@ -46,7 +46,7 @@ def rows(kept: Path) -> list[dict[str, str]]:
 def filled(kept: Path, comment: str) -> str:
     page = kept / "page.md"
     page.write_text(f"# Page\n\n<!-- {comment} -->\nold\n<!-- end of table -->\n", encoding="utf-8")
-    return fill_page(page, kept)
+    return fill_page(page, kept)[0]
 
 
 def test_a_row_has_the_records_numbers_and_the_command(kept: Path) -> None:
@@ -135,8 +135,7 @@ def test_costs_are_of_one_device(kept: Path) -> None:
     [
         ("table: scores metric=psnr", "say records=<file>"),
         ("table: scores records=runs.csv metric=psrn", "no metric 'psrn', but psnr"),
-        ("table: scores records=runs.csv steps=7", "no run with steps=7"),
-        ("table: sums records=runs.csv", "no table 'sums', but scores, gains, costs"),
+        ("table: sums records=runs.csv", "no table 'sums', but scores, gains, costs, over_scenes"),
         ("table: gains records=runs.csv of=envgz", "no method 'envgz' here, but"),
         ("table: scores records=runs.csv colour=red", "cannot be asked so"),
     ],
@@ -144,6 +143,47 @@ def test_costs_are_of_one_device(kept: Path) -> None:
 def test_what_cannot_be_filled_is_said(kept: Path, comment: str, message: str) -> None:
     with pytest.raises(TableError, match=message):
         filled(kept, comment)
+
+
+def test_what_no_run_was_kept_of_stands_as_not_measured(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = kept / "page.md"
+    page.write_text(
+        "<!-- table: scores records=runs.csv steps=7 -->\n<!-- end of table -->\n"
+        "By <!-- number: of=envgs less=2dgs records=other.csv -->+9.00<!-- end --> dB.",
+        encoding="utf-8",
+    )
+    assert main(["report", str(kept), "--fill", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert "*Not measured: kept/runs.csv has no run with steps=7.*" in text
+    assert "-->(not measured)<!-- end --> dB." in text
+    told = capsys.readouterr().err
+    assert told.count("not measured") == 2
+    assert "there is no kept/other.csv" in told
+
+
+def test_over_many_scenes_each_counts_once(tmp_path: Path) -> None:
+    scenes = tuple(f"sampled/{index}" for index in range(12))
+    write_runs(tmp_path / "runs", scenes, ("2dgs", "envgs"), (0, 1), pictures=False)
+    write_failure(tmp_path / "runs", scenes[0], "2dgs", 2, "diverged", "loss is nan")
+    main(["report", str(tmp_path / "runs"), "--keep", str(tmp_path / "kept" / "runs.csv")])
+    frame = read_kept(tmp_path / "kept" / "runs.csv")
+    means = frame[frame.status == "ok"].groupby(["scene", "method"]).psnr.mean().unstack()
+    gained = means["envgs"] - means["2dgs"]
+    table = filled(tmp_path / "kept", "table: over_scenes records=runs.csv of=envgs")
+    (line,) = [line for line in table.splitlines() if line.startswith("| `2dgs` |")]
+    _, scenes_of, mean, ahead, level, worst, failed = (cell.strip() for cell in line.split("|")[1:-1])
+    assert (scenes_of, failed) == ("12", "1")
+    signed = f"{gained.mean():+.2f}".replace("-", "−")
+    low, high = stats.bootstrap((gained,), np.mean, method="percentile", rng=0).confidence_interval
+    ends = re.fullmatch(re.escape(signed) + r" \[([+−][\d.]+), ([+−][\d.]+)\]", mean)
+    assert ends is not None
+    found = [float(end.replace("−", "-")) for end in ends.groups()]
+    assert found == pytest.approx([low, high], abs=0.02)
+    for cell, hits in ((ahead, int((gained > 0).sum())), (level, int((gained > -0.1).sum()))):
+        ends = stats.binomtest(hits, 12).proportion_ci(method="exact")
+        assert cell == f"{100 * hits / 12:.0f} % [{100 * ends.low:.0f}, {100 * ends.high:.0f}]"
+    assert "failed runs of `envgs`: 0" in table
+    assert worst == f"{gained.min():+.2f}".replace("-", "−")
 
 
 def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
@@ -155,13 +195,13 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
 def test_a_number_in_a_sentence_is_filled(kept: Path) -> None:
     page = kept / "page.md"
     page.write_text("By <!-- number: of=envgs less=2dgs records=runs.csv -->?<!-- end --> dB.", encoding="utf-8")
-    assert re.search(r"--> ?\+\d\.\d\d \[\+\d\.\d\d, \+\d\.\d\d\]<!-- end --> dB\.", fill_page(page, kept))
+    assert re.search(r"--> ?\+\d\.\d\d \[\+\d\.\d\d, \+\d\.\d\d\]<!-- end --> dB\.", fill_page(page, kept)[0])
 
 
 @pytest.mark.parametrize("page", FILLED, ids=lambda path: path.stem)
 def test_the_pages_are_in_step_with_their_records(page: Path) -> None:
     """Where this fails: envgs-bench report envgs_bench/docs/records --fill <page>"""
-    assert fill_page(page, RECORDS) == page.read_text(encoding="utf-8")
+    assert fill_page(page, RECORDS)[0] == page.read_text(encoding="utf-8")
 
 
 def test_records_are_small_and_of_committed_code() -> None:

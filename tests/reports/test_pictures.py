@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from PIL import Image
 from reports_runs import METHODS, ball_in_a_box, record, run_folder, write_failure, write_record, write_runs
+from skimage.feature import match_template
 
 from envgs_bench.reports.numbers.runs import read_runs
 from envgs_bench.reports.page.data import _shot
 from envgs_bench.reports.pictures.error_maps import colored_flip_map, draw_error_maps
+from envgs_bench.reports.pictures.figure import MOST_BYTES, FigureError, draw_figure
 from envgs_bench.reports.pictures.gallery import Gallery, copy_pictures, galleries, slug
-from envgs_bench.reports.pictures.sheets import CELL, draw_sheets, zoom_window
+from envgs_bench.reports.pictures.sheets import CELL, GAP, HEAD, MARGIN, draw_sheets, zoom_window
 from envgs_bench.reports.tables.sections import split_sections
 from envgs_bench.run_folder import read_png_if_any
 
@@ -60,6 +62,33 @@ def test_sheets_have_a_column_a_method_and_name_what_failed(tmp_path: Path) -> N
     copies = [tmp_path / "out" / name for name in gallery.files.values()]
     assert len(copies) == 5 * (1 + len(METHODS) + 2 * 5)
     assert all(copy.read_bytes() == source.read_bytes() for source, copy in zip(gallery.files, copies, strict=True))
+
+
+@pytest.mark.parametrize("ending", ["webp", "jpg"])
+def test_a_figure_has_two_views_and_their_windows_pixel_by_pixel(tmp_path: Path, ending: str) -> None:
+    write_runs(tmp_path / "runs", methods=("2dgs", "envgs"), seeds=(0,))
+    gallery = draw_figure(tmp_path / "runs", tmp_path / f"figure.{ending}")
+    assert gallery.methods == ("2dgs", "envgs")
+    assert (tmp_path / f"figure.{ending}").stat().st_size <= MOST_BYTES
+    with Image.open(tmp_path / f"figure.{ending}") as figure:
+        drawn = np.asarray(figure.convert("RGB"), dtype=np.float64).mean(-1)
+    (shot,) = [shot for shot in gallery.shots if "worst" in shot.roles]
+    target = read_png_if_any(shot.target)
+    assert target is not None
+    height, pixel = CELL * 60 // 80, 14  # of 80 columns 24 are shown, each pixel as 14 by 14
+    top = MARGIN + HEAD + height + GAP
+    window = drawn[top : top + 18 * pixel, MARGIN : MARGIN + 24 * pixel]
+    window = window.reshape(18, pixel, 24, pixel).mean((1, 3))
+    assert match_template(target.mean(-1), window).max() > 0.95
+
+
+def test_a_figure_is_of_one_data_set(tmp_path: Path) -> None:
+    write_runs(tmp_path / "runs", (ROOM, "toy/sky_ball"), methods=("2dgs",), seeds=(0,))
+    with pytest.raises(FigureError, match=r"found 2 that left pictures .toy/chrome_room, toy/sky_ball.: choose with"):
+        draw_figure(tmp_path / "runs", tmp_path / "figure.webp")
+    with pytest.raises(FigureError, match=r"ends in \.webp, \.jpg"):
+        draw_figure(tmp_path / "runs", tmp_path / "figure.png", only=[ROOM])
+    draw_figure(tmp_path / "runs", tmp_path / "figure.webp", only=[ROOM])
 
 
 def test_normals_stand_beside_exact_normals_with_the_angle_between(tmp_path: Path) -> None:

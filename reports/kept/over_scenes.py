@@ -1,0 +1,52 @@
+"""A table of a page over many scenes: how far a method is ahead of each other one, and on which share of the scenes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..numbers.intervals import sample_interval, share_interval
+from .tables import FULL, NOTHING, KeptRuns, TableError, as_markdown, column_of
+
+LEVEL_DB = 0.1  # behind by no more is level
+HEADS = ("scenes", "mean", "ahead on", f"behind by {LEVEL_DB} dB at most on", "worst", "failed runs")
+
+
+def over_scenes(runs: KeptRuns, of: str, region: str = FULL) -> str:
+    """A row each other method: `of` less it in PSNR, dB. A scene counts once, as the mean of its seeds."""
+    column = column_of("psnr", region)
+    name = "psnr" if region == FULL else f"psnr_{region}"
+    done = runs.rows[runs.rows["status"] == "ok"]
+    if of not in runs.methods or name not in done:
+        raise TableError(f"{runs.name} has no {name} of {of!r} here; methods: {', '.join(runs.methods)}")
+    table = done.pivot_table(index="scene", columns="method", values=name, aggfunc="mean")
+    rows = []
+    for other in runs.methods:
+        if other != of:
+            gained = (table[of] - table[other]).dropna().to_numpy() if {of, other} <= set(table) else np.zeros(0)
+            rows.append([f"`{other}`", str(len(gained)), *_cells(gained), str(_failed(runs, other))])
+    what = f"{column.axis[:1].upper()}{column.axis[1:]}, of `{of}` less the row's method, a scene counting once"
+    what += f"; brackets are 95 % intervals over scenes; failed runs of `{of}`: {_failed(runs, of)}"
+    return f"{as_markdown([f'`{of}` less', *HEADS], rows)}\n{runs.caption(what)}\n"
+
+
+def _failed(runs: KeptRuns, method: str) -> int:
+    return int((runs.rows.loc[runs.rows["method"] == method, "status"] != "ok").sum())
+
+
+def _cells(gained: np.ndarray) -> list[str]:
+    """Of differences, dB: their mean, the share that is positive, the share that is level or positive, the worst."""
+    if not len(gained):
+        return [NOTHING] * 4
+    interval = sample_interval(gained)
+    mean = _signed(gained.mean()) + (f" [{_signed(interval.low)}, {_signed(interval.high)}]" if interval else "")
+    shares = [_share(int((gained > least).sum()), len(gained)) for least in (0.0, -LEVEL_DB)]
+    return [mean, *shares, _signed(gained.min())]
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.2f}".replace("-", "−")
+
+
+def _share(hits: int, count: int) -> str:
+    low, high = share_interval(hits, count)
+    return f"{100 * hits / count:.0f} % [{100 * low:.0f}, {100 * high:.0f}]"
