@@ -78,7 +78,7 @@ results: install
 	for suite in $(SUITES); do [ ! -d "$(RUNS)/$$suite" ] || $(BIN)/envgs-bench report "$(RUNS)/$$suite" \
 		--keep $(DOCS)/records/$$suite.csv $(if $(COMMIT),--commit $(COMMIT)) || exit 1; done
 	[ ! -d "$(RUNS)/photographs" ] || $(BIN)/envgs-bench report "$(RUNS)/photographs" $(FIGURE) \
-		--figure $(DOCS)/images/photograph.webp
+		--figure $(DOCS)/images/photograph.jpg
 	for page in $$(grep -rlE '<!-- (table|number): ' README.md $(DOCS) --include=*.md); do \
 		$(BIN)/envgs-bench report $(DOCS)/records --fill $$page || exit 1; done
 

@@ -13,20 +13,38 @@ HEADS = ("scenes", "mean", "ahead on", f"behind by {LEVEL_DB} dB at most on", "w
 
 def over_scenes(runs: KeptRuns, of: str, region: str = FULL) -> str:
     """A row each other method: `of` less it in PSNR, dB. A scene counts once, as the mean of its seeds."""
-    column = column_of("psnr", region)
-    name = "psnr" if region == FULL else f"psnr_{region}"
-    done = runs.rows[runs.rows["status"] == "ok"]
-    if of not in runs.methods or name not in done:
-        raise TableError(f"{runs.name} has no {name} of {of!r} here; methods: {', '.join(runs.methods)}")
-    table = done.pivot_table(index="scene", columns="method", values=name, aggfunc="mean")
+    axis = column_of("psnr", region).axis
     rows = []
     for other in runs.methods:
         if other != of:
-            gained = (table[of] - table[other]).dropna().to_numpy() if {of, other} <= set(table) else np.zeros(0)
+            gained = differences(runs, of, other, region)
             rows.append([f"`{other}`", str(len(gained)), *_cells(gained), str(_failed(runs, other))])
-    what = f"{column.axis[:1].upper()}{column.axis[1:]}, of `{of}` less the row's method, a scene counting once"
+    what = f"{axis[:1].upper()}{axis[1:]}, of `{of}` less the row's method, a scene counting once"
     what += f"; brackets are 95 % intervals over scenes; failed runs of `{of}`: {_failed(runs, of)}"
     return f"{as_markdown([f'`{of}` less', *HEADS], rows)}\n{runs.caption(what)}\n"
+
+
+def differences(runs: KeptRuns, of: str, less: str, region: str = FULL) -> np.ndarray:
+    """[N] PSNR of a method less another's, dB, of the scenes that both finished.
+
+    Raises:
+        TableError: the runs have no such score, or not of one of the two.
+    """
+    done = runs.rows[runs.rows["status"] == "ok"]
+    name = "psnr" if region == FULL else f"psnr_{region}"
+    missing = [method for method in (of, less) if method not in runs.methods]
+    if missing or name not in done:
+        raise TableError(f"{runs.name} has no {name} of {(missing or [of])[0]!r} here; methods: {runs.methods}")
+    table = done.pivot_table(index="scene", columns="method", values=name, aggfunc="mean")
+    return (table[of] - table[less]).dropna().to_numpy() if {of, less} <= set(table) else np.zeros(0)
+
+
+def mean_over_scenes(gained: np.ndarray) -> str:
+    """The mean and its interval, as a table or a sentence has them."""
+    if not len(gained):
+        return NOTHING
+    interval = sample_interval(gained)
+    return _signed(gained.mean()) + (f" [{_signed(interval.low)}, {_signed(interval.high)}]" if interval else "")
 
 
 def _failed(runs: KeptRuns, method: str) -> int:
@@ -37,10 +55,8 @@ def _cells(gained: np.ndarray) -> list[str]:
     """Of differences, dB: their mean, the share that is positive, the share that is level or positive, the worst."""
     if not len(gained):
         return [NOTHING] * 4
-    interval = sample_interval(gained)
-    mean = _signed(gained.mean()) + (f" [{_signed(interval.low)}, {_signed(interval.high)}]" if interval else "")
     shares = [_share(int((gained > least).sum()), len(gained)) for least in (0.0, -LEVEL_DB)]
-    return [mean, *shares, _signed(gained.min())]
+    return [mean_over_scenes(gained), *shares, _signed(gained.min())]
 
 
 def _signed(value: float) -> str:

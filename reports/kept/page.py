@@ -5,7 +5,8 @@ A table stands between two comments, of which the first says what it shows:
     <!-- table: gains of=envgs records=photographs.csv steps=7000 metric=psnr -->
     <!-- end of table -->
 
-and a number in a sentence likewise, `<!-- number: of=envgs less=2dgs_tuned records=… -->+0.3<!-- end -->`.
+and a number in a sentence likewise, `<!-- number: of=envgs less=2dgs_tuned records=… -->+0.3<!-- end -->`; its interval
+is over seeds, and with over=scenes over scenes.
 Where no such runs are kept, the page says so in the place of the table or number.
 """
 
@@ -15,7 +16,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from .over_scenes import over_scenes
+from .over_scenes import differences, mean_over_scenes, over_scenes
 from .runs_file import NoRunsError, read_kept
 from .tables import FULL, KeptRuns, TableError, column_of, costs, difference, gains, scores
 
@@ -68,9 +69,12 @@ def _table(kind: str, asked: str, folder: Path) -> str:
 
 def _number(asked: str, folder: Path) -> str:
     runs, rest = _chosen(asked, folder)
-    column = column_of(rest.get("metric", "psnr"), rest.get("region", FULL))
+    region = rest.get("region", FULL)
+    column = column_of(rest.get("metric", "psnr"), region)
     if missing := [key for key in ("of", "less") if key not in rest]:
         raise TableError(f"say {missing[0]}=<method>")
+    if rest.get("over") == "scenes":
+        return mean_over_scenes(differences(runs, rest["of"], rest["less"], region))
     found = runs.compared(column, rest["of"], rest["less"], runs.having(column))
     return difference(column, found).replace("*", "")
 

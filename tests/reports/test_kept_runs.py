@@ -174,6 +174,9 @@ def test_over_many_scenes_each_counts_once(tmp_path: Path) -> None:
     _, scenes_of, mean, ahead, level, worst, failed = (cell.strip() for cell in line.split("|")[1:-1])
     assert (scenes_of, failed) == ("12", "1")
     signed = f"{gained.mean():+.2f}".replace("-", "−")
+    page = tmp_path / "kept" / "page.md"
+    page.write_text("<!-- number: of=envgs less=2dgs records=runs.csv over=scenes -->?<!-- end -->", encoding="utf-8")
+    assert f"-->{mean}<!-- end -->" in fill_page(page, tmp_path / "kept")[0]
     low, high = stats.bootstrap((gained,), np.mean, method="percentile", rng=0).confidence_interval
     ends = re.fullmatch(re.escape(signed) + r" \[([+−][\d.]+), ([+−][\d.]+)\]", mean)
     assert ends is not None
