@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from envgs_bench.core import Camera
 
 from .errors import DatasetError
+from .progress import streamed
 from .toy.shapes import Mesh
 
 Array = NDArray[np.floating[Any]]
@@ -22,6 +24,7 @@ Tracer = Literal["cpu", "gpu"]
 # are the same but for the noise of their paths.
 VARIANTS: dict[Tracer, str] = {"cpu": "scalar_rgb", "gpu": "cuda_ad_rgb"}
 DEPTH = 9  # edges of the longest path
+MOST_PATHS = 2**26  # traced at once on a GPU: some 5 GB of its memory
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ class PathTracer:
 
     Args:
         sky: [H, W, 3] linear radiance from infinity; row 0 looks to +z, columns run counterclockwise from +x.
-        tracer: which of Mitsuba's variants; that of a GPU takes one picture at a time, from one thread.
+        tracer: which of Mitsuba's variants; that of a GPU is for one thread.
 
     Raises:
         DatasetError: Mitsuba is not installed, or has no such GPU.
@@ -60,18 +63,44 @@ class PathTracer:
     def light(self, camera: Camera, supersampling: int, seed: int) -> Array:
         """The view [H, W, 3], linear: a pixel is its area's mean over supersampling² paths, well spread over it."""
         sampler = {"type": "multijitter", "sample_count": supersampling**2}
-        return self._rendered(self._sensor(camera, sampler), supersampling**2, seed)
+        sensor = self._mitsuba.load_dict(self._sensor(camera) | {"sampler": sampler})
+        return self._rendered(sensor, supersampling**2, seed)
 
-    def clamped_light(self, camera: Camera, seeds: Sequence[int], most: float) -> Array:
-        """The view [H, W, 3], linear: the mean over one path a seed, none of which counts for more than `most`.
+    def clamped_lights(
+        self, cameras: Sequence[Camera], supersampling: int, most: float, rng: np.random.Generator
+    ) -> Iterator[Array]:
+        """The views of one size [H, W, 3], linear: means over supersampling² paths, one through each part of a pixel.
 
-        A path that meets a lamp in a mirror by chance is a speckle otherwise, however many others there are.
+        None counts for more than `most`: one that meets a lamp in a mirror by chance is a speckle otherwise, however
+        many others there are.
         """
-        sensor = self._sensor(camera, {"type": "independent", "sample_count": 1})
-        total = np.zeros((camera.height, camera.width, 3), np.float32)
-        for seed in seeds:
-            total += np.minimum(np.nan_to_num(self._rendered(sensor, 1, seed)), most)
-        return total / len(seeds)
+        size = 1 if not self._on_gpu else self._views_at_once(cameras, supersampling)
+        batches = [list(cameras[first : first + size]) for first in range(0, len(cameras), size)]
+        seeds = rng.integers(2**31, size=len(cameras)).tolist()
+
+        def lights(index: int) -> list[Array]:
+            batch = batches[index]
+            fine = [_enlarged(camera, supersampling) for camera in batch]
+            light = torch.from_numpy(self._rendered(self._side_by_side(fine), 1, seeds[index]))
+            shape = (batch[0].height, supersampling, len(batch) * batch[0].width, supersampling, 3)
+            mean = light.nan_to_num_().clamp_(max=most).reshape(shape).mean((1, 3))
+            return np.split(mean.numpy(), len(batch), axis=1)
+
+        for views in streamed("tracing views", lights, range(len(batches)), 1 if self._on_gpu else None):
+            yield from views
+
+    def _views_at_once(self, cameras: Sequence[Camera], supersampling: int) -> int:
+        """On a GPU: to prepare a picture takes it as long as to trace several."""
+        return max(1, MOST_PATHS // (supersampling**2 * cameras[0].width * cameras[0].height))
+
+    def _side_by_side(self, cameras: Sequence[Camera]) -> Any:
+        """A sensor of all of them, whose pictures are of one size."""
+        sampler = {"type": "independent", "sample_count": 1}
+        if len(cameras) == 1:
+            return self._mitsuba.load_dict(self._sensor(cameras[0]) | {"sampler": sampler})
+        sensors = {f"camera{index:05}": self._sensor(camera) for index, camera in enumerate(cameras)}
+        film = _film(len(cameras) * cameras[0].width, cameras[0].height)
+        return self._mitsuba.load_dict({"type": "batch", **sensors, "film": film, "sampler": sampler})
 
     def _rendered(self, sensor: Any, paths: int, seed: int) -> Array:
         if self._on_gpu:  # where a seed that is part of the kernel would have it compiled each time
@@ -79,23 +108,20 @@ class PathTracer:
 
             seed = drjit.opaque(self._mitsuba.UInt32, seed)
         light = self._mitsuba.render(self._scene, sensor=sensor, integrator=self._integrator, spp=paths, seed=seed)
-        return np.array(light)[..., :3]
+        return np.array(light)
 
-    def _sensor(self, camera: Camera, sampler: dict[str, Any]) -> Any:
-        mi = self._mitsuba
+    def _sensor(self, camera: Camera) -> dict[str, Any]:
         # a camera of Mitsuba's has x to the left and y up
         pose = np.linalg.inv(camera.world_to_camera.double().numpy()) @ np.diag([-1.0, -1.0, 1.0, 1.0])
         focal = float(camera.intrinsics[0, 0])
-        sensor = {
+        return {
             "type": "perspective",
-            "to_world": mi.ScalarTransform4f(pose.tolist()),
+            "to_world": self._mitsuba.ScalarTransform4f(pose.tolist()),
             "fov": float(np.degrees(2 * np.arctan(camera.width / (2 * focal)))),
             "fov_axis": "x",
             "near_clip": 1e-3,
-            "film": {"type": "hdrfilm", "width": camera.width, "height": camera.height, "rfilter": {"type": "box"}},
-            "sampler": sampler,
+            "film": _film(camera.width, camera.height),
         }
-        return mi.load_dict(sensor)
 
     def _shape(self, surface: TracedSurface) -> Any:
         mi, mesh = self._mitsuba, surface.mesh
@@ -138,6 +164,17 @@ class PathTracer:
         bitmap = mi.Bitmap(np.ascontiguousarray(sky[:, ::-1], dtype=np.float32))
         upright = mi.ScalarTransform4f().rotate([0, 0, 1], -90).rotate([1, 0, 0], 90)
         return {"type": "envmap", "bitmap": bitmap, "to_world": upright}
+
+
+def _enlarged(camera: Camera, factor: int) -> Camera:
+    """With so many times as many pixels along either side."""
+    intrinsics = camera.intrinsics.clone()
+    intrinsics[:2] *= factor
+    return Camera(camera.world_to_camera, intrinsics, factor * camera.width, factor * camera.height)
+
+
+def _film(width: int, height: int) -> dict[str, Any]:
+    return {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
 
 
 def _imported(tracer: Tracer) -> Any:

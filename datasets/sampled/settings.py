@@ -18,4 +18,4 @@ class SampledSettings(SourceSettings):
     height: Annotated[int, Field(ge=16)] = 300
     views: Annotated[int, Field(ge=8)] = 60  # training and test views together; where few were taken, a share of them
     tracer: Literal["cpu", "gpu"] = "cpu"  # where pictures are traced; but for noise they are the same
-    supersampling: Annotated[int, Field(ge=1)] = 4  # its square are the paths a pixel
+    supersampling: Annotated[int, Field(ge=1)] = 4  # its square are the paths a pixel; four times as many test

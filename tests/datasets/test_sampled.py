@@ -119,8 +119,10 @@ def test_a_path_counts_for_no_more_than_it_may() -> None:
     floor = Surface(flat((0, 0, 0), 4, 4), thing=1)
     sky = np.ones((4, 8, 3))
     sky[0] = 400.0
-    tracer = PathTracer([floor.traced()], sky)
-    assert tracer.clamped_light(camera_at((2.0, 0.0, 1.2)), [1, 2, 3], 0.7).max() <= 0.7 + 1e-6
+    tracer, rng = PathTracer([floor.traced()], sky), np.random.default_rng(1)
+    (view,) = tracer.clamped_lights([camera_at((2.0, 0.0, 1.2))], 2, 0.7, rng)
+    assert view.max() <= 0.7 + 1e-6
+    assert view.shape == (30, 40, 3)
 
 
 def test_a_seed_is_a_scene_and_its_pictures_may_come_from_an_archive(
