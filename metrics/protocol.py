@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, replace
 
 import torch
@@ -105,8 +106,10 @@ class Protocol(Choices):
         return self if self.quantization == "round" else replace(self, name=f"{self.name}-8bit", quantization="round")
 
     @torch.no_grad()
-    def score(self, prediction: Tensor, target: Tensor, mask: Tensor | None = None) -> dict[str, float | None]:
-        """All metrics of one image.
+    def score(
+        self, prediction: Tensor, target: Tensor, mask: Tensor | None = None, only: Collection[str] | None = None
+    ) -> dict[str, float | None]:
+        """All metrics of one image, or those of `metrics` that are named in `only`.
 
         Args:
             prediction: [H, W, 3] floats as rendered, sRGB, nominally in [0, 1].
@@ -124,21 +127,28 @@ class Protocol(Choices):
         _check(prediction, target, mask)
         prediction = _quantized(prediction, self.quantization)
         if mask is not None and not mask.any():
-            return {**dict.fromkeys(self.metrics), "fraction": 0.0}
-        scores = self._inside(prediction, target, mask)
-        if self.corrects_color:
-            corrected = self._inside(color_corrected(prediction, target), target, mask)
-            scores |= {name: corrected[name.removeprefix(CORRECTED)] for name in corrected_metrics()}
+            return {**dict.fromkeys(self._wanted(self.metrics, only)), "fraction": 0.0}
+        scores = self._inside(prediction, target, mask, self._wanted(self._plain, only))
+        if corrected := self._wanted(corrected_metrics(), only) if self.corrects_color else {}:
+            plain = {name.removeprefix(CORRECTED): metric for name, metric in corrected.items()}
+            found = self._inside(color_corrected(prediction, target), target, mask, plain)
+            scores |= {CORRECTED + name: value for name, value in found.items()}
         return scores if mask is None else {**scores, "fraction": float(mask.double().mean())}
 
-    def _inside(self, prediction: Tensor, target: Tensor, mask: Tensor | None) -> dict[str, float | None]:
-        """The plain metrics inside the mask, which is not empty, or of the full image."""
+    @staticmethod
+    def _wanted(metrics: Mapping[str, Metric], only: Collection[str] | None) -> dict[str, Metric]:
+        return {name: metric for name, metric in metrics.items() if only is None or name in only}
+
+    def _inside(
+        self, prediction: Tensor, target: Tensor, mask: Tensor | None, metrics: Mapping[str, Metric]
+    ) -> dict[str, float | None]:
+        """These metrics inside the mask, which is not empty, or of the full image."""
         if mask is not None and self.masking == "white":
             prediction, target = (image.where(mask[..., None], 1.0) for image in (prediction, target))
             mask = None
         return {
             name: None if metric.not_computed() else metric.value(prediction, target, mask, self)
-            for name, metric in self._plain.items()
+            for name, metric in metrics.items()
         }
 
 

@@ -19,6 +19,7 @@ class Perturbation(Generic[Given]):
     change: Callable[[Given, float, np.random.Generator], Given]  # what is given, level -> what the run gets
     levels: tuple[float, ...]  # from mild to severe
     words: str  # what a level does, with {} for the level
+    moves_cameras: bool = False  # whether training cameras are not where the data say
 
     def level(self, severity: int) -> str:
         """What the severity does, in words."""

@@ -36,9 +36,11 @@ PERTURBATIONS: dict[str, Perturbation[Scene]] = {
     "noise": Perturbation(_of("photographs:add_noise"), (0.02, 0.05, 0.15), "noise with a σ of {:g} of the range"),
     "jpeg": Perturbation(_of("photographs:compress"), (50, 20, 5), "JPEG of quality {:g}"),
     "views": Perturbation(_of("views:thin_out"), (24, 12, 6, 3), "{:g} training views"),
-    "pose_rotation": Perturbation(_of("poses:turn"), (0.1, 0.5, 2.0), "cameras turned by {:g}° on average"),
+    "pose_rotation": Perturbation(
+        _of("poses:turn"), (0.1, 0.5, 2.0), "cameras turned by {:g}° on average", moves_cameras=True
+    ),
     "pose_translation": Perturbation(
-        _of("poses:shift"), (0.001, 0.005, 0.02), "cameras shifted by {:.1%} of the radius"
+        _of("poses:shift"), (0.001, 0.005, 0.02), "cameras shifted by {:.1%} of the radius", moves_cameras=True
     ),
     "points_fewer": Perturbation(_of("points:thin_out"), (1 / 2, 1 / 8, 1 / 32), "{:.3g} of the points"),
     "points_noisy": Perturbation(

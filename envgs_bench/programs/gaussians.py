@@ -14,7 +14,7 @@ from envgs_bench.core import Placement, Scene
 from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.gaussians.model import NEAR
 from envgs_bench.methods.settings import GaussianSettings
-from envgs_bench.methods.storage.gaussian_files import read_gaussian_file
+from envgs_bench.methods.storage.gaussian_files import drawable, read_gaussian_file
 from envgs_bench.parts import BASE
 
 MOST_LOG_SCALE = 80.0  # beyond, a float32 scale or its square is infinite
@@ -46,6 +46,8 @@ class OpenedSurfels(GaussianMethod):
 def open_gaussians(path: Path, scene: Scene, near: float | None = None, device: str = "cpu") -> GaussianMethod:
     """The file's Gaussians as a method that is ready to `prepare` and `render`, in the world of the scene.
 
+    Those that have values that are not finite are left out, and the method's notes say how many.
+
     Args:
         path: as of `read_gaussian_file`, in the coordinates of the scene's data.
         near: nothing nearer to a camera is drawn, in the data's units; None: as our methods do.
@@ -54,9 +56,11 @@ def open_gaussians(path: Path, scene: Scene, near: float | None = None, device: 
         ValueError: as `read_gaussian_file`, or the file holds no Gaussian.
     """
     tensors = read_gaussian_file(path)
-    if not len(tensors["means"]):
-        raise ValueError(f"{path}: holds no Gaussian")
-    tensors = _in_world(tensors, scene.placement)
+    kept = drawable(tensors)
+    if not kept.any():
+        spoiled = f" of finite values, but {len(kept)} others" if len(kept) else ""
+        raise ValueError(f"{path}: holds no Gaussian{spoiled}")
+    tensors = _in_world({name: values[kept] for name, values in tensors.items()}, scene.placement)
     surfels = tensors["log_scales"].shape[1] == 2
     method = (OpenedSurfels if surfels else OpenedGaussians)(OpenedSettings(), device)
     at = torch.device(device)
@@ -66,6 +70,10 @@ def open_gaussians(path: Path, scene: Scene, near: float | None = None, device: 
         **{"radius": scene.radius, "near": closest, "background": scene.background.to(at)},
     }
     method.restore(state)
+    if left_out := int((~kept).sum()):
+        method.notes.append(
+            f"{path.name}: {left_out:,} of {len(kept):,} Gaussians have values that are not finite, and are left out"
+        )
     return method
 
 

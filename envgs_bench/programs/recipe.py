@@ -12,6 +12,7 @@ pipes nor variables mean anything. `{arguments}` and `{on_white}` become as many
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import shlex
@@ -317,3 +318,9 @@ def files_of(pattern: str, values: Mapping[str, str]) -> list[Path]:
     path = Path(filled(pattern, values))
     parts: Iterable[str] = path.parts[1:]
     return sorted(found for found in Path(path.anchor).glob("/".join(parts)) if found.is_file())
+
+
+def folder_of(pattern: str, values: Mapping[str, str]) -> Path:
+    """The folder that all of these files lie below: the pattern up to the first part that has a wildcard."""
+    parts = Path(filled(pattern, values)).parent.parts
+    return Path(*itertools.takewhile(lambda part: not set(part) & set("*?["), parts))

@@ -17,6 +17,7 @@ from envgs_bench.records import MaskedScores, Metrics, ScoredOn, Scores
 from .events import EventListener
 from .health import Diverged
 from .pictures import depth_unit, save_view
+from .pose_alignment import Alignment
 from .scoring import FULL, Pair, score_pairs
 
 NORMAL_METRIC = "normal_degrees"
@@ -28,17 +29,23 @@ def scored_views(scene: Scene, score_on: ScoredOn) -> Sequence[View]:
 
 
 def evaluate(
-    method: Method, views: Sequence[View], protocol: Protocol, folder: Path, report: EventListener
+    method: Method,
+    views: Sequence[View],
+    protocol: Protocol,
+    folder: Path,
+    report: EventListener,
+    alignment: Alignment | None = None,
 ) -> tuple[Metrics, dict[str, MaskedScores]]:
     """Scores of `views` and of every region that their masks name.
 
     Leaves the pictures of `pictures.save_view` in `folder`. Where a view brings exact normals, `normal_degrees` is
-    added to its scores: see `normal_error`. Where one does not, `not_computed` says so.
+    added to its scores: see `normal_error`. Where one does not, `not_computed` says so. With an alignment
+    `psnr_aligned` is added.
 
     Raises:
         Diverged: a render is not finite.
     """
-    metrics, masked = score_pairs(_drawn(method, views, folder, report), protocol, method.device)
+    metrics, masked = score_pairs(_drawn(method, views, folder, report, alignment), protocol, method.device)
     without = [view.name for view in views if view.normal is None]
     if without:
         why = f"{len(without)} of {len(views)} scored views bring no exact normals"
@@ -46,7 +53,9 @@ def evaluate(
     return metrics, masked
 
 
-def _drawn(method: Method, views: Sequence[View], folder: Path, report: EventListener) -> Iterator[Pair]:
+def _drawn(
+    method: Method, views: Sequence[View], folder: Path, report: EventListener, alignment: Alignment | None
+) -> Iterator[Pair]:
     unit = depth_unit([view.camera for view in views])
     for number, view in enumerate(views):
         report({"stage": "scoring", "step": number, "steps": len(views)})
@@ -56,7 +65,11 @@ def _drawn(method: Method, views: Sequence[View], folder: Path, report: EventLis
             share = float((~torch.isfinite(image)).float().mean())
             raise Diverged(f"the render of view {view.name} is not finite in {share:.1%} of its values")
         save_view(folder, view, rendering, unit)
-        yield Pair(view.name, image, view.rgb(), view.masks, _normal_errors(view, rendering.normal.cpu()))
+        others = _normal_errors(view, rendering.normal.cpu())
+        if alignment:
+            aligned = alignment.scores(method, view)
+            others = {region: {**others.get(region, {}), **scores} for region, scores in aligned.items()}
+        yield Pair(view.name, image, view.rgb(), view.masks, others)
 
 
 def normal_error(normal: Tensor, reference: Tensor, mask: Tensor | None = None) -> float | None:

@@ -31,6 +31,7 @@ from .events import EventListener
 from .fixed_rays import sampled
 from .loading import check_scene, load_for_run
 from .perturbations import perturbed_settings
+from .pose_alignment import alignment_of
 from .program import run_program
 from .renders import run_renders
 from .results import Results
@@ -110,7 +111,8 @@ def execute(
     report({"stage": "preparing"})
     method.prepare()
     views = scored_views(scene, settings.score_on)
-    results.metrics, results.masked = evaluate(method, views, protocol, folder, report)
+    alignment = alignment_of(settings, scene, protocol)
+    results.metrics, results.masked = evaluate(method, views, protocol, folder, report, alignment)
     report({"stage": "timing"})
     results.timing = time_frames(method, views, settings.timing)
     write_samples(folder, sampled(method, scene, views))

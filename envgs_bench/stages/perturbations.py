@@ -41,6 +41,12 @@ def perturbed_settings(settings: RunSettings) -> RunSettings:
     return OF_SETTINGS[chosen.kind].applied(settings, chosen.severity, chosen.kind, settings.seed)
 
 
+def cameras_moved(settings: RunSettings) -> bool:
+    """Whether the run's training cameras are perturbed."""
+    chosen = settings.perturb
+    return chosen is not None and chosen.kind in OF_SCENES and OF_SCENES[chosen.kind].moves_cameras
+
+
 def perturbation_of(settings: RunSettings) -> Perturbed | None:
     """What the record says of the run's perturbation; None for an unperturbed run.
 

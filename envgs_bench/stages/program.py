@@ -19,7 +19,7 @@ from envgs_bench.metrics.psnr import psnr
 from envgs_bench.programs.command import ProgramFailed
 from envgs_bench.programs.gaussians import open_gaussians
 from envgs_bench.programs.memory import MemoryWatch
-from envgs_bench.programs.recipe import Model, ProgramChoice, files_of, parse_choice
+from envgs_bench.programs.recipe import Model, ProgramChoice, files_of, folder_of, parse_choice
 from envgs_bench.programs.work import Work, commit_of
 from envgs_bench.records import Cost, MaskedScores, Metrics, ProgramRun
 from envgs_bench.run_folder import CHECKPOINT, PROGRAM
@@ -30,6 +30,7 @@ from .events import EventListener
 from .loading import check_scene, load_for_run
 from .perturbations import perturbed_settings
 from .pictures import depth_unit, layer_pictures, save_pair
+from .pose_alignment import ALIGNED, Alignment, alignment_of
 from .renders import match_renders, read_render
 from .results import Results
 from .scoring import Pair, score_pairs
@@ -73,8 +74,10 @@ def run_program(
     if method is None and choice.recipe.pictures is None:
         raise ProgramFailed(f"it left no model that its test views could be drawn of: {why}")
     if method is not None:
+        results.notes = [*results.notes, *method.notes]
         results.cost = _with_model(results.cost, method, folder / CHECKPOINT)
-    scored, agreement = _score(choice, work, method, views, scene, protocol, folder, report)
+    alignment = alignment_of(settings, scene, protocol)
+    scored, agreement = _score(choice, work, method, views, scene, protocol, folder, report, alignment)
     results.metrics, results.masked = scored
     not_measured = results.program.not_measured | ({"frame_ms": why} if why else {})
     mean = sum(agreement.values()) / len(agreement) if agreement else None
@@ -190,6 +193,7 @@ def _score(
     protocol: Protocol,
     folder: Path,
     report: EventListener,
+    alignment: Alignment | None,
 ) -> tuple[tuple[Metrics, dict[str, MaskedScores]], dict[str, float]]:
     """Scores of its pictures, and each view's agreement with the shared core's picture of its model, dB.
 
@@ -199,14 +203,15 @@ def _score(
     files = {}
     if pictures is not None:
         found = files_of(pictures.files, work.values)
-        files = match_renders(work.output, pictures.match, views, found, pictures.crop)
+        folder_of_them = folder_of(pictures.files, work.values) if found else work.output
+        files = match_renders(folder_of_them, pictures.match, views, found, pictures.crop)
     unit = depth_unit([view.camera for view in views])
     agreement: dict[str, float] = {}
 
     def pairs() -> Iterator[Pair]:
         for number, view in enumerate(views):
             report({"stage": "scoring", "step": number, "steps": len(views)})
-            image, layers = None, {}
+            image, layers, others = None, {}, {}
             if pictures is not None:
                 image = read_render(files[view.name], scene.background, pictures.crop)
             if method is not None:
@@ -215,14 +220,14 @@ def _score(
                 layers = layer_pictures(rendering, unit) | {CORE: ours}
                 if image is not None:
                     agreement[view.name] = psnr(image.clamp(0, 1), ours.clamp(0, 1))
-                image = ours if image is None else image
+                if image is None:
+                    image, others = ours, alignment.scores(method, view) if alignment else {}
             assert image is not None
             save_pair(folder, view, image, layers)
-            yield Pair(view.name, image, view.rgb(), view.masks)
+            yield Pair(view.name, image, view.rgb(), view.masks, others)
 
     metrics, masked = score_pairs(pairs(), protocol, method.device if method else "cpu")
-    why = "another program's normals are not known"
-    return (
-        metrics.model_copy(update={"not_computed": {**metrics.not_computed, NORMAL_METRIC: why}}),
-        masked,
-    ), agreement
+    why = {NORMAL_METRIC: "another program's normals are not known"}
+    if alignment and pictures is not None:
+        why[ALIGNED] = "another program's pictures cannot be drawn from elsewhere"
+    return (metrics.model_copy(update={"not_computed": {**metrics.not_computed, **why}}), masked), agreement

@@ -36,6 +36,9 @@ SUFFIXES = (*DECODED, ".npy")
 MODES = ("L", "LA", "P", "RGB", "RGBA")  # those of 8 bits a channel
 WHOLE = "whole"
 CROPS = (WHOLE, "left half", "right half")  # the parts of a file that may be the picture
+IN_ORDER = (
+    "method.settings.match=order takes numbered files in the views' order, as does pictures.match: order of a recipe"
+)
 MAX_LISTED = 20  # problems listed of each kind
 MAX_MEAN = 1.5  # mean of a picture whose range is [0, 1], with room for what overshoots
 
@@ -150,7 +153,7 @@ def match_renders(
             f"{folder}: does not fit the {len(views)} test views:\n{listed}\n"
             f"Expected one picture a test view, <view>.png, .jpg or .npy, of the view's size"
             + (f", {crop} of the file" if crop != WHOLE else "")
-            + ("; method.settings.match=order takes numbered files in the views' order" if match == "name" else "")
+            + (f"; {IN_ORDER}" if match == "name" else "")
         )
     return found
 

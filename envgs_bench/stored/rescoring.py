@@ -44,6 +44,7 @@ from envgs_bench.runs.draft import now
 from envgs_bench.runs.job import resolve_device
 from envgs_bench.settings import read_settings
 from envgs_bench.stages.evaluation import evaluate, scored_views
+from envgs_bench.stages.pose_alignment import alignment_of
 from envgs_bench.stages.renders import score_renders
 from envgs_bench.stages.scoring import FULL, Pair, score_pairs
 
@@ -96,7 +97,7 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
         else:
             _, method = reopen(run, device)
             method.prepare()
-            scores = evaluate(method, views, protocol, out, _silent)
+            scores = evaluate(method, views, protocol, out, _silent, alignment_of(settings, scene, protocol))
     return _write(run, record, protocol, scores, out, "checkpoint", (CURVE_NAME, SAMPLES_NAME))
 
 

@@ -78,19 +78,22 @@ def write_ply(path: Path, tensors: Mapping[str, Tensor], two_scales: bool = Fals
     PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(path)
 
 
-def read_ply(path: Path) -> dict[str, Tensor]:
+def read_ply(path: Path, checked: bool = True) -> dict[str, Tensor]:
     """`GaussianParameters`' tensors, float32, of what `write_ply` or another program wrote; the rest is left.
 
     Surfels are those whose file has two scales, or a third that is FLAT_SCALE of all of them.
+
+    Args:
+        checked: refuse values that no Gaussian has; otherwise they are returned as they are.
 
     Raises:
         ValueError: no readable PLY, a compressed one, properties missing, an SH degree above 3, or values that no
             Gaussian has; the message names the file and the properties.
     """
-    return vertex_tensors(_vertices(path), path)
+    return vertex_tensors(_vertices(path), path, checked)
 
 
-def vertex_tensors(vertices: PlyElement, path: Path | str) -> dict[str, Tensor]:
+def vertex_tensors(vertices: PlyElement, path: Path | str, checked: bool = True) -> dict[str, Tensor]:
     """As `read_ply`, of the element `vertex` of the file at `path`, which errors name."""
     present = number_names(vertices)
     rest, scales = (sorted(n for n in present if n.startswith(prefix)) for prefix in ("f_rest_", "scale_"))
@@ -128,7 +131,8 @@ def vertex_tensors(vertices: PlyElement, path: Path | str) -> dict[str, Tensor]:
     if "beta" in present:
         tensors["beta_logits"] = columns(BETA)
     tensors |= {name: columns(properties) for name, properties in materials.items()}
-    _check_values(path, tensors)
+    if checked:
+        _check_values(path, tensors)
     return tensors
 
 

@@ -15,6 +15,7 @@ from envgs_bench.programs.recipe import (
     Recipe,
     RecipeError,
     files_of,
+    folder_of,
     parse_choice,
     read_recipe,
     shipped_recipes,
@@ -111,6 +112,14 @@ def test_patterns_of_files_leave_folders_out(tmp_path: Path) -> None:
     (tmp_path / "deep" / "a.png").mkdir(parents=True)
     (tmp_path / "deep" / "b.png").touch()
     assert files_of("{data}/**/*.png", {"data": str(tmp_path)}) == [tmp_path / "deep" / "b.png"]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "folder"),
+    [("{data}/rgb/*.png", "rgb"), ("{data}/**/RENDER/*.png", ""), ("{data}/a/b[0-9]/c.png", "a"), ("{data}/a.png", "")],
+)
+def test_the_folder_of_a_pattern_ends_before_its_wildcards(tmp_path: Path, pattern: str, folder: str) -> None:
+    assert folder_of(pattern, {"data": str(tmp_path)}) == tmp_path / folder
 
 
 def test_a_choice_comes_back_from_a_runs_settings() -> None:

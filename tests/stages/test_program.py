@@ -22,8 +22,9 @@ from torch import Tensor
 
 from envgs_bench.core import rasterize
 from envgs_bench.datasets.formats.pictures import read_picture
-from envgs_bench.methods.storage.ply import read_gaussians, write_ply
+from envgs_bench.methods.storage.ply import read_gaussians, read_ply, write_ply
 from envgs_bench.methods.storage.splats import encode_splats
+from envgs_bench.programs import command
 from envgs_bench.programs.memory import MemoryWatch
 from envgs_bench.records import Record
 from envgs_bench.reports import build_report
@@ -90,6 +91,7 @@ def test_it_stands_beside_ours_in_a_report(tmp_path: Path) -> None:
         ("no-memory", "out of memory"),
         ("nothing", "2 views without a file: view0, view1"),
         ("half", "1 views without a file: view1"),
+        ("more", "1 files without a view: 00002.png"),
         ("small", "is 31×24 pixels, its view 32×24"),
         ("beside", "is 64×24 pixels, its view 32×24"),
         ("truncated", "cannot be read"),
@@ -104,6 +106,31 @@ def test_every_failure_is_a_record_that_says_why(tmp_path: Path, mode: str, mess
     assert record.metrics is None
     assert record.cost is not None
     assert record.cost.train_seconds > 0  # what was measured is kept
+
+
+def test_pictures_are_matched_by_their_names_below_the_patterns_folder(tmp_path: Path) -> None:
+    model_and_pictures(tmp_path / "made", flip=False)
+    for number in range(2):
+        (tmp_path / "made" / "test" / f"{number}.png").rename(tmp_path / "made" / "test" / f"view{number}.png")
+    named = {"files": "{output}/test/*.png", "match": "name"}
+    assert outcome(tmp_path, "copies", str(tmp_path / "made"), pictures=named).status == "ok"
+
+
+def test_pictures_of_other_names_are_named(tmp_path: Path) -> None:
+    record = outcome(tmp_path, "fine", pictures={"files": "{output}/test/*", "match": "name"})
+    assert record.status == "failed"
+    assert record.error is not None
+    assert "2 views without a file: view0, view1" in record.error.message
+    assert "2 files without a view: 00000.png, 00001.png" in record.error.message
+
+
+@pytest.mark.parametrize(("mode", "limits"), [("killed", ()), ("greedy", ("memory_gb=2",))])
+def test_memory_that_ran_out_is_a_status_of_its_own(tmp_path: Path, mode: str, limits: tuple[str, ...]) -> None:
+    assert run(tmp_path / "runs", *external(recipe_file(tmp_path, mode)), *limits) == 1
+    (record,) = records(tmp_path / "runs")
+    assert record.status == "out_of_memory"
+    assert record.error is not None
+    assert ("memory_gb=2" if limits else "SIGKILL") in record.error.message
 
 
 @pytest.mark.parametrize("mode", ["leaves-child", "floods"])
@@ -226,6 +253,56 @@ def test_a_model_that_cannot_be_read_costs_the_times_and_not_the_scores(tmp_path
     assert "is no readable PLY" in record.program.not_measured["frame_ms"]
 
 
+def test_gaussians_that_nobody_can_draw_are_left_out_and_counted(tmp_path: Path) -> None:
+    model_and_pictures(tmp_path / "made", flip=False)
+    tensors = read_ply(tmp_path / "made" / "model.ply")
+    more = {name: torch.cat([values, values[:2]]) for name, values in tensors.items()}
+    more["means"][-2, 1] = torch.nan
+    more["quaternions"][-1] = 0
+    write_ply(tmp_path / "made" / "model.ply", more)
+    record = with_model(tmp_path)
+    assert record.program is not None
+    assert record.program.agreement_db is not None
+    assert record.program.agreement_db > 55
+    assert record.cost is not None
+    count = len(tensors["means"])
+    assert record.cost.primitives["base"] == count
+    left_out = f"model.ply: 2 of {count + 2} Gaussians have values that are not finite, and are left out"
+    assert left_out in record.notes
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "0 files match"),
+        (b"\x00\xffno splats", "is no readable PLY"),
+        ({"keep": 0, "means": 0.0}, "holds no Gaussian"),
+        ({"keep": 3, "means": torch.nan}, "holds no Gaussian of finite values, but 3 others"),
+    ],
+    ids=["missing", "garbage", "empty", "nowhere"],
+)
+def test_without_pictures_and_without_a_model_nothing_can_be_scored(
+    tmp_path: Path, content: bytes | dict[str, float] | None, message: str
+) -> None:
+    model_and_pictures(tmp_path / "made", flip=False)
+    shutil.rmtree(tmp_path / "made" / "test")
+    model = tmp_path / "made" / "model.ply"
+    if isinstance(content, dict):
+        tensors = {name: values[: int(content["keep"])] for name, values in read_ply(model).items()}
+        write_ply(model, {**tensors, "means": tensors["means"] + content["means"]})
+    elif content is None:
+        model.unlink()
+    else:
+        model.write_bytes(content)
+    blind = {"layout": "colmap", "pictures": None, "sees_test_views": False}
+    record = outcome(tmp_path, "copies", str(tmp_path / "made"), **blind, model={"file": "{output}/model.ply"})
+    assert record.status == "failed"
+    assert record.error is not None
+    assert message in record.error.message
+    assert record.cost is not None
+    assert record.cost.train_seconds > 0
+
+
 def test_what_was_trained_is_not_trained_again(tmp_path: Path) -> None:
     """The pictures of the first attempt are too few; the second draws again, by another command."""
     draw = "{python} -c 'import sys; sys.exit(3)'"
@@ -275,8 +352,10 @@ def test_ctrl_c_ends_the_program_and_the_same_command_goes_on(
     assert (only_folder(tmp_path / "runs") / "attempts.txt").read_text().splitlines() == 2 * ["4 --once"]
 
 
-def test_a_time_limit_ends_the_program_and_all_that_it_started(tmp_path: Path) -> None:
-    recipe = recipe_file(tmp_path, "hangs")
+def test_a_time_limit_ends_the_program_and_all_that_it_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though it turns a deaf ear to SIGTERM."""
+    monkeypatch.setattr(command, "GRACE_SECONDS", 0.3)
+    recipe = recipe_file(tmp_path, "ignores")
     assert run(tmp_path / "runs", *external(recipe), "timeout_minutes=0.06") == 1
     (record,) = records(tmp_path / "runs")
     assert record.status == "timeout"

@@ -75,6 +75,7 @@ def peak_memory(run: Run) -> float | None:
 QUANTITIES: Mapping[str, Callable[[Run], float | None]] = {  # of a finished run, in the records' units
     "psnr": _score("psnr"),
     "psnr_reflective": _score("psnr", REFLECTIVE),
+    "psnr_aligned": _score("psnr_aligned"),
     "psnr_median_view": _view_psnr(50),
     "psnr_p5_view": _view_psnr(5),
     "psnr_worst_view": _view_psnr(0),

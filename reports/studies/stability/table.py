@@ -38,9 +38,11 @@ def _between(metric: str, title: str, explanation: str, places: int, scale: Deci
 WHOLE = replace(PSNR, ranked=False)
 REFLECTIVE = replace(in_region(PSNR, "reflective"), metric="psnr_reflective", region="full", ranked=False)
 CHANGE = _change(WHOLE)
+ALIGNED = replace(WHOLE, metric="psnr_aligned", title="PSNR aligned", explanation="each view from where it fits best")
 COLUMNS = (  # the metric is the quantity's name
     WHOLE,
     CHANGE,
+    ALIGNED,
     REFLECTIVE,
     _change(REFLECTIVE),
     _view("psnr_median_view", "median view", "PSNR of the median view of each run"),

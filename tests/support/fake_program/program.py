@@ -29,7 +29,8 @@ def draw(data: Path, output: Path, mode: str) -> None:
     )
     paths = pictures_of(data, "test")
     (output / "test").mkdir(exist_ok=True)
-    for number, path in enumerate(paths[: len(paths) // 2] if mode == "half" else paths):
+    paths = {"half": paths[: len(paths) // 2], "more": [*paths, paths[0]]}.get(mode, paths)
+    for number, path in enumerate(paths):
         height, width = np.asarray(Image.open(path)).shape[:2]
         if mode == "small":
             width -= 1
