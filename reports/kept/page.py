@@ -16,6 +16,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+from .originals import BESIDE_ORIGINALS, MarksError, read_marks, read_words
 from .over_scenes import differences, mean_over_scenes, over_scenes
 from .runs_file import NoRunsError, read_kept
 from .tables import FULL, KeptRuns, TableError, column_of, costs, difference, gains, scores
@@ -58,13 +59,27 @@ def fill_page(page: Path, folder: Path) -> tuple[str, list[str]]:
 
 
 def _table(kind: str, asked: str, folder: Path) -> str:
+    if kind in BESIDE_ORIGINALS:
+        return _beside_originals(kind, asked, folder)
     if kind not in KINDS:
-        raise TableError(f"there is no table {kind!r}, but {', '.join(KINDS)}")
+        raise TableError(f"there is no table {kind!r}, but {', '.join((*KINDS, *BESIDE_ORIGINALS))}")
     runs, rest = _chosen(asked, folder)
     try:
         return KINDS[kind](runs, **rest)
     except TypeError as error:
         raise TableError(f"{kind} cannot be asked so: {error}") from None
+
+
+def _beside_originals(kind: str, asked: str, folder: Path) -> str:
+    files = dict(word.partition("=")[::2] for word in asked.split())
+    if set(files) != {"records", "words"}:
+        raise TableError(
+            "say records=<file>, a CSV of marks, and words=<file>, a CSV of what differs, and nothing else"
+        )
+    try:
+        return BESIDE_ORIGINALS[kind](read_marks(folder / files["records"]), read_words(folder / files["words"]))
+    except MarksError as error:
+        raise TableError(str(error)) from error
 
 
 def _number(asked: str, folder: Path) -> str:

@@ -19,6 +19,7 @@ BUILT = {
     "EnvGS",
 }  # of the paper's methods, those that are made here
 ON_THE_PAPERS_SCENES = ("table1", "table3", "table8", "table9")
+SCORED = ("scores", "photographs", "population", "rivals", *ON_THE_PAPERS_SCENES)
 WITH_TABLE_1 = ("2", "5", "7")  # tables of the runs of Table 1
 
 
@@ -62,6 +63,11 @@ def test_an_experiment_after_a_table_is_on_the_tables_scenes(name: str) -> None:
     methods = choices["method"]
     assert methods[-2:] == ["envgs_released", "envgs"]  # the authors' code and ours, beside what the table has
     assert {printed_name(method) for method in methods[:-2]} == BUILT & set(rows["method"])
+
+
+@pytest.mark.parametrize("name", SCORED)
+def test_the_authors_code_stands_beside_envgs_wherever_methods_are_ranked(name: str) -> None:
+    assert {"envgs_released", "envgs"} <= set(swept(name)["method"])
 
 
 @pytest.mark.parametrize("table", WITH_TABLE_1)

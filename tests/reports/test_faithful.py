@@ -1,61 +1,109 @@
-"""The page that holds published methods against their authors' code: its table is made of the kept marks of both."""
+"""Published methods beside their authors' code: what is faithful, and the page's tables from the marks of both."""
 
 from __future__ import annotations
 
-import csv
-from collections import defaultdict
+import itertools
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
+from envgs_bench.cli.composition import config_names
+from envgs_bench.methods.registry import BUILT_IN
+from envgs_bench.reports.kept import originals
+from envgs_bench.reports.kept.page import fill_page
+from envgs_bench.reports.kept.tables import TableError
+
 DOCS = Path(__file__).parents[2] / "envgs_bench" / "docs"
-PAGE = (DOCS / "reference" / "faithful.md").read_text(encoding="utf-8")
-CLOSE_DB, CLOSE_SHARE = 0.3, 0.1
+RECORDS = DOCS / "records"
+OURS_ALONE = {"envgs", "envgs_single_set", "envmap"}  # kinds without a published method of that name
 
 
-def compared() -> dict[tuple[str, str], tuple[dict[str, str], dict[str, str]]]:
-    """The original's and our mark at the last step that both have, by method and scene."""
-    with (DOCS / "records" / "originals.csv").open(encoding="utf-8", newline="") as stream:
-        marks = list(csv.DictReader(stream))
-    found: dict[tuple[str, str], dict[str, dict[int, dict[str, str]]]] = defaultdict(lambda: defaultdict(dict))
-    for mark in marks:
-        found[mark["method"], mark["scene"]][mark["program"]][int(mark["steps"])] = mark
-    pairs = {}
-    for key, sides in found.items():
-        last = max(sides["original"].keys() & sides["ours"].keys())
-        pairs[key] = sides["original"][last], sides["ours"][last]
-    return pairs
+def marks(*rows: tuple[str, int, int, float, int], alone: int = 0) -> pd.DataFrame:
+    """Program, seed, steps, PSNR and primitives of each mark of one method on one scene."""
+    names = ("program", "seed", "steps", "psnr", "primitives")
+    shared = {"method": "2dgs", "scene": "toy/glass", "commit": "abc", "seconds": 8.0, "frame_ms": 4.0, "alone": alone}
+    return pd.DataFrame([shared | dict(zip(names, row, strict=True)) | {"device": "X"} for row in rows])
 
 
-def row_of(original: dict[str, str], ours: dict[str, str]) -> str:
-    """The table's line of a pair."""
-    gain = float(ours["psnr"]) - float(original["psnr"])
-    more = int(ours["primitives"]) / int(original["primitives"]) - 1
-    close = [name for name, far in (("dB", abs(gain) > CLOSE_DB), ("primitives", abs(more) > CLOSE_SHARE)) if far]
-    cells = [
-        f"[`{original['method']}`](rivals.md)"
-        if original["method"] != "2dgs"
-        else "[`2dgs`](deviations.md#3dgs-and-2dgs)",
-        f"`{original['commit']}`",
-        f"`{original['scene']}`",
-        f"{int(original['steps']):,}",
-        f"{float(original['psnr']):.2f}",
-        f"{float(ours['psnr']):.2f}",
-        f"{int(original['primitives']):,}",
-        f"{int(ours['primitives']):,}",
-        f"{float(original['seconds']):.0f}",
-        f"{float(ours['seconds']):.0f}",
-        f"not yet: {', '.join(close)}" if close else "yes",
-    ]
-    return f"| {' | '.join(cells)} |"
+def only(found: pd.DataFrame) -> originals.Pair:
+    (pair,) = originals.pairs_of(found)
+    return pair
 
 
-@pytest.mark.parametrize("key", sorted(compared()), ids="-".join)
-def test_the_page_has_each_comparison_as_it_was_measured(key: tuple[str, str]) -> None:
-    assert row_of(*compared()[key]) in PAGE.splitlines()
+WORDS = pd.DataFrame(
+    [("2dgs", "a/b", "abc", "2dgs.md", "depth"), ("3dgs", "c/d", "def", "3dgs.md", "")], columns=list(originals.WORDS)
+)
 
 
-def test_the_page_has_no_other_comparison() -> None:
-    lines = [line for line in PAGE.splitlines() if line.startswith("| [`") and line.count("|") == 12]
-    assert len(lines) == len(compared())
-    assert all(original["seed"] == ours["seed"] for original, ours in compared().values())
+def test_a_scene_is_compared_at_the_last_step_that_both_reached() -> None:
+    pair = only(
+        marks(("original", 0, 1000, 20.0, 50), ("original", 0, 3000, 22.0, 100), ("original", 0, 5000, 23.0, 100))
+        .pipe(lambda theirs: pd.concat([theirs, marks(("ours", 0, 3000, 22.25, 105), ("ours", 0, 7000, 24.0, 1))]))
+    )  # fmt: skip
+    assert (pair.steps, pair.gain, pair.apart) == (3000, 0.25, [])
+    assert pair.share == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(("gain", "share"), [*itertools.product((-0.4, -0.29, 0.2, 0.31), (-0.12, 0.0, 0.09, 0.5))])
+def test_scores_and_primitives_are_bounded_each(gain: float, share: float) -> None:
+    pair = only(marks(("original", 0, 9, 24.0, 1000), ("ours", 0, 9, 24.0 + gain, round(1000 * (1 + share)))))
+    expected = [name for name, far in (("dB", abs(gain) > 0.3), ("primitives", abs(share) > 0.1)) if far]
+    assert pair.apart == expected
+
+
+def test_an_originals_own_spread_is_allowed_where_it_is_larger() -> None:
+    apart = (("original", 0, 9, 24.0, 1000), ("original", 1, 9, 25.0, 1300))
+    assert only(marks(*apart, ("ours", 0, 9, 23.6, 950))).apart == []
+    assert only(marks(*apart, ("ours", 0, 9, 23.4, 850))).apart == ["dB", "primitives"]
+
+
+def test_seeds_are_averaged() -> None:
+    pair = only(marks(("original", 0, 9, 24.0, 100), ("ours", 0, 9, 23.0, 90), ("ours", 1, 9, 25.0, 110)))
+    assert (pair.gain, pair.share) == (0.0, 0.0)
+    shown = originals.comparisons(pd.concat([pair.original, pair.ours]), WORDS)
+    assert "| 24.00 | 24.00 ± 1.41 | 100 | 100 | 8 | 8 | yes |" in shown
+
+
+def test_a_method_without_marks_is_said_not_to_have_been_run() -> None:
+    found = marks(("original", 0, 9, 24.0, 100), ("ours", 0, 9, 23.0, 90))
+    first, second = originals.verdicts(found, WORDS).splitlines()[2:]
+    assert first.split(" | ")[2:] == ["1", "on 0 of 1", "−1.00 dB, −10%", "depth |"]
+    assert "| 0 | not run | – | – |" in second
+
+
+def test_runs_alone_stand_in_their_own_table() -> None:
+    found = marks(("original", 0, 9, 24.0, 100), ("ours", 0, 9, 24.0, 90), alone=1)
+    found.loc[found["program"] == "ours", ["seconds", "frame_ms"]] = 2.0, 0.5
+    assert "| 8.00 | 2.00 | 4.0× | 4.00 | 0.50 | 8.0× |" in originals.costs_alone(found, WORDS)
+    assert len(originals.comparisons(found, WORDS).splitlines()) == 2
+
+
+def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
+    page, comment = tmp_path / "page.md", "<!-- table: verdicts records=marks.csv words=words.csv -->"
+    page.write_text(f"{comment}\n<!-- end of table -->\n", encoding="utf-8")
+    with pytest.raises(TableError, match=r"marks.csv: cannot be read"):
+        fill_page(page, tmp_path)
+    (tmp_path / "marks.csv").write_text("method,scene\n", encoding="utf-8")
+    with pytest.raises(TableError, match=r"marks.csv.*it has no program"):
+        fill_page(page, tmp_path)
+    page.write_text(f"{comment.replace(' words=words.csv', '')}\n<!-- end of table -->\n", encoding="utf-8")
+    with pytest.raises(TableError, match="say records=<file>"):
+        fill_page(page, tmp_path)
+
+
+def test_every_published_method_has_a_row() -> None:
+    """The kinds that are built here after others' papers, and the variants of theirs that are no tuning of ours."""
+    named = set(originals.read_words(RECORDS / "originals_methods.csv")["method"])
+    assert named == (set(BUILT_IN) - OURS_ALONE) | {"ref_dgs", "envgs_released"}
+    assert named <= {*BUILT_IN, *config_names("method")}
+
+
+def test_the_kept_marks_are_whole() -> None:
+    kept = originals.read_marks(RECORDS / "originals.csv")
+    assert not kept.duplicated(["method", "scene", "program", "seed", "steps", "alone"]).any()
+    assert set(kept["program"]) == {originals.ORIGINAL, originals.OURS}
+    assert set(kept["alone"]) <= {0, 1}
+    for (_, scene, _, _, _), run in kept.groupby(["method", "scene", "program", "seed", "alone"]):
+        assert run["steps"].is_monotonic_increasing, scene
+        assert run["seconds"].is_monotonic_increasing, scene
