@@ -14,7 +14,7 @@ from envgs_bench.parts import BASE, ENV, MethodCard
 from .gaussian_method import GaussianMethod, fresh
 from .gaussians.densification import spatial_criterion
 from .gaussians.initialization import quantile_box, random_points_in_grid, random_points_on_sphere
-from .gaussians.policy import Resets, SetPolicy, Start, regular
+from .gaussians.policy import Resets, SetPolicy, regular
 from .lighting.disturbance import Disturbance, reflecting_policy
 from .lighting.planes import Planes
 from .lighting.reflection import Origin, Reflection, Traced
@@ -107,10 +107,11 @@ class Environment(Origin):
 def environment_policy(s: EnvGSSettings, schedule: Schedule, base: SetPolicy) -> SetPolicy:
     """The base's, but for what is the environment's own; it does not grow more slowly while reflections settle."""
     start = schedule.at(s.warm_up)
+    orientation = "positive" if s.rule.initial_orientation == "positive" else "random"
     return replace(
         base,
         name=ENV,
-        start=Start(s.rule.env_initial_opacity, "positive" if s.rule.initial_orientation == "positive" else "random"),
+        start=replace(base.start, opacity=s.rule.env_initial_opacity, orientation=orientation, beta=None),
         position_scale=s.rule.env_position_scale,
         radius_power=s.rule.env_radius_power,
         sh_from=s.rule.env_sh_from,

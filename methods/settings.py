@@ -80,6 +80,14 @@ class GrowthGroup:
 
 
 @dataclass(frozen=True)
+class SitesGroup:
+    """What a primitive's color is made of, where a method has the choice."""
+
+    group: ClassVar[str] = "growth"
+    color: Literal["sh", "sites"] = "sh"  # sites: 8 cells of the sphere, each with its color, in place of sh_degree
+
+
+@dataclass(frozen=True)
 class LossesGroup:
     """What is minimized beside the photometric error."""
 
@@ -111,7 +119,7 @@ class PublishedSettings(GaussianSettings):
 
 
 @dataclass(frozen=True)
-class ThreeDGSSettings(PublishedSettings):
+class ThreeDGSSettings(SitesGroup, PublishedSettings):
     recipe: RecipeName = "3dgs"
 
     min_opacity: Amount = 0.005
@@ -121,7 +129,7 @@ class ThreeDGSSettings(PublishedSettings):
 
 
 @dataclass(frozen=True)
-class TwoDGSSettings(PublishedSettings):
+class TwoDGSSettings(SitesGroup, PublishedSettings):
     """Normals are held to the depth map alone, and pictures are compared pixel by pixel."""
 
     recipe: RecipeName = "2dgs"

@@ -33,6 +33,11 @@ class SetTensors(NamedTuple):
         fields = (gaussians.means, gaussians.quaternions, gaussians.scales, gaussians.opacities, gaussians.sh, extras)
         return cls(*(field.detach().contiguous() for field in fields))
 
+    @property
+    def sh_rows(self) -> int:
+        """How many rows of three floats a primitive's colors have."""
+        return self.sh.shape[1] * self.sh.shape[2] // 3
+
 
 class Planes(NamedTuple):
     """A pass's outputs over P pixels or rays, one plane a channel: what kernels write and image losses read."""

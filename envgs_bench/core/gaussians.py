@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 MAX_EXTRAS = 8
+SITES = 8
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,8 @@ class GaussianSet:
     opacities: Tensor
     """[N] in [0, 1]."""
     sh: Tensor
-    """[N, K, 3] spherical harmonics, K = (degree + 1)², degree 0 to 3; color = max(0, SH + 0.5)."""
+    """[N, K, 3] spherical harmonics, K = (degree + 1)², degree 0 to 3; color = max(0, SH + 0.5). Or [N, 8, 6]: a row a
+    site (spherical Voronoi), its color c and a vector s: color = max(0, Σ softmax(s·d)·c), d the unit direction."""
     extras: Tensor | None = None
     """[N, E] further values to blend as color is (EnvGS: β), E ≤ 8."""
 
@@ -59,7 +61,7 @@ class GaussianSet:
             "quaternions": [(n, 4)],
             "scales": [(n, 2), (n, 3)],
             "opacities": [(n,)],
-            "sh": [(n, (degree + 1) ** 2, 3) for degree in range(4)],
+            "sh": [*((n, (degree + 1) ** 2, 3) for degree in range(4)), (n, SITES, 6)],
         }
         if self.extras is not None:
             expected["extras"] = [(n, e) for e in range(MAX_EXTRAS + 1)]
@@ -73,7 +75,15 @@ class GaussianSet:
 
     @property
     def sh_degree(self) -> int:
+        """Raises ValueError of a set whose colors are those of sites."""
+        if self.has_sites:
+            raise ValueError("this GaussianSet has no SH degree: its colors are those of sites")
         return math.isqrt(self.sh.shape[1]) - 1
+
+    @property
+    def has_sites(self) -> bool:
+        """Whether colors are those of sites rather than spherical harmonics."""
+        return self.sh.shape[2] == 6
 
     @property
     def is_surfels(self) -> bool:

@@ -150,7 +150,8 @@ class GaussianModel:
             beta=start.beta,
             radius=self.radius,
         )
-        return self.set_of(name, tensors | start.materials(len(points)))
+        own = start.materials(len(points))
+        return self.set_of(name, tensors | {field: values.to(self.device) for field, values in own.items()})
 
     def set_of(self, name: str, tensors: Mapping[str, Tensor]) -> TrainedSet:
         """The set `name` of these fields, `GaussianParameters`' tensors, that nothing has been trained of."""

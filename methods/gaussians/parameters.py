@@ -14,6 +14,7 @@ from envgs_bench.core import GaussianSet
 
 from ..training.optimizer import adam, optimizer_state, restore_optimizer
 from ..training.schedule import set_rate
+from .sites import sites_of
 
 COMMON_FIELDS = frozenset({"means", "quaternions", "log_scales", "opacity_logits", "sh_dc", "sh_rest", "beta_logits"})
 DEGENERATE = 1000.0  # times as long as wide, from which a primitive is degenerate
@@ -86,6 +87,7 @@ class GaussianParameters:
     | opacity_logits | [N] | sigmoid |
     | sh_dc, sh_rest | [N, 1, 3], [N, K − 1, 3] | none |
     | beta_logits (optional) | [N, 1] | sigmoid; the set's `extras` |
+    | site_colors, site_vectors (optional) | [N, 24] | none; see `sites` |
     | any other (optional) | [N, K] | its method's, which draws it: a material |
 
     Rows are added and removed together with Adam's moments: a row that stays keeps its own, a new row starts at zero.
@@ -116,18 +118,7 @@ class GaussianParameters:
 
     def gaussians(self, sh_degree: int | None = None) -> GaussianSet:
         """The activated set, differentiable; with `sh_degree` its color is cut to that many SH bands."""
-        t = self.tensors
-        sh = torch.cat([t["sh_dc"], t["sh_rest"]], dim=1)
-        if sh_degree is not None:
-            sh = sh[:, : (sh_degree + 1) ** 2]
-        return GaussianSet(
-            means=t["means"],
-            quaternions=t["quaternions"],
-            scales=t["log_scales"].exp(),
-            opacities=t["opacity_logits"].sigmoid(),
-            sh=sh,
-            extras=t["beta_logits"].sigmoid() if "beta_logits" in t else None,
-        )
+        return activated(self.tensors, sh_degree)
 
     def degenerate(self) -> Tensor:
         """The share of the primitives that are DEGENERATE times as long as wide and more, by their two longest axes."""
@@ -192,6 +183,24 @@ class GaussianParameters:
             self.optimizer.state[new] = {"step": state["step"], **moments}
         self._group(name)["params"] = [new]
         self.tensors[name] = new
+
+
+def activated(tensors: Mapping[str, Tensor], sh_degree: int | None = None) -> GaussianSet:
+    """The set of `GaussianParameters`' tensors, differentiable; with `sh_degree` of SH cut to that many bands."""
+    if "site_vectors" in tensors:
+        sh = sites_of(tensors, 0.5 + SH_DC * tensors["sh_dc"])
+    else:
+        sh = torch.cat([tensors["sh_dc"], tensors["sh_rest"]], dim=1)
+        if sh_degree is not None:
+            sh = sh[:, : (sh_degree + 1) ** 2]
+    return GaussianSet(
+        means=tensors["means"],
+        quaternions=tensors["quaternions"],
+        scales=tensors["log_scales"].exp(),
+        opacities=tensors["opacity_logits"].sigmoid(),
+        sh=sh,
+        extras=tensors["beta_logits"].sigmoid() if "beta_logits" in tensors else None,
+    )
 
 
 def inverse_sigmoid(values: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 from torch import Tensor
@@ -11,10 +11,11 @@ from torch import Tensor
 from envgs_bench.core import Camera, Scene, Statistics
 from envgs_bench.parts import BASE
 
-from ..settings import GaussianSettings
+from ..settings import GaussianSettings, SitesGroup
 from ..training.schedule import DENSIFY_FLOOR, RECOVERY, RESET_FLOOR, Every, Schedule, falls_on
 from .densification import DensificationRule, Oversized, screen_criterion
 from .parameters import LearningRates, primitive_bytes
+from .sites import COLUMNS, RATES, initial_sites
 
 INITIAL_OPACITY = 0.1  # of the base set's primitives
 
@@ -168,6 +169,10 @@ def base_policy(
 ) -> SetPolicy:
     """The policy of what cameras see; without a scene, that of a method that no training has started."""
     most = s.max_primitives if scene is None else max_base_primitives(s, scene)
+    sites = isinstance(s, SitesGroup) and s.color == "sites"
+    if sites:
+        start = replace(start, materials=initial_sites, material_columns=COLUMNS)
+        rates = replace(rates, materials={name: rate * schedule.rate_scale for name, rate in RATES.items()})
     return SetPolicy(
         name=BASE,
         schedule=schedule,
@@ -175,7 +180,7 @@ def base_policy(
         rates=rates,
         position_lr=(s.position_lr, s.position_lr_final),
         rotation_lr=(s.rotation_lr, s.rotation_lr_final),
-        sh_degree=s.sh_degree,
+        sh_degree=0 if sites else s.sh_degree,
         sh_every=s.rule.sh_every,
         sh_from=s.rule.sh_from,
         criterion=screen_criterion,

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from ..recipes import RecipeName
-from ..settings import GaussianSettings, PublishedSettings, ThreeDGSSettings
+from ..settings import GaussianSettings, PublishedSettings, SitesGroup, ThreeDGSSettings
 from ..validation import Amount, Count, Degree, Limit, Rate, Size, Steps, Weight
 
 Doublings = Annotated[int, Field(ge=0, le=3)]
@@ -59,7 +59,7 @@ class EnvMapSettings(ReflectionSettings, MapSettings):
 
 
 @dataclass(frozen=True)
-class EnvGSSettings(ReflectionSettings):
+class EnvGSSettings(SitesGroup, ReflectionSettings):
     group: ClassVar[str] = "environment"
     env_grid: Count = 8  # N: the box is divided into N³ cells, each with random primitives
     env_far_count: Limit = 2_000  # primitives on a sphere around the box; 0: none
@@ -149,6 +149,7 @@ class GaussianShaderSettings(PublishedSettings, MapSettings):
 
 @dataclass(frozen=True)
 class ThreeIGSSettings(ThreeDGSSettings):
+    color: Literal["sh"] = "sh"  # the field's own
     sh_degree: Degree = 0
 
     diffuse_until: Steps = 3_000  # step up to which there is diffuse color alone

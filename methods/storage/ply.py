@@ -6,13 +6,13 @@ One element `vertex` of float32 properties, a row a Gaussian, values as they are
 |---|---|
 | x y z | mean |
 | nx ny nz | written as 0, not read |
-| f_dc_0 … f_dc_2 | the constant SH coefficient of red, green, blue |
+| f_dc_0 … f_dc_2 | the constant SH coefficient of red, green, blue: all that other programs show of a set with sites |
 | f_rest_0 … | the other coefficients, all of red, then all of green, then all of blue |
 | opacity | logit |
 | scale_0 scale_1 scale_2 | logarithms; a surfel's third is its thickness, FLAT_SCALE, or left out as in 2DGS |
 | rot_0 … rot_3 | quaternion, wxyz, of any length |
 | beta | logit of EnvGS's blending weight; our addition, where the set has one |
-| material_<field>_0 … | a method's own field, as it is trained; our addition |
+| material_<field>_0 … | a method's own field, as it is trained, sites among them; our addition |
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from torch import Tensor
 from envgs_bench.core import GaussianSet
 from envgs_bench.ply_file import number_names, read_elements
 
-from ..gaussians.parameters import GaussianParameters, LearningRates, material_fields
+from ..gaussians.parameters import activated, material_fields
 
 MEAN, NORMAL, OPACITY, BETA = ("x", "y", "z"), ("nx", "ny", "nz"), ("opacity",), ("beta",)
 DC, ROTATION = tuple(f"f_dc_{i}" for i in range(3)), tuple(f"rot_{i}" for i in range(4))
@@ -138,8 +138,7 @@ def vertex_tensors(vertices: PlyElement, path: Path | str, checked: bool = True)
 
 def read_gaussians(path: Path) -> GaussianSet:
     """The file as a set to be drawn: `rasterize(read_gaussians(path), camera)`. Raises as `read_ply`."""
-    gaussians = GaussianParameters(read_ply(path), LearningRates(), radius=1.0).gaussians()
-    return gaussians.map(Tensor.detach)
+    return activated(read_ply(path))
 
 
 def _vertices(path: Path) -> PlyElement:

@@ -66,7 +66,10 @@ def test_colors_of_images_alone(single, scene, as_gaussians_3d):
 
 BATCHES = pytest.mark.parametrize(
     ("scene", "sh_direction"),
-    [*((scene, "center") for scene in SCENES), *((scene, "ray") for scene in ("many", "degree-1", "degree-3"))],
+    [
+        *((scene, "center") for scene in SCENES),
+        *((scene, "ray") for scene in ("many", "degree-1", "degree-3", "sites")),
+    ],
 )
 
 

@@ -71,6 +71,12 @@ def test_images(backend, as_gaussians_3d, sharing, low_pass, monkeypatch):
 
 
 @pytest.mark.parametrize("backend", ["shuffled"], indirect=True)
+def test_images_of_sites(backend):
+    gaussians, keep, expected = oracle_image("sites", False, True)
+    compare(drawn_with(backend, gaussians, image(True), keep, ()), expected, keep)
+
+
+@pytest.mark.parametrize("backend", ["shuffled"], indirect=True)
 @SHARINGS
 @pytest.mark.parametrize("as_gaussians_3d", [False, True], ids=["surfels", "gaussians_3d"])
 def test_colors_of_images_alone(backend, as_gaussians_3d, sharing, monkeypatch):

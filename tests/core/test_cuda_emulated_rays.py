@@ -52,6 +52,7 @@ def backend(request: pytest.FixtureRequest, emulate: Callable[[str], Backend]) -
         ("descending", "many", "center"),
         ("shuffled", "many", "ray"),
         ("descending", "opaque", "center"),
+        ("descending", "sites", "center"),
     ],
     indirect=["backend"],
 )
@@ -63,7 +64,12 @@ def test_ray_batches(backend, scene, sh_direction):
 
 @pytest.mark.parametrize(
     ("backend", "scene", "sh_direction"),
-    [("descending", "many", "center"), ("shuffled", "opaque", "center"), ("shuffled", "many", "ray")],
+    [
+        ("descending", "many", "center"),
+        ("shuffled", "opaque", "center"),
+        ("shuffled", "many", "ray"),
+        ("shuffled", "sites", "ray"),
+    ],
     indirect=["backend"],
 )
 def test_colors_of_rays_alone(backend, scene, sh_direction):

@@ -35,12 +35,21 @@ BACKGROUND = torch.tensor([0.7, 0.2, 0.4])
 SINGLE = Backend("torch", torch.float32, "cpu")  # the oracle itself, in the precision of the native backends
 
 
+def with_sites(gaussians: GaussianSet, seed: int) -> GaussianSet:
+    """The set with the colors of sites, whose cells end softly and sharply."""
+    generator, count = torch.Generator().manual_seed(seed), len(gaussians)
+    colors = 1.4 * torch.rand(count, 8, 3, generator=generator) - 0.4
+    vectors = torch.randn(count, 8, 3, generator=generator) * torch.linspace(0, 6, count)[:, None, None]
+    return replace(gaussians, sh=torch.cat([colors, vectors], dim=-1))
+
+
 SCENES = {
     "few": random_set(12, seed=1),
     "many": random_set(400, seed=2),
     "degree-0": random_set(150, degree=0, extras=0, seed=3),
     "degree-1": random_set(150, degree=1, extras=3, seed=4),
     "degree-3": random_set(150, degree=3, extras=8, seed=5),
+    "sites": with_sites(random_set(150, extras=2, seed=10), seed=10),
     "opaque": replace(random_set(300, seed=6), opacities=torch.linspace(0.9, 1.0, 300)),
     "faint": replace(random_set(300, seed=7), opacities=torch.linspace(0.0, 0.05, 300)),
     "tiny": replace(random_set(300, seed=8), scales=torch.full((300, 2), 0.01)),

@@ -39,7 +39,8 @@ using GradientPlanes =
 Gaussians gaussians_of(const InSet& set) {
     const auto& [means, quaternions, scales, opacities, sh, extras] = set;
     return {means.data(),  quaternions.data(),  scales.data(),    opacities.data(),    sh.data(),
-            extras.data(), int(means.shape(0)), int(sh.shape(1)), int(extras.shape(1))};
+            extras.data(), int(means.shape(0)), int(sh.shape(1) * sh.shape(2) / 3), int(extras.shape(1)),
+            sh.shape(2) == kSiteFloats};
 }
 
 GaussianGradients gradients_of(const OutSet& set) {

@@ -12,7 +12,7 @@ using Float4 = LaneTypes<4>::Float;  // red, green, blue, and a lane that nobody
 struct SeenColors {
     Vec3<Float8> direction;  // unit, or zero
     Float8 inverse_length;   // of what it was before
-    Float8 basis[kMaxCoefficients];
+    Float8 basis[kMaxCoefficients];  // SH, or sites' weights
     Float4 color[kGroup];
 };
 
@@ -38,10 +38,29 @@ inline void see_colors(const float* const (&sh)[kGroup], int count, Vec3<Float8>
     }
 }
 
-// The first `count` lanes' colors: SH coefficients [K][3] in `sh`, seen along v = mean − origin.
-inline void see_colors(int coefficients, const float* const (&sh)[kGroup], int count, Vec3<Float8> v,
+inline Vec3<float> lane_of(Vec3<Float8> v, int lane) { return {v.x[lane], v.y[lane], v.z[lane]}; }
+
+inline void see_sites(const float* const (&sites)[kGroup], int count, Vec3<Float8> v, SeenColors& seen) {
+    Float8 l = length(v);
+    seen.inverse_length = select(l > 0.0f, 1.0f / l, Float8{});
+    seen.direction = seen.inverse_length * v;
+    for (int lane = 0; lane < count; ++lane) {
+        float weights[kSites];
+        site_weights(sites[lane], lane_of(seen.direction, lane), weights);
+        Float4 color = {};
+        for (int k = 0; k < kSites; ++k) {
+            seen.basis[k][lane] = weights[k];
+            color = color + weights[k] * load_lanes<Float4>(sites[lane] + kSiteFloats * k);
+        }
+        seen.color[lane] = maximum(Float4{}, color);
+    }
+}
+
+// The first `count` lanes' colors: the set's rows in `sh`, seen along v = mean − origin.
+inline void see_colors(const Gaussians& g, const float* const (&sh)[kGroup], int count, Vec3<Float8> v,
                        SeenColors& seen) {
-    with_degree(coefficients, [&](auto degree) { see_colors<degree>(sh, count, v, seen); });
+    if (g.has_sites) return see_sites(sh, count, v, seen);
+    with_degree(g.sh_coefficients, [&](auto degree) { see_colors<degree>(sh, count, v, seen); });
 }
 
 template <int Degree>
@@ -61,12 +80,27 @@ inline Vec3<Float8> see_colors_backward(const float* const (&sh)[kGroup], int co
     return normalize_backward(seen.direction, seen.inverse_length, sh_basis_backward<Degree>(seen.direction, g_basis));
 }
 
+inline Vec3<Float8> see_sites_backward(const float* const (&sites)[kGroup], int count, const SeenColors& seen,
+                                       const Float4 (&gradient)[kGroup], float* const (&g_sites)[kGroup]) {
+    Vec3<Float8> g_direction = {};
+    for (int lane = 0; lane < count; ++lane) {
+        Float4 g = select(seen.color[lane] > 0.0f, gradient[lane], Float4{});
+        float weights[kSites];
+        for (int k = 0; k < kSites; ++k) weights[k] = seen.basis[k][lane];
+        Vec3<float> own = site_weights_backward<4>(sites[lane], lane_of(seen.direction, lane), weights,
+                                                   {g[0], g[1], g[2]}, g_sites[lane]);
+        g_direction.x[lane] = own.x, g_direction.y[lane] = own.y, g_direction.z[lane] = own.z;
+    }
+    return normalize_backward(seen.direction, seen.inverse_length, g_direction);
+}
+
 // From dL/dcolor, adds dL/dsh to each lane's g_sh, rows of four [K][4], which so never overlap; returns dL/dv, 0 in
 // lanes from `count` on.
-inline Vec3<Float8> see_colors_backward(int coefficients, const float* const (&sh)[kGroup], int count,
+inline Vec3<Float8> see_colors_backward(const Gaussians& g, const float* const (&sh)[kGroup], int count,
                                         const SeenColors& seen, const Float4 (&gradient)[kGroup],
                                         float* const (&g_sh)[kGroup]) {
-    return with_degree(coefficients,
+    if (g.has_sites) return see_sites_backward(sh, count, seen, gradient, g_sh);
+    return with_degree(g.sh_coefficients,
                        [&](auto degree) { return see_colors_backward<degree>(sh, count, seen, gradient, g_sh); });
 }
 

@@ -4,6 +4,7 @@
 
 #include "kernels/gaussian_3d_splat.h"
 #include "kernels/planes.h"
+#include "kernels/sites.h"
 #include "kernels/surfel_splat.h"
 
 namespace envgs {
@@ -15,9 +16,10 @@ struct Gaussians {
     const float* quaternions;  // [N, 4] wxyz, local to world, any non-zero norm
     const float* scales;       // [N, 2] of surfels, [N, 3] of 3D Gaussians: standard deviations, world units
     const float* opacities;    // [N] in [0, 1]
-    const float* sh;           // [N, K, 3] SH coefficients
+    const float* sh;           // [N, K, 3] SH coefficients, or sites in two rows each
     const float* extras;       // [N, E] further values to blend
     int count, sh_coefficients, extra_count;  // N, K, E
+    bool has_sites;
 };
 
 // The same arrays to be filled with gradients; zeroed by the caller.
@@ -45,11 +47,13 @@ inline auto with_degree(int coefficients, F f) {
 
 inline Vec3<float> color_at(const Gaussians& g, int i, Vec3<float> v) {
     const float* sh = g.sh + 3l * g.sh_coefficients * i;
+    if (g.has_sites) return site_color(sh, v);
     return with_degree(g.sh_coefficients, [&](auto degree) { return sh_color<degree>(sh, v); });
 }
 inline Vec3<float> color_backward_at(const Gaussians& g, int i, Vec3<float> v, Vec3<float> color, Vec3<float> gradient,
                                      float* g_sh) {
     const float* sh = g.sh + 3l * g.sh_coefficients * i;
+    if (g.has_sites) return site_color_backward(sh, v, color, gradient, g_sh);
     return with_degree(g.sh_coefficients,
                        [&](auto degree) { return sh_color_backward<degree>(sh, v, color, gradient, g_sh); });
 }

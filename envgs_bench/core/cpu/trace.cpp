@@ -142,7 +142,7 @@ void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<co
         Float8 alpha = response_alpha(surfels.opacity, hit.u * hit.u + hit.v * hit.v);
         Float8 side = select(hit.d_z < 0.0f, Float8{} + 1.0f, Float8{} - 1.0f);
         SeenColors seen;
-        see_colors(g_.sh_coefficients, sh, group, sh_along_ray_ ? d : surfels.mean - o, seen);
+        see_colors(g_, sh, group, sh_along_ray_ ? d : surfels.mean - o, seen);
 
         // Along the ray, hit after hit: transmittance, dL/dα.
         alignas(32) float weights[kGroup] = {}, g_alpha[kGroup] = {};
@@ -159,7 +159,7 @@ void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<co
         }
 
         Float8 weight = load_lanes<Float8>(weights);
-        Vec3<Float8> g_v = see_colors_backward(g_.sh_coefficients, sh, group, seen, g_color, to_sh);
+        Vec3<Float8> g_v = see_colors_backward(g_, sh, group, seen, g_color, to_sh);
         AlphaGradient<Float8> ga = alpha_backward(surfels.opacity, alpha, load_lanes<Float8>(g_alpha));
         Vec3<Float8> local = intersect_backward(hit, dot(frame.u, d), dot(frame.v, d), weight * g.depth,
                                                 2.0f * ga.rho * hit.u, 2.0f * ga.rho * hit.v);

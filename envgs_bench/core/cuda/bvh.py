@@ -26,7 +26,7 @@ class SurfelBvh:
         if self.count > MAX_SURFELS:
             raise ValueError(f"the CUDA tracer takes at most {MAX_SURFELS:,} surfels, got {self.count:,}")
         device = tensors.means.device
-        self._kernels = kernels(("bvh.cu",), device, SH_COEFFICIENTS=1, EXTRAS=0, COLOR_ALONE=0)
+        self._kernels = kernels(("bvh.cu",), device, SH_COEFFICIENTS=1, HAS_SITES=0, EXTRAS=0, COLOR_ALONE=0)
         self.statistics = torch.zeros(CONSTANTS["CENTER_STATISTIC_INTS"], dtype=torch.int32, device=device)
         self.statistics[:3] = -1
         self.levels = level_sizes(self.count)

@@ -112,7 +112,7 @@ extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
             float a = response_alpha(s.opacity, hit.u * hit.u + hit.v * hit.v);
             float side = hit.d_z < 0.0f ? 1.0f : -1.0f;
             Vec3<float> v = kShAlongRay ? ray.direction : s.mean - ray.origin;
-            Vec3<float> c = sh_color<kShDegree>(appearance.sh, v);
+            Vec3<float> c = seen_color(appearance.sh, v);
             auto [weight, g_a] = g.hit(a, c, hit.t, side, s.frame.n, appearance.extras);
             AlphaGradient<float> own = alpha_backward(s.opacity, a, g_a);
             Vec3<float> local =
@@ -125,7 +125,7 @@ extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
             store3(sum + 9, moments.g_t);
             store3(sum + kNormalSum, (side * weight) * g.sum.normal);
             sum[kOpacitySum] = own.opacity;
-            Vec3<float> g_v = sh_color_backward<kShDegree>(appearance.sh, v, c, weight * g.sum.color, sum + kShSums);
+            Vec3<float> g_v = seen_color_backward(appearance.sh, v, c, weight * g.sum.color, sum + kShSums);
             if constexpr (!kShAlongRay) store3(sum + kDirectionSum, g_v);
 #pragma unroll
             for (int e = 0; e < kExtras; ++e) sum[kShSums + kShFloats + e] = weight * g.extras[e];

@@ -1,14 +1,17 @@
-// What a thread reads of a GaussianSet. SH_COEFFICIENTS and EXTRAS are fixed when a module is compiled, so that a
+// What a thread reads of a GaussianSet. SH_COEFFICIENTS, HAS_SITES and EXTRAS are fixed when a module is compiled, so that a
 // primitive's values stay in registers.
 #pragma once
 #include "kernels/gaussian_3d_splat.h"
 #include "kernels/planes.h"
+#include "kernels/sites.h"
 #include "kernels/surfel_splat.h"
 
 namespace envgs {
 
 constexpr int kShFloats = 3 * SH_COEFFICIENTS;
 constexpr int kShDegree = SH_COEFFICIENTS == 1 ? 0 : SH_COEFFICIENTS == 4 ? 1 : SH_COEFFICIENTS == 9 ? 2 : 3;
+constexpr bool kHasSites = HAS_SITES;
+static_assert(!kHasSites || kShFloats == kSites * kSiteFloats);
 constexpr int kExtras = EXTRAS;
 
 // Whether color and alpha are drawn alone, for pictures that nobody differentiates.
@@ -27,6 +30,23 @@ ENVGS_FN Quaternion<float> quaternion_at(const Gaussians& g, int i) {
     return {q.x, q.y, q.z, q.w};
 }
 ENVGS_FN Vec3<float> mean_at(const Gaussians& g, int i) { return load3(g.means + 3l * i); }
+
+// The color seen along v = mean − origin.
+ENVGS_FN Vec3<float> seen_color(const float* sh, Vec3<float> v) {
+    if constexpr (kHasSites)
+        return site_color(sh, v);
+    else
+        return sh_color<kShDegree>(sh, v);
+}
+
+// Adds dL/dsh to g_sh and returns dL/dv; `color` is what seen_color returned.
+ENVGS_FN Vec3<float> seen_color_backward(const float* sh, Vec3<float> v, Vec3<float> color, Vec3<float> g,
+                                         float* g_sh) {
+    if constexpr (kHasSites)
+        return site_color_backward(sh, v, color, g, g_sh);
+    else
+        return sh_color_backward<kShDegree>(sh, v, color, g, g_sh);
+}
 
 // A pixel or ray as it grows from front to back.
 struct BlendedPixel {

@@ -6,7 +6,10 @@ structs against them when they are compiled. A float here is 4 bytes.
 
 from __future__ import annotations
 
+from ..gaussians import SITES
+
 CONSTANTS = {
+    "SITES": SITES,  # of a primitive whose colors are those of sites
     # rasterizer
     "TILE": 16,  # pixels, both ways
     "SHARING_WARPS": 8,  # of a block that draws an area of a tile

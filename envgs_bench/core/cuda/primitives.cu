@@ -11,7 +11,7 @@ extern "C" __global__ void __launch_bounds__(256) prepare_primitives(
     const float* quaternions,        // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
     const float* scales,             // [N, 2] of surfels, [N, 3] of 3D Gaussians: standard deviations, world units
     const float* opacities,          // [N] in [0, 1]
-    const float* sh,                 // [N, K, 3] SH coefficients
+    const float* sh,                 // [N, K, 3] SH coefficients, or sites
     const float* extras,             // [N, E] further values to blend
     int count,                       // N
     const PinholeCamera* camera_at,  // [1]
@@ -67,7 +67,7 @@ extern "C" __global__ void __launch_bounds__(256) prepare_primitives(
     }
     if (tiles == 0) return;
     u32 slot = first_slot + before;
-    primitive.color = sh_color<kShDegree>(sh + long(kShFloats) * i, to_center);
+    primitive.color = seen_color(sh + long(kShFloats) * i, to_center);
     if constexpr (!kColorAlone) {
         slots[i] = slot;
         indices[slot] = i;
@@ -85,7 +85,7 @@ extern "C" __global__ void __launch_bounds__(128) finish_primitives(
     const float* quaternions,            // [N, 4] wxyz, local to world, any non-zero norm; rows begin at 16 bytes
     const float* scales,                 // [N, 2] of surfels, [N, 3] of 3D Gaussians: standard deviations, world units
     const float* opacities,              // [N] in [0, 1]
-    const float* sh,                     // [N, K, 3] SH coefficients
+    const float* sh,                     // [N, K, 3] SH coefficients, or sites
     const float* extras,                 // [N, E] further values to blend
     int count,                           // N
     const PinholeCamera* camera_at,      // [1]
@@ -127,7 +127,7 @@ extern "C" __global__ void __launch_bounds__(128) finish_primitives(
             for (int k = 0; k < kSums; ++k) reinterpret_cast<float*>(&sum)[k] = values[k];
             Kind::Input input = Kind::input(g, i);
             own = finish(camera, input, sum.geometry, sum.normal);
-            own.mean = own.mean + sh_color_backward<kShDegree>(sh + kShFloats * i, input.mean - camera.center,
+            own.mean = own.mean + seen_color_backward(sh + kShFloats * i, input.mean - camera.center,
                                                                primitives[slot].color, sum.color, g_own_sh);
         }
         store3(g_means + 3 * i, own.mean);

@@ -38,7 +38,7 @@ class RasterPass:
         self.tensors = tensors._replace(quaternions=aligned(tensors.quaternions))
         self.camera, self.options, self.color_alone = camera, options, color_alone
         self.background = options.background.contiguous()
-        self.device = gaussians.device
+        self.device, self.has_sites = gaussians.device, gaussians.has_sites
         self.visible_floats = visible_floats(tensors.scales.shape[1], tensors.extras.shape[1], color_alone)
         self.tiles_x, self.tiles_y = blocks_for(camera.width, TILE), blocks_for(camera.height, TILE)
         self.pixels, shares = _sharing(self.tiles_x * self.tiles_y, self.device)
@@ -48,9 +48,9 @@ class RasterPass:
 
     def _kernels(self, *sources: str) -> Kernels:
         kind = "SurfelKind" if self.tensors.scales.shape[1] == 2 else "Gaussian3dKind"
-        sh, extras = self.tensors.sh.shape[1], self.tensors.extras.shape[1]
-        return kernels(sources, self.device, KIND=kind, SH_COEFFICIENTS=sh, EXTRAS=extras,
-                       COLOR_ALONE=int(self.color_alone), VISIBLE_FLOATS=self.visible_floats,
+        sh, extras = self.tensors.sh_rows, self.tensors.extras.shape[1]
+        return kernels(sources, self.device, KIND=kind, SH_COEFFICIENTS=sh, HAS_SITES=int(self.has_sites),
+                       EXTRAS=extras, COLOR_ALONE=int(self.color_alone), VISIBLE_FLOATS=self.visible_floats,
                        TILE_BLOCKS=self.tile_blocks, THREAD_PIXELS=self.pixels)  # fmt: skip
 
     def color(self) -> tuple[Tensor, Tensor]:

@@ -8,7 +8,7 @@ ENVGS_FN float within_halves(float value) { return maximum(-kLargestHalf, minimu
 
 // Packs the surfels' appearances in the BVH's order; a thread a word.
 extern "C" __global__ void pack_appearances(const u32* order,     // [N] indices of surfels in the BVH's order
-                                            const float* sh,      // [N, K, 3] SH coefficients
+                                            const float* sh,      // [N, K, 3] SH coefficients, or sites
                                             const float* extras,  // [N, E] further values to blend
                                             int count,            // N
                                             u32* appearances      // [N, kAppearance] by slot, see PackedAppearance

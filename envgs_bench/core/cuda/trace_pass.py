@@ -40,16 +40,17 @@ class TracePass:
         self.origins, self.directions = origins.detach().contiguous(), directions.detach().contiguous()
         self.tree, self.options, self.color_alone = tree, options, color_alone
         self.background = options.background.contiguous()
-        self.device, self.rays = gaussians.device, len(origins)
+        self.device, self.rays, self.has_sites = gaussians.device, len(origins), gaussians.has_sites
         self.packets = blocks_for(self.rays, PACKET)
-        sh, extras = tensors.sh.shape[1], tensors.extras.shape[1]
+        sh, extras = tensors.sh_rows, tensors.extras.shape[1]
         self.appearance_floats = color_floats(sh) if color_alone else appearance_floats(sh, extras)
         self.sum_floats = trace_sum_floats(sh, extras)
 
     def _kernels(self, *sources: str) -> Kernels:
-        sh, extras = self.tensors.sh.shape[1], self.tensors.extras.shape[1]
+        sh, extras = self.tensors.sh_rows, self.tensors.extras.shape[1]
         along_ray = int(self.options.sh_along_ray)
-        return kernels(sources, self.device, SH_COEFFICIENTS=sh, EXTRAS=extras, SH_ALONG_RAY=along_ray,
+        return kernels(sources, self.device, SH_COEFFICIENTS=sh, HAS_SITES=int(self.has_sites), EXTRAS=extras,
+                       SH_ALONG_RAY=along_ray,
                        COLOR_ALONE=int(self.color_alone), APPEARANCE_FLOATS=self.appearance_floats,
                        TRACE_SUM_FLOATS=self.sum_floats)  # fmt: skip
 

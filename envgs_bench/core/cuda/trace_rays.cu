@@ -164,7 +164,7 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks)
             if (blends) {
                 Appearance appearance(appearances[slot]);
                 Vec3<float> v = kShAlongRay ? own.direction : s.mean - own.origin;
-                part.add(before * a, s, hit, sh_color<kShDegree>(appearance.sh, v), appearance.extras);
+                part.add(before * a, s, hit, seen_color(appearance.sh, v), appearance.extras);
                 if constexpr (!kColorAlone) atomicAdd(weights + s.index, before * a);
             }
             // Keep: the hits, for the backward pass.

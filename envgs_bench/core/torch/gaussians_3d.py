@@ -7,10 +7,10 @@ from torch import Tensor
 
 from ..camera import Camera
 from ..gaussians import GaussianSet
+from .colors import seen_color
 from .intersections import Intersections, Intersector
 from .pixels import Pixels
 from .rotation import rotation_matrices
-from .sh import sh_color
 
 LOW_PASS_VARIANCE = 0.3  # px², added to a projected covariance
 FRUSTUM_MARGIN = 0.3  # share of the half width (height): how far outside the image the projection is linearized
@@ -29,7 +29,7 @@ class RasterizedGaussians3D(Intersector):
         factors = frames * gaussians.scales[:, None, :]
         self.covariances = factors @ factors.mT
         offsets = gaussians.means - self.pixels.center
-        self.color_of = sh_color(gaussians.sh, offsets)
+        self.color_of = seen_color(gaussians.sh, offsets)
         self.facing = torch.where((self.axes * offsets).sum(-1) > 0, -1, 1).to(offsets)
 
     def intersect(self, rays: Tensor, primitives: Tensor, means: Tensor) -> Intersections:

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from ..camera import Camera
 from ..gaussians import GaussianSet
+from .colors import seen_color
 from .intersections import Intersections, Intersector
 from .pixels import Pixels
 from .rotation import rotation_matrices
-from .sh import sh_color
 
 EDGE_ON = 1e-12  # a ray within this of a surfel's plane (n·d) does not intersect it
 LOW_PASS_INVERSE_VARIANCE = 2.0  # 1/px²: a screen-space Gaussian of √2/2 px
@@ -71,8 +71,8 @@ class TracedSurfels(Intersector):
 
     def colors(self, rays: Tensor, primitives: Tensor) -> Tensor:
         if self.sh_along_ray:
-            return sh_color(self.gaussians.sh[primitives], self.directions[rays])
-        return sh_color(self.gaussians.sh[primitives], self.gaussians.means[primitives] - self.origins[rays])
+            return seen_color(self.gaussians.sh[primitives], self.directions[rays])
+        return seen_color(self.gaussians.sh[primitives], self.gaussians.means[primitives] - self.origins[rays])
 
 
 class RasterizedSurfels(Intersector):
@@ -84,7 +84,7 @@ class RasterizedSurfels(Intersector):
         self.shape = (camera.height, camera.width)
         self.frames = rotation_matrices(gaussians.quaternions)
         self.axes = self.frames[:, :, 2]
-        self.color_of = sh_color(gaussians.sh, gaussians.means - self.pixels.center)
+        self.color_of = seen_color(gaussians.sh, gaussians.means - self.pixels.center)
 
     def intersect(self, rays: Tensor, primitives: Tensor, means: Tensor) -> Intersections:
         frames, scales = self.frames[primitives], self.gaussians.scales[primitives]
