@@ -21,7 +21,9 @@ def main(arguments: Sequence[str]) -> int:
         allow_abbrev=False,
     )
     parser.add_argument("--seeds", metavar="FIRST-LAST", required=True, help="of the sampled scenes, as 1000-1063")
-    parser.add_argument("--out", type=Path, metavar="FILE", required=True, help="a CSV, a row a question")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", required=True, help="a CSV, a row a scene, in order or spoiled"
+    )
     options, overrides = parser.parse_known_args(arguments)
     first, _, last = options.seeds.partition("-")
     if not (first.isdigit() and (last or first).isdigit() and int(first) <= int(last or first)):
@@ -35,12 +37,13 @@ def _diagnose(overrides: list[str], seeds: range, out: Path) -> int:
     import pandas as pd
 
     from envgs_bench.datasets import load_scene
+    from envgs_bench.reports.kept.counts import rates, read_counts
     from envgs_bench.settings import SettingsError
 
     from .composition import composed
-    from .diagnosis_counts import counted, rates
+    from .diagnosis_counts import counted
 
-    done = set(pd.read_csv(out)["seed"]) if out.is_file() else set()
+    done = set(read_counts(out)["seed"]) if out.is_file() else set()
     for seed in seeds:
         if seed in done:
             continue
@@ -51,6 +54,5 @@ def _diagnose(overrides: list[str], seeds: range, out: Path) -> int:
             return 2
         rows = pd.DataFrame(counted(load_scene(settings.dataset, settings.cache_dir), seed))
         rows.to_csv(out, mode="a", header=not out.is_file(), index=False)
-    kept = pd.read_csv(out, keep_default_na=False)
-    print(rates(kept.to_dict("records")).to_string(index=False))
+    print(rates(read_counts(out)).to_string(index=False))
     return 0

@@ -10,35 +10,58 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from scipy.stats import binomtest
+from scipy.stats import binom
 from toy_scenes import rough_toys
 
 from envgs_bench.cli import diagnosis_counts
-from envgs_bench.cli.diagnosis_counts import OF_SCENES, SPOILED, counted, rates
+from envgs_bench.cli.diagnosis_counts import SPOILED, counted
 from envgs_bench.cli.main import main
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
 from envgs_bench.diagnosis.repair import REPAIRS
 from envgs_bench.diagnosis.scene_warnings import scene_warnings
+from envgs_bench.reports.kept.counts import ANSWERS, OF_SCENES, CountsError, rates, read_counts
 
 
-def test_rates_are_shares_with_their_intervals() -> None:
-    asked = [("", "any warning", seed < 2) for seed in range(40)]
-    asked += [("exposure", "repair exposures", seed < 37) for seed in range(40)]
-    rows = [
-        {"spoiled": kind, "severity": int(bool(kind)), "asked": what, "found": found} for kind, what, found in asked
-    ]
-    table = rates(rows).set_index("asked")
-    assert table.loc["any warning", ["found", "scenes", "share"]].tolist() == [2, 40, 0.05]
-    interval = binomtest(37, 40).proportion_ci(0.95)
-    assert table.loc["repair exposures", ["low", "high"]].tolist() == pytest.approx([interval.low, interval.high])
+def rows_of(*scenes: tuple[str, str, str], severity: int = 2) -> pd.DataFrame:
+    """A row a scene: what is spoiled, the warnings, the repairs."""
+    return pd.DataFrame(
+        [
+            {
+                "seed": seed,
+                "spoiled": spoiled,
+                "severity": severity * bool(spoiled),
+                "warned": warned,
+                "repaired": right,
+            }
+            for seed, (spoiled, warned, right) in enumerate(scenes)
+        ]
+    )
 
 
-def test_what_is_spoiled_is_a_perturbation_that_a_repair_is_for() -> None:
-    for kind, severity, repair, _ in SPOILED:
+def test_rates_are_shares_with_what_they_leave_possible() -> None:
+    """The bounds are those of the binomial distribution: at them, the count or one further out has a chance of 5 %."""
+    in_order = [("", "views_sparse poses_off" if seed < 2 else "", "") for seed in range(40)]
+    spoiled = [("exposure", "poses_off", "exposures" if seed < 37 else "normals") for seed in range(40)]
+    table = rates(rows_of(*in_order, *spoiled)).set_index(["spoiled", "asked"])
+    false = table.loc["", "warning poses_off"]
+    assert (false["found"], false["scenes"], false["share"]) == (2, 40, 0.05)
+    assert binom.cdf(2, 40, false["bound"]) == pytest.approx(0.05)
+    assert table.loc[("", "any warning"), "found"] == 2
+    assert table.loc[("", "repair exposures"), "bound"] == pytest.approx(1 - 0.05 ** (1 / 40))
+    found = table.loc["exposure", "repair exposures"]
+    assert found["found"] == 37
+    assert binom.sf(36, 40, found["bound"]) == pytest.approx(0.05)
+    assert table.loc[("exposure", "warning exposures_differ"), "found"] == 0
+
+
+def test_what_is_spoiled_is_a_perturbation_that_a_warning_and_a_repair_are_for() -> None:
+    assert {kind for kind, _ in SPOILED} == set(ANSWERS)
+    for kind, severity in SPOILED:
         assert severity <= len(PERTURBATIONS[kind].levels)
-        assert repair is None or repair in REPAIRS
+        asked = {tuple(question.split()) for question in ANSWERS[kind]}
+        assert asked <= {("warning", each) for each in OF_SCENES} | {("repair", each) for each in REPAIRS}
 
 
 def test_every_warning_of_a_scene_is_asked() -> None:
@@ -54,26 +77,21 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
         return load_scene(settings, tmp_path_factory.mktemp("cache"))
 
 
-def test_mirrored_normals_count_as_found_where_just_those_views_are_named(
+def test_mirrored_normals_count_as_repaired_where_just_those_views_are_named(
     room: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A diagnosis that names all views is wrong where half of them are mirrored."""
-
-    def diagnosis(scene: Scene, device: str) -> Any:
-        changed = [a.name for a, b in zip(scene.train, room.train, strict=True) if a is not b]
-        return SimpleNamespace(mirrored=[view.name for view in scene.train] if every else changed)
-
-    monkeypatch.setattr(diagnosis_counts, "Diagnosis", diagnosis)
+    """A diagnosis that names all views is right where all of them are mirrored, and wrong where a quarter is."""
+    every = SimpleNamespace(mirrored=[view.name for view in room.train])
+    monkeypatch.setattr(diagnosis_counts, "Diagnosis", lambda *_: every)
     monkeypatch.setattr(diagnosis_counts, "_measured", lambda _: {})
     monkeypatch.setattr(diagnosis_counts, "scene_warnings", lambda *_: [SimpleNamespace(kind="poses_off")])
-    named = [SimpleNamespace(kind="normals", kept=True, message="")]
-    monkeypatch.setattr(diagnosis_counts, "repaired", lambda given, kinds: (given, named if "normals" in kinds else []))
-    for every in (False, True):
-        table = pd.DataFrame(counted(room, 0)).set_index(["spoiled", "asked"])["found"]
-        assert table["normals_mirrored", "repair normals"] == (not every)
-        assert table["pose_rotation", "warning poses_off"]
-        assert table["", "warning poses_off"]  # a false alarm
-        assert not table["exposure", "warning exposures_differ"]
+    kept = [SimpleNamespace(kind="normals", kept=True), SimpleNamespace(kind="exposures", kept=False)]
+    monkeypatch.setattr(diagnosis_counts, "repaired", lambda given, kinds: (given, kept))
+    rows = pd.DataFrame(counted(room, 0)).set_index(["spoiled", "severity"])
+    assert rows.loc[("", 0), "repaired"] == "normals"  # a false alarm
+    assert rows.loc["normals_mirrored", "repaired"].tolist() == ["", "", "normals"]
+    assert set(rows["warned"]) == {"poses_off"}
+    assert (rows.loc[("", 0), "width"], rows.loc[("", 0), "views"]) == (16, len(room.train))
 
 
 def test_seeds_that_are_none_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -89,7 +107,9 @@ def test_scenes_that_were_asked_are_not_asked_again(
 
     def count(scene: int, seed: int) -> list[dict[str, Any]]:
         asked.append(seed)
-        return [{"seed": seed, "spoiled": "", "severity": 0, "asked": "any warning", "found": seed == 6}]
+        size = {"width": 64, "height": 48, "views": 28}
+        said = {"warned": "poses_off" if seed == 6 else "", "repaired": ""}
+        return [{"seed": seed, **size, "spoiled": "", "severity": 0, **said}]
 
     monkeypatch.setattr(diagnosis_counts, "counted", count)
     monkeypatch.setattr("envgs_bench.datasets.load_scene", lambda settings, cache: settings["seed"])
@@ -97,4 +117,10 @@ def test_scenes_that_were_asked_are_not_asked_again(
         assert main(["diagnose", "--seeds", f"4-{last}", "--out", str(tmp_path / "counts.csv")]) == 0
     assert asked == [4, 5, 6, 7]
     assert "any warning" in capsys.readouterr().out
-    assert pd.read_csv(tmp_path / "counts.csv")["found"].sum() == 1
+    assert read_counts(tmp_path / "counts.csv")["warned"].tolist() == ["", "", "poses_off", ""]
+
+
+def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "other.csv").write_text("seed,found\n1,2\n", encoding="utf-8")
+    with pytest.raises(CountsError, match="it has no width"):
+        read_counts(tmp_path / "other.csv")

@@ -1,0 +1,78 @@
+"""How often diagnosis is right, from a CSV of `envgs-bench diagnose`: of scenes in order false alarms, of others recall.
+
+A row of the file is a scene, in order or spoiled in one way: `warned` has the warnings it was given and `repaired` the
+repairs that were right, each a list of words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import get_args
+
+import pandas as pd
+
+from envgs_bench.records import RepairKind, WarningKind
+
+KINDS = get_args(WarningKind)
+OF_SCENES = KINDS[KINDS.index("views_sparse") :]  # the warnings of a scene that is trained on for long enough
+REPAIRS = get_args(RepairKind)
+ANSWERS: dict[str, tuple[str, ...]] = {  # what is spoiled -> the warning and the repair, if there is one, that say so
+    "exposure": ("warning exposures_differ", "repair exposures"),
+    "pose_rotation": ("warning poses_off",),
+    "normals_mirrored": ("warning normals_mirrored", "repair normals"),
+}
+CONFIDENCE = 0.95
+FACTS = ("seed", "width", "height", "views", "spoiled", "severity", "warned", "repaired")
+
+
+class CountsError(ValueError):
+    """A CSV of counts that cannot be used; the message names the file and what is wrong with it."""
+
+
+def read_counts(path: Path) -> pd.DataFrame:
+    """The rows of a file that `envgs-bench diagnose` wrote.
+
+    Raises:
+        CountsError: there is no such file, or it is another.
+    """
+    try:
+        rows = pd.read_csv(path, keep_default_na=False)
+    except (OSError, ValueError) as error:
+        raise CountsError(f"{path}: cannot be read: {error}") from error
+    if absent := [name for name in FACTS if name not in rows]:
+        raise CountsError(
+            f"{path}: expected columns {', '.join(FACTS)}; it has no {absent[0]}. "
+            f"Make one with `envgs-bench diagnose --seeds 1000-1063 --out {path}`"
+        )
+    return rows
+
+
+def rates(rows: pd.DataFrame) -> pd.DataFrame:
+    """A row a question: of how many scenes it was asked, of how many it found, and the share that this leaves possible.
+
+    `bound` is the end of the one-sided interval of Clopper and Pearson at 95 %: of scenes in order the largest share of
+    false alarms, of spoiled scenes the smallest share that is found.
+    """
+    from scipy.stats import binomtest  # takes a second to import
+
+    found = []
+    for (spoiled, severity), group in rows.groupby(["spoiled", "severity"], sort=True):
+        for asked, answers in _answers(group, str(spoiled)):
+            hits, scenes = int(answers.sum()), len(answers)
+            tested = binomtest(hits, scenes, alternative="greater" if spoiled else "less").proportion_ci(CONFIDENCE)
+            bound = tested.low if spoiled else tested.high
+            about = {"spoiled": spoiled, "severity": severity, "asked": asked}
+            found.append({**about, "found": hits, "scenes": scenes, "share": hits / scenes, "bound": float(bound)})
+    return pd.DataFrame(found)
+
+
+def _answers(rows: pd.DataFrame, spoiled: str) -> Iterator[tuple[str, pd.Series[bool]]]:
+    """Each question that is asked of these rows, and what the answers are."""
+    said = {"warning": rows["warned"].str.split().map(set), "repair": rows["repaired"].str.split().map(set)}
+    in_order = (*(f"warning {kind}" for kind in OF_SCENES), *(f"repair {kind}" for kind in REPAIRS))
+    for asked in ANSWERS[spoiled] if spoiled else in_order:
+        what, kind = asked.split()
+        yield asked, said[what].map(lambda words, kind=kind: kind in words)
+    if not spoiled:
+        yield "any warning", said["warning"].map(bool)
