@@ -36,7 +36,15 @@ def main(arguments: Sequence[str]) -> int:
         metavar="FILE.csv",
         help="write no report: add a row for each run to this file, in place of an earlier row of the same run",
     )
-    parser.add_argument("--commit", default="", metavar="HASH", help="with --keep: of runs that do not know theirs")
+    parser.add_argument(
+        "--keep-perturbed",
+        type=Path,
+        metavar="FILE.csv",
+        help="write no report: add a short row for each run of a stability study to this file, partners and all",
+    )
+    parser.add_argument(
+        "--commit", default="", metavar="HASH", help="with --keep and --keep-perturbed: of runs that do not know theirs"
+    )
     parser.add_argument(
         "--fill",
         type=Path,
@@ -62,7 +70,7 @@ def main(arguments: Sequence[str]) -> int:
         return explained("report", lambda: _fill(options.fill, options.runs))
     if options.figure:
         return explained("report", lambda: _figure(options))
-    if options.keep:
+    if options.keep or options.keep_perturbed:
         return explained("report", lambda: _keep(options))
     return explained("report", lambda: _report(options))
 
@@ -88,11 +96,14 @@ def _figure(options: argparse.Namespace) -> int:
 
 
 def _keep(options: argparse.Namespace) -> int:
+    from envgs_bench.reports.kept.perturbed_file import keep_perturbed
     from envgs_bench.reports.kept.runs_file import keep_runs
     from envgs_bench.reports.numbers.runs import read_runs
 
     found, broken = read_runs(options.runs, options.only, options.exclude)
-    print(f"{len(found)} runs, {keep_runs(found, options.keep, options.commit)} in {options.keep}")
+    for keep, path in ((keep_runs, options.keep), (keep_perturbed, options.keep_perturbed)):
+        if path:
+            print(f"{len(found)} runs, {keep(found, path, options.commit)} in {path}")
     for record in broken:
         print(f"envgs-bench report: {record.path}: {record.reason}", file=sys.stderr)
     return int(bool(broken) or not found)

@@ -1,4 +1,4 @@
-"""How often diagnosis is right, from a CSV of `envgs-bench diagnose`: of scenes in order false alarms, of others recall.
+"""How often diagnosis is right, from a CSV of `envgs-bench diagnose`: false alarms of scenes in order, and recall.
 
 A row of the file is a scene, in order or spoiled in one way: `warned` has the warnings it was given and `repaired` the
 repairs that were right, each a list of words.
@@ -13,6 +13,8 @@ from typing import get_args
 import pandas as pd
 
 from envgs_bench.records import RepairKind, WarningKind
+
+from .tables import as_markdown
 
 KINDS = get_args(WarningKind)
 OF_SCENES = KINDS[KINDS.index("views_sparse") :]  # the warnings of a scene that is trained on for long enough
@@ -76,3 +78,39 @@ def _answers(rows: pd.DataFrame, spoiled: str) -> Iterator[tuple[str, pd.Series[
         yield asked, said[what].map(lambda words, kind=kind: kind in words)
     if not spoiled:
         yield "any warning", said["warning"].map(bool)
+
+
+def false_alarms(rows: pd.DataFrame, name: str) -> str:
+    """A row a question asked of scenes in order: how many were warned of, or changed, at each size and at all."""
+    return _table(rows[rows["spoiled"] == ""], name, "at most", "in order")
+
+
+def found(rows: pd.DataFrame, name: str) -> str:
+    """A row a question asked of scenes spoiled on purpose: how many it found, at each size and at all."""
+    return _table(rows[rows["spoiled"] != ""], name, "at least", "spoiled")
+
+
+def _table(rows: pd.DataFrame, name: str, bound: str, which: str) -> str:
+    sizes = sorted(set(zip(rows["width"], rows["height"], strict=True)))
+    parts = [rates(rows[(rows["width"] == width) & (rows["height"] == height)]) for width, height in sizes]
+    total = rates(rows)
+    keys = ["spoiled", "severity", "asked"]
+    counts = [dict(zip(part[keys].itertuples(index=False, name=None), _of(part), strict=True)) for part in parts]
+    lines = []
+    for row, whole in zip(total.itertuples(), _of(total), strict=True):
+        key = (row.spoiled, row.severity, row.asked)
+        what = f"`{row.spoiled}` {row.severity}: {_asked(row.asked)}" if row.spoiled else _asked(row.asked)
+        lines.append([what, *(part.get(key, "–") for part in counts), whole, f"{100 * row.bound:.1f} %"])
+    heads = [which, *(f"{width}×{height}" for width, height in sizes), "all", bound]
+    scenes = rows.drop_duplicates(["seed", "width"])
+    caption = f"*{len(scenes)} sampled scenes, one-sided bounds at 95 %. Source: `{name}`.*"
+    return f"{as_markdown(heads, lines)}\n{caption}\n"
+
+
+def _of(part: pd.DataFrame) -> list[str]:
+    return [f"{row.found} of {row.scenes}" for row in part.itertuples()]
+
+
+def _asked(asked: str) -> str:
+    what, _, kind = asked.partition(" ")
+    return f"`{kind}`" if what == "warning" else f"`repair={kind}`" if what == "repair" else asked

@@ -16,8 +16,13 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import pandas as pd
+
+from .counts import false_alarms, found, read_counts
 from .originals import BESIDE_ORIGINALS, MarksError, read_marks, read_words
 from .over_scenes import differences, mean_over_scenes, over_scenes
+from .perturbed_file import read_perturbed
+from .perturbed_tables import lag, recall, stability
 from .runs_file import NoRunsError, read_kept
 from .tables import FULL, KeptRuns, TableError, column_of, costs, difference, gains, scores
 
@@ -25,6 +30,10 @@ TABLE = re.compile(r"(<!-- table: (\w+) (.*?) -->\n).*?(<!-- end of table -->)",
 NUMBER = re.compile(r"(<!-- number: (.*?) -->).*?(<!-- end -->)", re.DOTALL)
 CHOICES = ("scene", "method", "steps", "split", "protocol", "device")
 KINDS: dict[str, Callable[..., str]] = {"scores": scores, "gains": gains, "costs": costs, "over_scenes": over_scenes}
+OF_OTHERS: dict[str, tuple[Callable[[Path], pd.DataFrame], Callable[..., str]]] = {  # of other files: how they are read
+    **{table.__name__: (read_counts, table) for table in (false_alarms, found)},
+    **{table.__name__: (read_perturbed, table) for table in (recall, lag, stability)},
+}
 
 
 def fill_page(page: Path, folder: Path) -> tuple[str, list[str]]:
@@ -61,11 +70,15 @@ def fill_page(page: Path, folder: Path) -> tuple[str, list[str]]:
 def _table(kind: str, asked: str, folder: Path) -> str:
     if kind in BESIDE_ORIGINALS:
         return _beside_originals(kind, asked, folder)
-    if kind not in KINDS:
-        raise TableError(f"there is no table {kind!r}, but {', '.join((*KINDS, *BESIDE_ORIGINALS))}")
-    runs, rest = _chosen(asked, folder)
+    if kind not in {*KINDS, *OF_OTHERS}:
+        raise TableError(f"there is no table {kind!r}, but {', '.join((*KINDS, *OF_OTHERS, *BESIDE_ORIGINALS))}")
     try:
-        return KINDS[kind](runs, **rest)
+        if kind in KINDS:
+            runs, rest = _chosen(asked, folder)
+            return KINDS[kind](runs, **rest)
+        name, rest = _named(asked)
+        read, table = OF_OTHERS[kind]
+        return table(read(folder / name), f"{folder.name}/{name}", **rest)
     except TypeError as error:
         raise TableError(f"{kind} cannot be asked so: {error}") from None
 
@@ -96,9 +109,14 @@ def _number(asked: str, folder: Path) -> str:
 
 def _chosen(asked: str, folder: Path) -> tuple[KeptRuns, dict[str, str]]:
     """The rows that a comment asks for, and what else it says."""
+    name, pairs = _named(asked)
+    wanted = {key: pairs.pop(key) for key in CHOICES if key in pairs}
+    return KeptRuns.chosen(f"{folder.name}/{name}", read_kept(folder / name), wanted), pairs
+
+
+def _named(asked: str) -> tuple[str, dict[str, str]]:
+    """The file that a comment names, and what else it says."""
     pairs = dict(word.partition("=")[::2] for word in asked.split())
     if "records" not in pairs:
         raise TableError("say records=<file>, a CSV of kept runs")
-    name = pairs.pop("records")
-    wanted = {key: pairs.pop(key) for key in CHOICES if key in pairs}
-    return KeptRuns.chosen(f"{folder.name}/{name}", read_kept(folder / name), wanted), pairs
+    return pairs.pop("records"), pairs

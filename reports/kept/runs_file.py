@@ -42,15 +42,20 @@ def row_of(run: Run, commit: str = "") -> dict[str, str]:
         commit: of runs that do not know theirs.
     """
     record = run.record
-    timing, provenance = record.timing, record.provenance
-    commit = f"{(provenance.commit or commit or 'unknown')[:10]}{'-dirty' if provenance.dirty else ''}"
+    timing = record.timing
     facts = (
         record.dataset, method_of(record), record.steps, record.scored_on, record.protocol.name, record.seed,
         card_of(record).order, record.status, timing.width if timing else "", timing.height if timing else "",
-        run.device, commit, record.run_id, command_of(record),
+        run.device, commit_of(record, commit), record.run_id, command_of(record),
     )  # fmt: skip
     row = {name: no_formula(str(value)) for name, value in zip(FACTS, facts, strict=True)}
     return row | {name: f"{value:.{DIGITS}g}" for name, value in numbers_of(record).items()}
+
+
+def commit_of(record: Record, otherwise: str = "") -> str:
+    """The commit that made the record, or the other where it knows none."""
+    provenance = record.provenance
+    return f"{(provenance.commit or otherwise or 'unknown')[:10]}{'-dirty' if provenance.dirty else ''}"
 
 
 def method_of(record: Record) -> str:
@@ -85,8 +90,14 @@ def keep_runs(runs: Iterable[Run], path: Path, commit: str = "") -> int:
     """Add a row for each run to the file, in place of an earlier row of the same `IDENTITY`; how many rows it has.
 
     Raises:
-        RunsFileError: the file that is there is no CSV of kept runs.
+        RunsFileError: the file that is there is no CSV of kept runs, or a run is perturbed or repaired.
     """
+    runs = list(runs)
+    if changed := [run for run in runs if run.record.perturbation or run.record.repair]:
+        raise RunsFileError(
+            f"{changed[0].folder}: a perturbed or repaired run shares no table with others; keep such runs with "
+            "--keep-perturbed, or leave them out with --exclude"
+        )
     kept = {} if not path.exists() else {_identity(row): row for row in _rows(path)}
     kept |= {_identity(row): row for row in (row_of(run, commit) for run in runs)}
     rows = sorted(kept.values(), key=lambda row: (row["scene"], int(row["steps"]), int(row["order"]), _identity(row)))
