@@ -14,6 +14,7 @@ import pandas as pd
 
 from envgs_bench.records import RepairKind, WarningKind
 
+from .runs_file import NoRunsError
 from .tables import as_markdown
 
 KINDS = get_args(WarningKind)
@@ -36,8 +37,11 @@ def read_counts(path: Path) -> pd.DataFrame:
     """The rows of a file that `envgs-bench diagnose` wrote.
 
     Raises:
-        CountsError: there is no such file, or it is another.
+        NoRunsError: there is no such file.
+        CountsError: it is another.
     """
+    if not path.exists():
+        raise NoRunsError(f"there is no {path.parent.name}/{path.name}")
     try:
         rows = pd.read_csv(path, keep_default_na=False)
     except (OSError, ValueError) as error:

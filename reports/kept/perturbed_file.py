@@ -14,7 +14,7 @@ from envgs_bench.plain_text import no_formula
 from envgs_bench.records import Record, write_atomically
 
 from ..numbers.runs import Run
-from .runs_file import RunsFileError, commit_of, method_of
+from .runs_file import NoRunsError, RunsFileError, commit_of, method_of
 
 IDENTITY = ("scene", "method", "steps", "seed", "perturbed", "severity", "repair")  # a run of the same replaces a row
 SAID = ("before", "during", "repaired")  # kinds: warned of before the first step, and after it; what a repair changed
@@ -81,8 +81,11 @@ def read_perturbed(path: Path) -> pd.DataFrame:
     """The rows of a file of perturbed runs, all of them text.
 
     Raises:
-        RunsFileError: there is no such file, or it is another.
+        NoRunsError: there is no such file.
+        RunsFileError: it is another.
     """
+    if not path.exists():
+        raise NoRunsError(f"there is no {path.parent.name}/{path.name}")
     try:
         rows = pd.read_csv(path, dtype=str, keep_default_na=False)
     except (OSError, ValueError) as error:

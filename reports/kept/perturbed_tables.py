@@ -8,7 +8,8 @@ from collections.abc import Iterable
 import pandas as pd
 
 from .perturbed_file import NONE, UNTRIED
-from .tables import NOTHING, TableError, as_markdown
+from .runs_file import NoRunsError
+from .tables import NOTHING, as_markdown
 
 LEAST = "1"  # dB from which a run has lost something
 REPAIRED_BY = {"exposures": "exposures_differ", "normals": "normals_mirrored"}  # and the warning that is given with it
@@ -44,7 +45,7 @@ def recall(rows: pd.DataFrame, name: str, least: str = LEAST) -> str:
     runs = with_losses(rows)
     runs = runs[(runs["perturbed"] != NONE) & (runs["repair"] == NONE)]
     if runs.empty:
-        raise TableError(f"{name} has no perturbed run with a partner")
+        raise NoRunsError(f"{name} has no perturbed run with a partner")
     lost = runs[runs["lost"] >= float(least)]
     groups = [(f"`{kind}`", group) for kind, group in runs.groupby("perturbed", sort=True)]
     lines = []
@@ -69,7 +70,7 @@ def lag(rows: pd.DataFrame, name: str, least: str = LEAST) -> str:
             warned = ladder.loc[ladder["warned"], "severity"].min()
             found.setdefault(f"`{kind}`", []).append(math.inf if math.isnan(warned) else warned - failed)
     if not found:
-        raise TableError(f"{name} has no perturbed run that lost {least} dB")
+        raise NoRunsError(f"{name} has no perturbed run that lost {least} dB")
     found["all"] = [lag for lags in found.values() for lag in lags]
     lines = [
         [title, *(str(sum(test(lag) for lag in lags)) for test in (_any, _earlier, _as_early, _later, math.isinf))]
@@ -102,7 +103,7 @@ def stability(rows: pd.DataFrame, name: str) -> str:
     """
     runs = with_losses(rows)
     if runs.empty:
-        raise TableError(f"{name} has no run with a partner")
+        raise NoRunsError(f"{name} has no run with a partner")
     methods = sorted(runs["method"].unique())
     repairs = [NONE, *(each for each in REPAIRED_BY if each in set(runs["repair"]))]
     lines = []
