@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from .observations import Observations
 from .thresholds import HALVES, UNEQUAL
@@ -74,22 +73,22 @@ def exposures(observations: Observations, device: torch.device | str = "cpu") ->
     and the halves have to say about the same of the views, in the median of the four.
 
     Args:
-        device: where whole pictures are looked at; what is found is on the CPU.
+        device: where it is found; what is found is on the CPU.
     """
-    seen, given = _seen(observations, device), observations.colors
+    seen, given = _seen(observations).to(device), observations.colors.to(device)
     found = None if observations.colorless else _offsets(seen, given)
     if found is None:
         return Exposures()
     deviation = float(_from_middle(found.offsets[found.judged]).median())
     if deviation < UNEQUAL:
         return Exposures(deviation)
-    keys = (*observations.points.T, given.mean(dim=1))
+    keys = (*observations.points.T.to(device), given.mean(dim=1))
     disagreement = statistics.median(_disagreement(seen, given, key <= key.median()) for key in keys)
     if disagreement > HALVES:
         return Exposures(deviation, disagreement)
     offsets, common = found.offsets, found.common
     off = found.judged & (_differences(seen, common + offsets[:, None]) < _differences(seen, common[None]))
-    named = zip(observations.views, offsets, off.tolist(), strict=True)
+    named = zip(observations.views, offsets.cpu(), off.tolist(), strict=True)
     return Exposures(deviation, disagreement, {view.name: offset.exp() for view, offset, is_off in named if is_off})
 
 
@@ -149,25 +148,22 @@ def equalized(image: Tensor, factors: Tensor) -> Tensor:
     return (255 * encoded).round().byte().contiguous()
 
 
-def _seen(observations: Observations, device: torch.device | str) -> Tensor:
+def _seen(observations: Observations) -> Tensor:
     """What the views show around the points that nothing hides: sRGB of the mean light of 3×3 pixels, else NaN.
 
     A pixel of a fine texture is another from every view, and a point behind something has another's color.
     """
     from kornia.color import linear_rgb_to_rgb
 
-    found = []
-    for index, view in enumerate(observations.views):
-        light = functional.pad(_light(view.rgb(device)).movedim(2, 0)[None], (1, 1, 1, 1), mode="replicate")
-        around = linear_rgb_to_rgb(functional.avg_pool2d(light, 3, stride=1))[0].movedim(0, 2).cpu()
-        unhidden = observations.unhidden[index][:, None]
-        found.append(torch.where(unhidden, observations.sampled(index, around), torch.nan))
-    return torch.stack(found)
+    light = torch.stack([observations.around(index) for index in range(len(observations.views))])
+    mean = _light((light.float() / 255).flatten(0, 1)).unflatten(0, light.shape[:2]).mean(dim=2)
+    seen = linear_rgb_to_rgb(mean.movedim(-1, -3)).movedim(-3, -1)
+    return torch.where(observations.unhidden[..., None], seen, torch.nan)
 
 
 def _first(seen: Tensor, logs: Tensor) -> Tensor:
     """Of each view the offset, of all channels alike, at which it shows most points in their colors: [V, 3]."""
-    tried = torch.linspace(-WIDEST, WIDEST, TRIED)
+    tried = torch.linspace(-WIDEST, WIDEST, TRIED, device=seen.device)
     differences = [_differences(seen, (logs + offset)[None]) for offset in tried]
     return tried[torch.stack(differences).argmin(dim=0)][:, None].expand(-1, 3)
 

@@ -182,6 +182,19 @@ class Observations:
 
     def sampled(self, index: int, values: Tensor) -> Tensor:
         """What a map [H, W, C] of a view holds where the points are, [P, C] as float; NaN outside."""
-        shown = self.shown[index]
-        columns, rows = torch.where(shown[:, None], self.pixels[index], 0.0).long().unbind(dim=1)
-        return torch.where(shown[:, None], values[rows, columns].float(), torch.nan)
+        rows, columns = self._at(index)
+        return torch.where(self.shown[index][:, None], values[rows, columns].float(), torch.nan)
+
+    def around(self, index: int) -> Tensor:
+        """The view's bytes in the 3×3 pixels around the points, [P, 9, 3]; those at the border again beyond it."""
+        rows, columns = self._at(index)
+        image = self.views[index].image
+        offsets = torch.arange(-1, 2)
+        near = (rows[:, None] + offsets).clamp(0, image.shape[0] - 1)[:, :, None]
+        beside = (columns[:, None] + offsets).clamp(0, image.shape[1] - 1)[:, None]
+        return image[near, beside].flatten(1, 2)
+
+    def _at(self, index: int) -> tuple[Tensor, Tensor]:
+        """The rows and columns of the view's pixels that show the points; 0 where none does."""
+        columns, rows = torch.where(self.shown[index][:, None], self.pixels[index], 0.0).long().unbind(dim=1)
+        return rows, columns
