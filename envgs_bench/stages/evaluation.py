@@ -14,6 +14,7 @@ from envgs_bench.methods.method import Method
 from envgs_bench.metrics import Protocol
 from envgs_bench.records import MaskedScores, Metrics, ScoredOn, Scores
 
+from .background import Background
 from .events import EventListener
 from .health import Diverged
 from .pictures import depth_unit, save_view
@@ -45,7 +46,9 @@ def evaluate(
     Raises:
         Diverged: a render is not finite.
     """
-    metrics, masked = score_pairs(_drawn(method, views, folder, report, alignment), protocol, method.device)
+    with Background(method.device) as background:
+        pairs = _drawn(method, views, folder, report, alignment, background)
+        metrics, masked = score_pairs(pairs, protocol, method.device)
     without = [view.name for view in views if view.normal is None]
     if without:
         why = f"{len(without)} of {len(views)} scored views bring no exact normals"
@@ -54,7 +57,12 @@ def evaluate(
 
 
 def _drawn(
-    method: Method, views: Sequence[View], folder: Path, report: EventListener, alignment: Alignment | None
+    method: Method,
+    views: Sequence[View],
+    folder: Path,
+    report: EventListener,
+    alignment: Alignment | None,
+    background: Background,
 ) -> Iterator[Pair]:
     unit = depth_unit([view.camera for view in views])
     for number, view in enumerate(views):
@@ -64,7 +72,7 @@ def _drawn(
         if not torch.isfinite(image).all():
             share = float((~torch.isfinite(image)).float().mean())
             raise Diverged(f"the render of view {view.name} is not finite in {share:.1%} of its values")
-        save_view(folder, view, rendering, unit)
+        background.begin(save_view, folder, view, rendering, unit)
         others = _normal_errors(view, rendering.normal.cpu())
         if alignment:
             aligned = alignment.scores(method, view)

@@ -24,6 +24,7 @@ from envgs_bench.records import EXTERNAL, RENDERS
 from envgs_bench.run_folder import CHECKPOINT, CURVE_NAME
 from envgs_bench.settings import RunSettings
 
+from .background import Background
 from .budget import limited_method
 from .cost import cost_of, with_files
 from .evaluation import evaluate, scored_views
@@ -106,13 +107,17 @@ def execute(
         if training.step:  # however it ends, what was learned is kept
             results.cost = cost_of(method, training)
             method.save(folder / CHECKPOINT)
-    # Now: what the scoring takes of memory is not the training's.
-    results.cost = with_files(cost_of(method, training), method, folder / CHECKPOINT)
-    report({"stage": "preparing"})
-    method.prepare()
+    results.cost = cost_of(method, training)  # now: what the scoring takes of memory is not the training's
     views = scored_views(scene, settings.score_on)
     alignment = alignment_of(settings, scene, protocol)
-    results.metrics, results.masked = evaluate(method, views, protocol, folder, report, alignment)
+    with Background(method.device) as background:
+        packing = background.begin(with_files, results.cost, method, folder / CHECKPOINT)
+        try:
+            report({"stage": "preparing"})
+            method.prepare()
+            results.metrics, results.masked = evaluate(method, views, protocol, folder, report, alignment)
+        finally:
+            results.cost = packing.result()
     report({"stage": "timing"})
     results.timing = time_frames(method, views, settings.timing)
     write_samples(folder, sampled(method, scene, views))

@@ -87,5 +87,5 @@ def save_png(path: Path, image: Tensor) -> None:
 
 def as_bytes(image: Tensor) -> NDArray[np.uint8]:
     """Values in [0, 1], [H, W] or [H, W, 1 or 3], as bytes [H, W] or [H, W, 3], clamped and rounded as protocols do."""
-    values = image.detach().cpu().float().clamp(0, 1).mul(255).add(0.5).floor().to(torch.uint8).numpy()
+    values = image.detach().float().clamp(0, 1).mul(255).add(0.5).floor().to(torch.uint8).cpu().numpy()
     return np.ascontiguousarray(values[..., 0] if values.shape[2:] == (1,) else values)
