@@ -44,9 +44,13 @@ def test_an_owner_that_fails_is_heard_first() -> None:
     def fail() -> None:
         raise OSError("no space left on device")
 
-    with pytest.raises(ValueError, match="diverged"), Background(CUDA) as work:
-        work.begin(fail)
-        raise ValueError("diverged")
+    def own() -> None:
+        with Background(CUDA) as work:
+            work.begin(fail)
+            raise ValueError("diverged")
+
+    with pytest.raises(ValueError, match="diverged"):
+        own()
 
 
 def test_no_more_than_so_much_is_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
