@@ -28,7 +28,6 @@ PACKAGES = (
     "scikit-image",
     "pillow",
     "torchmetrics",
-    "flip-evaluator",
     "embreex",
     "pycolmap",
     "hydra-core",
