@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -13,6 +14,18 @@ from envgs_bench.diagnosis.repair import REPAIRS, repaired
 from envgs_bench.diagnosis.scene_warnings import scene_warnings
 
 PLENTY = 10**6  # steps, so that no scene's training is too short
+DIGITS = 4
+MEASURED: dict[str, Callable[[Diagnosis], float]] = {  # what thresholds are compared with
+    "stops": lambda found: found.exposures.stops,
+    "pose_gain": lambda found: found.alignment.gain,
+    "photo_consistency": lambda found: found.photo_consistency,
+    "coverage": lambda found: found.coverage,
+    "normal_disagreement": lambda found: found.disagreement,
+    "noise": lambda found: found.photographs.noise,
+    "detail": lambda found: found.photographs.detail,
+    "blockiness": lambda found: found.photographs.blockiness,
+}
+COMPARED = {"": tuple(MEASURED), "exposure": ("stops",), "pose_rotation": ("pose_gain",), "normals_mirrored": ()}
 SPOILED = (  # what, and how severely
     *(("exposure", severity) for severity in (2, 3)),
     ("pose_rotation", 3),
@@ -24,7 +37,7 @@ def counted(scene: Scene, seed: int, device: torch.device | str = "cpu") -> list
     """A row for the scene in order, of `spoiled` "", and one for each way in which it is spoiled.
 
     What is `warned` of and `repaired` in order is a false alarm. A repair of mirrored normals counts where it names
-    just the views that were mirrored. Beside them stands what the thresholds are compared with.
+    just the views that were mirrored. Beside them stands what the thresholds in question are compared with.
     """
     camera = scene.train[0].camera
     about = {"seed": seed, "width": camera.width, "height": camera.height, "views": len(scene.train)}
@@ -37,20 +50,7 @@ def counted(scene: Scene, seed: int, device: torch.device | str = "cpu") -> list
         if spoiled == "normals_mirrored" and set(diagnosis.mirrored) != turned:
             right.discard("normals")
         warned = (warning.kind for warning in scene_warnings(diagnosis, PLENTY))
+        measured = {name: round(MEASURED[name](diagnosis), DIGITS) for name in COMPARED[spoiled]}
         said = {"warned": " ".join(sorted(warned)), "repaired": " ".join(sorted(right))}
-        rows.append({**about, "spoiled": spoiled, "severity": severity, **said, **_measured(diagnosis)})
+        rows.append({**about, "spoiled": spoiled, "severity": severity, **said, **measured})
     return rows
-
-
-def _measured(diagnosis: Diagnosis) -> dict[str, float]:
-    """What the thresholds are compared with."""
-    return {
-        "stops": round(diagnosis.exposures.stops, 3),
-        "pose_gain": round(diagnosis.alignment.gain, 3),
-        "photo_consistency": round(diagnosis.photo_consistency, 3),
-        "coverage": round(diagnosis.coverage, 3),
-        "normal_disagreement": round(diagnosis.disagreement, 1),
-        "noise": round(diagnosis.photographs.noise, 4),
-        "detail": round(diagnosis.photographs.detail, 4),
-        "blockiness": round(diagnosis.photographs.blockiness, 3),
-    }

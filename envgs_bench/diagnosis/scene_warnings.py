@@ -63,7 +63,7 @@ def scene_warnings(
             "views_sparse",
             parallax > SPARSE and support >= UNSUPPORTED,  # else points say nothing of views
             f"a point is usually seen from {parallax:.0f}° beside in the nearest other of {views} training views: "
-            "what is not seen from there may be wrong in test views",
+            "what is not seen from there may be wrong in test views; or points lie nearer to the cameras than the rest",
         ),
         (
             "views_noisy",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -83,7 +84,7 @@ def test_mirrored_normals_count_as_repaired_where_just_those_views_are_named(
     """A diagnosis that names all views is right where all of them are mirrored, and wrong where a quarter is."""
     every = SimpleNamespace(mirrored=[view.name for view in room.train])
     monkeypatch.setattr(diagnosis_counts, "Diagnosis", lambda *_: every)
-    monkeypatch.setattr(diagnosis_counts, "_measured", lambda _: {})
+    monkeypatch.setattr(diagnosis_counts, "MEASURED", dict.fromkeys(diagnosis_counts.MEASURED, lambda _: 0.12345))
     monkeypatch.setattr(diagnosis_counts, "scene_warnings", lambda *_: [SimpleNamespace(kind="poses_off")])
     kept = [SimpleNamespace(kind="normals", kept=True), SimpleNamespace(kind="exposures", kept=False)]
     monkeypatch.setattr(diagnosis_counts, "repaired", lambda given, kinds: (given, kept))
@@ -91,6 +92,7 @@ def test_mirrored_normals_count_as_repaired_where_just_those_views_are_named(
     assert rows.loc[("", 0), "repaired"] == "normals"  # a false alarm
     assert rows.loc["normals_mirrored", "repaired"].tolist() == ["", "", "normals"]
     assert set(rows["warned"]) == {"poses_off"}
+    assert rows["stops"].tolist() == pytest.approx([0.1235, 0.1235, 0.1235, *[math.nan] * 4], nan_ok=True)
     assert (rows.loc[("", 0), "width"], rows.loc[("", 0), "views"]) == (16, len(room.train))
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 import torch
@@ -117,3 +119,28 @@ def test_no_view_that_lacks_texture_normals_or_neighbors_is_an_error(room: Scene
     assert said(replace(room, train=blank)) == ["points_unsupported"]
     assert said(replace(room, train=blank[:1])) == ["points_unsupported"]
     assert said(replace(room, train=room.train[:1])) == ["views_sparse"]
+
+
+FACTS = {"run_short", "near_hides"}  # what a setting makes so, whatever the scene
+
+
+@pytest.mark.parametrize("support", [1.0, 0.0])
+def test_what_is_concluded_names_what_else_looks_like_it(support: float) -> None:
+    """A scene of which everything is wrong, its points there or at random: their warnings exclude others."""
+    seen = SimpleNamespace(hidden_share=lambda near: 1.0, colorless=False)
+    wrong = SimpleNamespace(
+        scene=SimpleNamespace(train=range(9)),
+        photographs=SimpleNamespace(noise=1.0, detail=0.0, blockiness=1.0),
+        photo_consistency=support,
+        coverage=0.0,
+        parallax=90.0,
+        points_in_order=True,
+        alignment=SimpleNamespace(gain=1.0, degrees=2.0),
+        exposures=SimpleNamespace(factors={"0": 2.0}, stops=1.0),
+        mirrored=["0"],
+        disagreement=90.0,
+        observations=seen,
+    )
+    found = {warning.kind: warning.message for warning in scene_warnings(cast(Diagnosis, wrong), 1)}
+    assert len(found) == (11 if support else 10)
+    assert {kind for kind, text in found.items() if "; or " not in text and ", or the " not in text} <= FACTS
