@@ -17,10 +17,12 @@ from PIL import Image
 from envgs_bench.cli.main import main
 from envgs_bench.datasets import DatasetError, load_scene
 from envgs_bench.datasets.export.masks import write_masks
+from envgs_bench.diagnosis.reflection_score import Surface
 from envgs_bench.methods.envgs import EnvGS, EnvGSSettings
 from envgs_bench.methods.storage.ply import read_ply
 from envgs_bench.records import read_record
 from envgs_bench.settings import MethodChoice, read_settings
+from envgs_bench.stored import region_masks
 from envgs_bench.testing import tiny_scene
 
 NAMES = ["left/1.png", "left/2.jpg", "right/1.png", "right/2.png"]
@@ -186,7 +188,7 @@ def test_a_run_without_beta_is_refused(trained: Path, tmp_path: Path, capsys: py
     method.initialize(tiny_scene(), 1)
     method.save(tmp_path / "checkpoint")
     assert main(["masks", str(tmp_path), "--region", "reflective", "--out", str(tmp_path)]) == 1
-    assert "method fake knows no β; take a run of method=envgs" in capsys.readouterr().err
+    assert "method fake has no sets of Gaussians that masks could be made by" in capsys.readouterr().err
     assert main(["store", str(tmp_path), "--layout", "ply", "--out", str(tmp_path)]) == 1
     assert "method fake has no sets of Gaussians to write" in capsys.readouterr().err
 
@@ -205,3 +207,27 @@ def test_the_sets_of_a_run_are_written_as_ply(
         assert len(read["means"]) == count
         for key, values in method.model.sets[name].parameters.detached().items():
             assert torch.equal(read[key], values), (name, key)
+
+
+def test_photographs_tell_what_reflects_on_the_surfaces_of_any_run(
+    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["masks", str(trained), "--region", "reflective", "--by", "photographs", "--device", "cpu", "--out"]
+
+    def score(own: Surface, others: list[Surface]) -> torch.Tensor:
+        assert len(others) in (3, 4)  # of four training views, less its own
+        assert not any(own is each for each in others)
+        return torch.where(torch.arange(own.depth.shape[1]) < own.depth.shape[1] / 2, 1.0, 0.0).expand_as(own.depth)
+
+    monkeypatch.setattr(region_masks, "reflection_score", score)
+    assert main([*command, str(tmp_path)]) == 0
+    mask = np.asarray(Image.open(next((tmp_path / "masks_reflective").glob("*.png"))))
+    assert mask[:, :12].all()
+    assert not mask[:, 20:].any()
+    assert json.loads((tmp_path / "masks_reflective.json").read_text())["by"] == "photographs"
+    monkeypatch.setattr(region_masks, "reflection_score", lambda own, others: torch.zeros_like(own.depth))
+    assert main([*command, str(tmp_path / "none")]) == 1
+    assert "nothing that reflects was found by photographs" in capsys.readouterr().err
+    assert not list((tmp_path / "none").glob("*"))
+    assert main([*command, str(tmp_path / "none"), "--beta", "0.1"]) == 1
+    assert "--beta: photographs say nothing of that" in capsys.readouterr().err
