@@ -14,10 +14,12 @@ from envgs_bench.parts import BASE, ENV, MethodCard
 from .gaussian_method import GaussianMethod, fresh
 from .gaussians.densification import spatial_criterion
 from .gaussians.initialization import quantile_box, random_points_in_grid, random_points_on_sphere
+from .gaussians.model import GaussianModel
 from .gaussians.policy import Resets, SetPolicy, regular
+from .gaussians.trained_set import TrainedSet
 from .lighting.disturbance import Disturbance, reflecting_policy
 from .lighting.planes import Planes
-from .lighting.reflection import Origin, Reflection, Traced
+from .lighting.reflection import BaseCopy, Origin, Reflection, Traced
 from .lighting.settings import EnvGSSettings
 from .training.pilot_run import SHORTEST_RUN
 from .training.reflection_pilot import PLAIN, WARM_UP, ReflectionOutcome, reflection_pilot
@@ -65,7 +67,8 @@ def compose(method: EnvGS, settings: EnvGSSettings) -> None:
     """Make the method's parts for these settings, in place of those that it has."""
     method.settings = method.model.settings = settings
     method.model.policies = method.policies(method.model.schedule, None)
-    light = Traced(method.model, settings, ENV, Environment(settings, method.generator))
+    origin = BaseCopy() if settings.env_start == "base" else Environment(settings, method.generator)
+    light = Traced(method.model, settings, ENV, origin)
     method.reflection = Reflection(method.model, settings, light)
     method.parts = {"reflection": method.reflection, "disturbance": Disturbance(method.model, settings)}
     if settings.planes != "none":
@@ -91,7 +94,11 @@ class Environment(Origin):
     def start(self, scene: Scene) -> None:
         self._scene, self._box = scene, environment_box(scene)
 
+    def made(self, model: GaussianModel, name: str) -> TrainedSet:
+        return model.new_set(name, *self.points())
+
     def points(self) -> tuple[Tensor, Tensor]:
+        """Points [N, 3] in the world frame, and colors [N, 3] in [0, 1]."""
         s, (low, high) = self._settings, self._box
         inside = random_points_in_grid(low, high, s.env_grid, PER_CELL, self._generator)
         radius = FAR * 0.5 * float((high - low).norm())

@@ -17,7 +17,9 @@ from envgs_bench.core import Bvh, Camera, Rendering, Scene, Statistics, build_bv
 from envgs_bench.core.vectors import unit
 from envgs_bench.parts import BASE, BETA, REFLECTION
 
+from ..gaussians.initialization import evenly_thinned
 from ..gaussians.model import GaussianModel
+from ..gaussians.trained_set import TrainedSet
 from ..training.schedule import Every, Part
 from .settings import ReflectionSettings
 from .supersampling import averaged, finer, repeated
@@ -179,14 +181,26 @@ class Reflection(Part):
 
 
 class Origin:
-    """Where the primitives of a traced set begin."""
+    """What a traced set begins as."""
 
     def start(self, scene: Scene) -> None:
         """Look at the scene, before the first step."""
 
-    def points(self) -> tuple[Tensor, Tensor]:
-        """Points [N, 3] in the world frame, and colors [N, 3] in [0, 1]."""
+    def made(self, model: GaussianModel, name: str) -> TrainedSet:
+        """The set `name`, after the warm-up."""
         raise NotImplementedError
+
+
+class BaseCopy(Origin):
+    """The base set as it is, without β: what surrounds a mirror is known by then (MaterialRefGS)."""
+
+    def made(self, model: GaussianModel, name: str) -> TrainedSet:
+        tensors = model.sets[BASE].parameters.detached()
+        most, means = model.bound(name), tensors["means"]
+        rows = evenly_thinned(means, most, model.generator) if 0 < most < len(means) else torch.arange(len(means))
+        return model.set_of(
+            name, {field: x[rows.to(x.device)] for field, x in tensors.items() if field != "beta_logits"}
+        )
 
 
 class Traced(Light):
@@ -205,7 +219,7 @@ class Traced(Light):
     ) -> None:
         """
         Args:
-            origin: where the set's primitives begin; None of a set that is there.
+            origin: what the set begins as; None of a set that is there.
         """
         self.name = name
         self._model, self._settings, self._origin = model, settings, origin
@@ -217,7 +231,7 @@ class Traced(Light):
 
     def begin(self) -> None:
         if self._origin is not None:
-            self._model.sets[self.name] = self._model.new_set(self.name, *self._origin.points())
+            self._model.sets[self.name] = self._origin.made(self._model, self.name)
 
     def prepare(self) -> None:
         gaussians = self._model.prepared.get(self.name)

@@ -61,6 +61,7 @@ class EnvMapSettings(ReflectionSettings, MapSettings):
 @dataclass(frozen=True)
 class EnvGSSettings(SitesGroup, ReflectionSettings):
     group: ClassVar[str] = "environment"
+    env_start: Literal["random", "base"] = "random"  # at random, or as a copy of the base set, as it is then
     env_grid: Count = 8  # N: the box is divided into N³ cells, each with random primitives
     env_far_count: Limit = 2_000  # primitives on a sphere around the box; 0: none
     env_densify_every: Steps = 1_500  # steps between the environment's densifications

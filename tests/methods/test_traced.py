@@ -10,7 +10,9 @@ from envgs_bench.core import Scene, View
 from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.gaussians.initialization import initial_tensors
 from envgs_bench.methods.lighting import reflection
+from envgs_bench.methods.method import Budget
 from envgs_bench.methods.registry import create_method
+from envgs_bench.testing import check_method, tiny_scene
 
 
 def facing_a_wall(
@@ -107,3 +109,39 @@ def test_an_unknown_background_is_refused():
 def test_an_unknown_direction_of_color_is_refused():
     with pytest.raises(ValueError, match="traced_sh_direction is 'mean', expected 'center' or 'ray'"):
         create_method("envgs", with_rules(traced_sh_direction="mean"))
+
+
+def reflecting(env_start: str, budget: Budget | None = None) -> GaussianMethod:
+    """A method of which the step before the first reflection has just been taken."""
+    settings = {"env_start": env_start, "backend": "cpu", "warm_up": 6_000, "env_grid": 2, "env_far_count": 10}
+    method, scene = create_method("envgs", settings), tiny_scene()
+    assert isinstance(method, GaussianMethod)
+    if budget:
+        method.limit(budget)
+    method.initialize(scene, 30)
+    for step in range(1, 7):
+        method.training_step(scene.train[0], step)
+    method.reflection.begin_step(7)
+    return method
+
+
+def test_an_environment_that_starts_as_the_base_shows_what_the_base_shows():
+    method = reflecting("base")
+    base, env = (method.model.sets[name].parameters.tensors for name in ("base", "env"))
+    assert set(base) - set(env) == {"beta_logits"}
+    for field, values in env.items():
+        assert torch.equal(values, base[field]), field
+        assert values is not base[field]
+    random = reflecting("random").model.sets["env"].parameters.tensors
+    assert len(random["means"]) != len(base["means"])
+
+
+def test_a_copy_of_the_base_keeps_to_the_budget():
+    method = reflecting("base", Budget(primitives=150))
+    sizes = method.primitives()
+    assert sum(sizes.values()) <= 150
+    assert sizes["env"] > 0
+
+
+def test_a_method_whose_environment_starts_as_the_base_conforms():
+    check_method("envgs", {"env_start": "base", "warm_up": 9_000})
