@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Placement, Scene
+from envgs_bench.core import Camera, Placement, Rendering, Scene
 from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.gaussians.model import NEAR
 from envgs_bench.methods.settings import GaussianSettings
@@ -27,23 +27,40 @@ class OpenedSettings(GaussianSettings):
     sh_degree: int = 3
 
 
-class OpenedGaussians(GaussianMethod):
-    """3D Gaussians of a file."""
+class Opened(GaussianMethod):
+    """Gaussians of a file.
+
+    Attributes:
+        centered: whether cameras' principal points are taken to be in the middle of the picture.
+    """
 
     Settings: ClassVar[type] = OpenedSettings
+    centered = False
+
+    def render(self, camera: Camera) -> Rendering:
+        return super().render(_centered(camera) if self.centered else camera)
+
+    def picture(self, camera: Camera) -> Tensor:
+        return super().picture(_centered(camera) if self.centered else camera)
+
+
+class OpenedGaussians(Opened):
+    """3D Gaussians of a file."""
+
     axes = 3
     cuda_graph: ClassVar[bool] = True
 
 
-class OpenedSurfels(GaussianMethod):
+class OpenedSurfels(Opened):
     """Surfels of a file."""
 
-    Settings: ClassVar[type] = OpenedSettings
     axes = 2
     cuda_graph: ClassVar[bool] = True
 
 
-def open_gaussians(path: Path, scene: Scene, near: float | None = None, device: str = "cpu") -> GaussianMethod:
+def open_gaussians(
+    path: Path, scene: Scene, near: float | None = None, device: str = "cpu", centered: bool = False
+) -> GaussianMethod:
     """The file's Gaussians as a method that is ready to `prepare` and `render`, in the world of the scene.
 
     Those that have values that are not finite are left out, and the method's notes say how many.
@@ -51,6 +68,7 @@ def open_gaussians(path: Path, scene: Scene, near: float | None = None, device: 
     Args:
         path: as of `read_gaussian_file`, in the coordinates of the scene's data.
         near: nothing nearer to a camera is drawn, in the data's units; None: as our methods do.
+        centered: as of `Opened`.
 
     Raises:
         ValueError: as `read_gaussian_file`, or the file holds no Gaussian.
@@ -70,6 +88,7 @@ def open_gaussians(path: Path, scene: Scene, near: float | None = None, device: 
         **{"radius": scene.radius, "near": closest, "background": scene.background.to(at)},
     }
     method.restore(state)
+    method.centered = centered
     if left_out := int((~kept).sum()):
         method.notes.append(
             f"{path.name}: {left_out:,} of {len(kept):,} Gaussians have values that are not finite, and are left out"
@@ -81,3 +100,9 @@ def _in_world(tensors: dict[str, Tensor], placement: Placement) -> dict[str, Ten
     means = torch.from_numpy(placement.points_from_data(tensors["means"].numpy())).float()
     log_scales = (tensors["log_scales"] - math.log(placement.scale)).clamp(max=MOST_LOG_SCALE)
     return {**tensors, "means": means, "log_scales": log_scales}
+
+
+def _centered(camera: Camera) -> Camera:
+    middle = camera.intrinsics.clone()
+    middle[0, 2], middle[1, 2] = camera.width / 2, camera.height / 2
+    return replace(camera, intrinsics=middle)

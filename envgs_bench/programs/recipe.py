@@ -131,10 +131,12 @@ class Model(_Part):
     Attributes:
         file: a pattern of one path: a PLY of 3DGS or 2DGS, an SPZ or a SOG.
         near: what the program draws nothing nearer than, in the data's units.
+        centered: whether it takes the principal point to be in the middle of the picture, wherever it is.
     """
 
     file: str
     near: Annotated[float, Field(gt=0)] = 0.2
+    centered: bool = False
 
     _check = field_validator("file")(_known)
 

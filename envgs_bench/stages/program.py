@@ -166,7 +166,7 @@ def _drawn_by_core(
         return None, f"{len(found)} files match {model.file}{several}; the model is expected to be one"
     kept = keep_model(found[0], folder / CHECKPOINT)
     try:
-        method = open_gaussians(kept, scene, model.near, device)
+        method = open_gaussians(kept, scene, model.near, device, model.centered)
     except ValueError as error:
         return None, str(error)
     method.prepare()

@@ -45,7 +45,7 @@ def _program_model(folder: Path, settings: RunSettings, device: str) -> Method:
     found = sorted(path for path in (folder / CHECKPOINT).glob("*") if path.suffix in READERS or path.name == META)
     if model is None or not found:
         raise FileNotFoundError(f"{folder / CHECKPOINT}: the program left no Gaussians that could be opened")
-    return open_gaussians(found[0], reopen_scene(folder, settings), model.near, device)
+    return open_gaussians(found[0], reopen_scene(folder, settings), model.near, device, model.centered)
 
 
 def reopen_scene(folder: Path, settings: RunSettings) -> Scene:

@@ -1,4 +1,8 @@
-"""The numbers that papers printed, as data: what ours are set beside; of the EnvGS paper, if PRINTED_BY names none."""
+"""The numbers that others printed, as data: what ours of the same protocol are set beside.
+
+Under the protocol `envgs` those of the EnvGS paper, if PRINTED_BY names no other. Under `nerfbaselines` those on
+https://nerfbaselines.github.io, as of its commit e1c9749 of 2025-11-08.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +21,9 @@ from .decimals import mean
 from .settings import as_number
 
 PROTOCOL = "envgs"  # the protocol whose numbers compare with the paper's
+BENCHMARK = "nerfbaselines"  # the one whose numbers compare with that benchmark's
+# A record's protocol -> that of the numbers beside it.
+PROTOCOLS = {PROTOCOL: PROTOCOL, BENCHMARK: BENCHMARK, f"{BENCHMARK}-8bit": BENCHMARK}
 PRINTED_BY = {  # other sources' data sets -> who printed their numbers
     "Ref-Real ÷8": "by the authors of Spherical Voronoi (2512.14180), who retrained the others; sedan at an eighth",
 }
@@ -45,12 +52,20 @@ def paper_tables() -> pd.DataFrame:
         return pd.read_csv(stream, dtype=str, keep_default_na=False)
 
 
+def _benchmark_tables() -> pd.DataFrame:
+    """As `paper_tables`, without table, group and note."""
+    with (files(__package__) / "nerfbaselines.csv").open(encoding="utf-8") as stream:
+        wide = pd.read_csv(stream, dtype=str, keep_default_na=False)
+    return wide.melt(["dataset", "scene", "method"], var_name="metric").assign(region="full")
+
+
 @cache
-def _printed() -> dict[tuple[str, str, str, str], dict[str, Decimal]]:
-    """(data set, scene or "mean", region, metric) -> method -> value, in the paper's order; unreadable cells absent."""
+def _printed(protocol: str = PROTOCOL) -> dict[tuple[str, str, str, str], dict[str, Decimal]]:
+    """(data set, scene or "mean", region, metric) -> method -> value, in the printed order; no unreadable cells."""
     printed: dict[tuple[str, str, str, str], dict[str, Decimal]] = {}
     columns = ["dataset", "scene", "region", "metric", "method", "value"]
-    for *place, method, value in paper_tables()[columns].itertuples(index=False):
+    tables = _benchmark_tables() if protocol == BENCHMARK else paper_tables()
+    for *place, method, value in tables[columns].itertuples(index=False):
         if value:
             printed.setdefault(tuple(place), {})[method] = Decimal(value)
     return printed
@@ -66,8 +81,10 @@ def _scenes() -> dict[str, frozenset[str]]:
     return {dataset: frozenset(names) for dataset, names in scenes.items()}
 
 
-def printed_by(datasets: tuple[str, ...]) -> str:
+def printed_by(datasets: tuple[str, ...], protocol: str = PROTOCOL) -> str:
     """Who printed the numbers of these data sets, in words."""
+    if PROTOCOLS[protocol] == BENCHMARK:
+        return "by nerfbaselines (e1c9749), of released JPEGs of that size, where ours come from the photographs"
     families = {found[0] for found in map(paper_scene, datasets) if found is not None}
     return next((PRINTED_BY[family] for family in families if family in PRINTED_BY), "in the EnvGS paper")
 
@@ -109,14 +126,20 @@ def paper_method(row: str, card: MethodCard, kind: str) -> str:
 
 @cache
 def _spellings() -> dict[str, str]:
-    """The paper's methods by their names' letters and digits alone."""
-    return {_plain(name): name for name in paper_tables()["method"].unique() if not name.endswith("*")}
+    """The printed methods by their names' letters and digits alone."""
+    names = (*_benchmark_tables()["method"].unique(), *paper_tables()["method"].unique())
+    return {_plain(name): name for name in names if not name.endswith("*")}
 
 
 @cache
-def published_values(datasets: tuple[str, ...], region: str, metric: str) -> dict[str, Decimal]:
+def published_values(
+    datasets: tuple[str, ...], region: str, metric: str, protocol: str = PROTOCOL
+) -> dict[str, Decimal]:
     """The paper's methods with their value for these data sets: as printed where the paper prints the mean over just
     these, else the unrounded mean of its scenes, of the methods that have a value for each.
+
+    Args:
+        protocol: one of PROTOCOLS: whose numbers.
 
     Empty where one of the data sets is not of the paper.
     """
@@ -128,14 +151,15 @@ def published_values(datasets: tuple[str, ...], region: str, metric: str) -> dic
     if not scenes or len(scenes) < len(found):
         return {}
     region = REGION_NAMES.get(region, region)
-    each = [_printed().get((*scene, region, metric), {}) for scene in scenes]
+    source = PROTOCOLS[protocol]
+    each = [_printed(source).get((*scene, region, metric), {}) for scene in scenes]
     means = {m: mean(scores[m] for scores in each) for m in each[0] if all(m in scores for scores in each)}
-    return means | (_printed_mean(frozenset(scenes), region, metric) if len(scenes) > 1 else {})
+    return means | (_printed_mean(frozenset(scenes), region, metric, source) if len(scenes) > 1 else {})
 
 
-def _printed_mean(scenes: frozenset[Scene], region: str, metric: str) -> dict[str, Decimal]:
+def _printed_mean(scenes: frozenset[Scene], region: str, metric: str, source: str) -> dict[str, Decimal]:
     """What the paper prints as the mean over exactly these scenes."""
-    for (dataset, scene, *kind), values in _printed().items():
+    for (dataset, scene, *kind), values in _printed(source).items():
         whole = frozenset((name, member) for name in dataset.split("+") for member in _scenes()[name])
         if scene == "mean" and kind == [region, metric] and whole == scenes:
             return values

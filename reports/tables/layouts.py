@@ -44,7 +44,8 @@ class Contents:
             order.
         cards: row -> its method's card.
         metrics: name -> its card, in the tables' order.
-        published: row -> the paper's name of it; None where the protocol is not the paper's.
+        published: row -> the paper's name of it; None where nobody printed numbers of the protocol.
+        protocol: the runs'.
     """
 
     numbers: Numbers
@@ -53,6 +54,7 @@ class Contents:
     cards: Mapping[str, MethodCard]
     metrics: Mapping[str, MetricCard]
     published: Mapping[str, str] | None
+    protocol: str
 
     @property
     def methods(self) -> list[str]:
@@ -71,7 +73,7 @@ class Contents:
         paper: Callable[[str], bool] = lambda method: published_source(method) != "ablation",
     ) -> Table:
         chosen = self.methods if methods is None else methods
-        return build_table(self.numbers, title, kind, columns, chosen, self.published, paper)
+        return build_table(self.numbers, title, kind, columns, chosen, self.published, paper, self.protocol)
 
 
 def overview(contents: Contents, everything: str) -> list[Table]:
@@ -186,7 +188,8 @@ def speeds(contents: Contents, _: str) -> list[Table]:
     """Table 6: frames a second, what else they cost, and what the picture pays for it."""
     tables = []
     for name, members in contents.subjects.items():
-        timed = set(published_values(members, "full", "fps"))
+        printed = contents.published is not None
+        timed = set(published_values(members, "full", "fps", contents.protocol)) if printed else set()
         columns = over(members, (*SPEED_COLUMNS, *PAPER_SPEED))
         tables.append(contents.table(f"{name}: speed and memory", "speed", columns, paper=timed.__contains__))
     return [table for table in tables if any(column.key == "frame_ms" for column in table.columns)]

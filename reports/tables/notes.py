@@ -53,9 +53,9 @@ def notes(section: Section, table: Table) -> list[str]:
         found.append("Δ: the mean over seeds of the difference on the same seed, with the spread of that difference.")
     found += _given(section, table)
     if table.published:
-        printed = printed_by(table.datasets)
-        found.append(f"Paper: printed {printed}, and ours minus it. Rows marked published: by the paper only.")
-        found.append("The paper's values stand beside its own recipe, not beside what this project has configured.")
+        printed = printed_by(table.datasets, section.protocol.name)
+        found.append(f"Paper: printed {printed}, and ours minus it. Rows marked published: printed there only.")
+        found.append("Printed values stand beside a method as its authors have it, not as this project configures it.")
     if any(column.elsewhere for column in table.columns):
         found.append("The paper's frame rates and training times are of its machine, an RTX 4090, not of this one.")
     return [*dict.fromkeys(found), *table.remarks]

@@ -16,7 +16,7 @@ from envgs_bench.records import ProtocolName, Record, RepairName, ScoredOn
 from ..numbers.cards import metric_cards, newest_cards
 from ..numbers.estimates import Numbers
 from ..numbers.labels import Label, label_runs, method_order
-from ..numbers.published import PROTOCOL, paper_method, paper_scene
+from ..numbers.published import PROTOCOLS, paper_method, paper_scene
 from ..numbers.runs import UNTIMED, Run
 from ..numbers.settings import method_settings
 from ..numbers.swept_settings import sweeps
@@ -126,7 +126,8 @@ class Section:
             {row: self.labels[row] for row in self.methods},
             {row: self.card(row) for row in self.methods},
             self.metrics,
-            self.published if self.protocol.name == PROTOCOL else None,
+            self.published if self.protocol.name in PROTOCOLS else None,
+            self.protocol.name,
         )
         return [self.with_dropped_losses(table) for table in layouts(contents, ALL)]
 

@@ -11,7 +11,7 @@ from functools import cached_property
 from ..numbers.comparison import compare
 from ..numbers.estimates import Estimate, Numbers
 from ..numbers.intervals import Interval
-from ..numbers.published import Source, published_source, published_values
+from ..numbers.published import PROTOCOL, Source, published_source, published_values
 from .columns import Column
 
 Kind = str  # what a table is for: a key of layouts.LAYOUTS, or a study's name
@@ -126,12 +126,14 @@ def build_table(
     methods: Iterable[str],
     names: Mapping[str, str] | None = None,
     paper: Callable[[str], bool] = lambda method: True,
+    protocol: str = PROTOCOL,
 ) -> Table:
     """The methods that were tried on the columns' data sets, in the given order, without columns that have no number.
 
     Args:
         names: row -> the paper's name of it; None leaves the paper out altogether.
         paper: which of the paper's methods may have a row of their own.
+        protocol: under which the runs are scored, where the paper is not left out.
     """
     datasets = tuple(dict.fromkeys(name for column in columns for name in column.datasets))
     rows = []
@@ -141,7 +143,7 @@ def build_table(
             cells = {c.key: _cell(numbers, c, method) for c in columns if not c.elsewhere}
             rows.append(Row(method, cells, statuses))
     if names is not None:
-        rows = _beside_paper(rows, columns, names, paper)
+        rows = _beside_paper(rows, columns, names, paper, protocol)
     kept = with_numbers(columns, rows)
     marked: list[dict[str, Cell]] = [{} for _ in rows]
     for column in kept:
@@ -167,12 +169,16 @@ def _has(row: Row, key: str) -> bool:
 
 
 def _beside_paper(
-    rows: list[Row], columns: Sequence[Column], names: Mapping[str, str], wanted: Callable[[str], bool]
+    rows: list[Row],
+    columns: Sequence[Column],
+    names: Mapping[str, str],
+    wanted: Callable[[str], bool],
+    protocol: str,
 ) -> list[Row]:
     """The rows with the paper's values beside them, and below them the methods that only the paper ran."""
     published: dict[str, dict[str, Decimal]] = {}
     for column in columns:
-        for method, value in published_values(column.datasets, column.region, column.metric).items():
+        for method, value in published_values(column.datasets, column.region, column.metric, protocol).items():
             if not column.against:
                 published.setdefault(method, {})[column.key] = value
     rows = [replace(row, published=published.get(names[row.method], {})) for row in rows]

@@ -175,7 +175,7 @@ def test_our_own_methods_have_no_row_of_the_paper_below_them(tmp_path: Path) -> 
     assert not ablation.published
     with pytest.raises(StopIteration):
         titled(section, "Ref-Real: envgs_paper and what it is without")
-    assert any("beside its own recipe" in line for line in notes(section, titled(section, "Ref-Real")))
+    assert any("as its authors have it" in line for line in notes(section, titled(section, "Ref-Real")))
 
 
 def test_scenes_stand_side_by_side_as_in_tables_7_to_9(tmp_path: Path) -> None:
@@ -255,3 +255,31 @@ def test_a_table_says_what_methods_were_given(tmp_path: Path) -> None:
     assert said == [
         "Given besides photographs, poses and points: envmap: normals, masks of mirrors and glass; envgs: normals."
     ]
+
+
+SCENES = ("bicycle", "bonsai", "counter", "flowers", "garden", "kitchen", "room", "stump", "treehill")
+
+
+@pytest.mark.parametrize(("metric", "places"), [("psnr", 2), ("ssim", 3), ("lpips", 3)])
+def test_scenes_of_nerfbaselines_average_to_its_means(metric: str, places: int) -> None:
+    """Which are of unrounded numbers: off by a last digit at most."""
+    each = [published_values((f"mipnerf360/{scene}",), "full", metric, "nerfbaselines") for scene in SCENES]
+    printed = published_values(tuple(f"mipnerf360/{scene}" for scene in SCENES), "full", metric, "nerfbaselines")
+    assert len(printed) == 17
+    for method, value in printed.items():
+        assert abs(sum(values[method] for values in each) / len(each) - value) < Decimal(10) ** -places
+
+
+def test_numbers_of_nerfbaselines_stand_beside_runs_of_its_protocol_alone(tmp_path: Path) -> None:
+    for protocol in ("nerfbaselines", "nerfbaselines-8bit", "strict"):
+        own = {"name": protocol, "hash": protocol, "description": protocol}
+        methods = ("3dgs", "3dgs_tuned")
+        write_runs(tmp_path / protocol, ("mipnerf360/garden",), methods, seeds=(0,), pictures=False, protocol=own)
+    found = {section.protocol.name: section for section in sections_of(tmp_path)}
+    for name in ("nerfbaselines", "nerfbaselines-8bit"):
+        table = titled(found[name].tables, "mipnerf360/garden")
+        assert row_of(table, "3dgs").published["psnr"] == Decimal("27.34")
+        assert not row_of(table, "3dgs_tuned").published
+        assert row_of(table, "gsplat").runs_text == "published"
+        assert any("printed by nerfbaselines (e1c9749)" in note for note in notes(found[name], table))
+    assert not found["strict"].tables[0].published

@@ -25,6 +25,7 @@ from envgs_bench.datasets.formats.pictures import read_picture
 from envgs_bench.methods.storage.ply import read_gaussians, read_ply, write_ply
 from envgs_bench.methods.storage.splats import encode_splats
 from envgs_bench.programs import command
+from envgs_bench.programs.gaussians import open_gaussians
 from envgs_bench.programs.memory import MemoryWatch
 from envgs_bench.records import Record
 from envgs_bench.reports import build_report
@@ -251,6 +252,18 @@ def test_a_model_that_cannot_be_read_costs_the_times_and_not_the_scores(tmp_path
     assert record.timing is None
     assert record.program is not None
     assert "is no readable PLY" in record.program.not_measured["frame_ms"]
+
+
+def test_a_program_that_centers_the_principal_point_is_drawn_so(tmp_path: Path) -> None:
+    scene = tiny({"name": "tiny"}, tmp_path)
+    model_and_pictures(tmp_path / "made", flip=False)
+    view, path = scene.test[0], tmp_path / "made" / "model.ply"
+    given, centered = (open_gaussians(path, scene, centered=choice) for choice in (False, True))
+    moved = view.camera.intrinsics + torch.tensor([[0, 0, 3.0], [0, 0, -2.0], [0, 0, 0]])
+    off = replace(view.camera, intrinsics=moved)
+    assert torch.equal(centered.render(off).color, given.render(view.camera).color)
+    assert torch.equal(centered.picture(off), given.picture(view.camera))
+    assert not torch.equal(given.render(off).color, given.render(view.camera).color)
 
 
 def test_gaussians_that_nobody_can_draw_are_left_out_and_counted(tmp_path: Path) -> None:
