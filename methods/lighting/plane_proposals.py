@@ -231,7 +231,8 @@ def inside_of(rectangle: Rectangle, origins: Tensor, directions: Tensor, soft: f
     falls = directions @ normal
     distance = ((rectangle.center - origins) @ normal) / torch.where(falls.abs() < 1e-9, 1e-9, falls)
     places = (origins + distance[..., None] * directions - rectangle.center) @ rectangle.axes[:2].T
-    within = ((rectangle.half - places.abs()) / soft + 0.5).clamp(0, 1).prod(-1)
+    along, across = ((rectangle.half - places.abs()) / soft + 0.5).clamp(0, 1).unbind(-1)
+    within = along * across  # prod's gradient waits for the device
     return torch.where(distance > 0, within, 0.0), distance
 
 

@@ -7,6 +7,7 @@ mirrored ray sees, and R = R₀ + (1 − R₀)(1 − cos θ)⁵ (Schlick), where
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -149,11 +150,13 @@ class Planes(Part):
         if depth is not None:
             met = met & (depth > distance - MARGIN * radius)
         distance, index = torch.where(met, distance, torch.inf).min(0)
-        normals = torch.stack([plane.axes[2] for plane in planes])[index]
+        # By products: of an index, the gradient would be added up pixel after pixel.
+        own = (index[..., None] == torch.arange(len(planes), device=index.device)).to(directions)
+        normals = own @ torch.stack([plane.axes[2] for plane in planes])
         share = within.gather(0, index[None])[0] * distance.isfinite()
         distance = torch.where(distance.isfinite(), distance, 0.0)
         cosine = (directions * normals).sum(-1, keepdim=True)
-        straight = self.weights.tensors["plane_reflectances"].sigmoid()[index]
+        straight = own @ self.weights.tensors["plane_reflectances"].sigmoid()
         weight = share[..., None] * (straight + (1 - straight) * (1 - cosine.abs()).clamp_min(0) ** 5)
         mirrored = (directions - 2 * cosine * normals) * (share > 0)[..., None]
         return weight, origins + distance[..., None] * directions, mirrored
@@ -204,7 +207,7 @@ class Planes(Part):
         hidden = torch.zeros(len(means), device=means.device)
         for view in self._views:
             hidden += behind(means, view.camera.to(means.device).center, mirrors, 0.0)
-        cleared = logits.clamp_max(torch.tensor(RESET_OPACITY).logit())
+        cleared = logits.clamp_max(math.log(RESET_OPACITY / (1 - RESET_OPACITY)))
         parameters.replace("opacity_logits", torch.where(hidden > len(self._views) / 2, cleared, logits))
 
     def prepare(self) -> None:

@@ -4,6 +4,7 @@ import dataclasses
 
 import pytest
 import torch
+from mirror_room import mirror_room
 from recordable import points_scene
 from small_methods import SMALL
 
@@ -59,7 +60,18 @@ def test_a_subclass_that_says_it_wrongly_is_found_out_cuda() -> None:
 
 @pytest.mark.parametrize(
     "kind",
-    ["2dgs", "3dgs", "envmap", "envgs", "envgs_single_set", "3dgs_dr", "ref_gaussian", "gaussian_shader", "3igs"],
+    [
+        "2dgs",
+        "3dgs",
+        "envmap",
+        "envgs",
+        "envgs_single_set",
+        "3dgs_dr",
+        "ref_gaussian",
+        "ref_gs",
+        "gaussian_shader",
+        "3igs",
+    ],
 )
 def test_no_method_of_this_package_is_found_out_cuda(kind: str) -> None:
     method = create_method(kind, SMALL[kind], device="cuda", seed=1)
@@ -84,3 +96,18 @@ def test_a_comparison_moves_nothing_cuda() -> None:
         assert torch.equal(values, before[name]), name
     for name, values in vars(method.model.sets["base"].record).items():
         assert torch.equal(values, record[name]), name
+
+
+@pytest.mark.parametrize("by", ["masks", "sites"])
+def test_planes_and_sites_are_not_found_out_cuda(by: str) -> None:
+    settings = {"planes": "masks"} if by == "masks" else {"color": "sites"}
+    method, scene = create_method("envgs", SMALL["envgs"] | settings, "cuda", seed=1), mirror_room(size=64)
+    method.initialize(scene, 400)
+    for step in range(1, 401):
+        numbers = method.training_step(scene.train[step % len(scene.train)], step)
+    method.settle()
+    assert numbers["loss"].isfinite()
+    assert by == "sites" or (method.parts["planes"].begun and len(method.parts["planes"].frames))
+    assert method.runner.uses_graphs
+    assert method.runner.graphs.proved_wrong == ""
+    assert method.picture(scene.test[0].camera.to("cuda")).isfinite().all()

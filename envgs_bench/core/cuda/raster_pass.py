@@ -23,9 +23,11 @@ IN_PAIRS = 25  # and of one that is not
 MIN_CAPACITY = 1 << 20
 BYTES_PER_INSTANCE = 24  # keys and slots, before and after a sorting pass
 
-# How many instances the latest image on a device had. An image gets half as much capacity again, without waiting for
-# its own count; where that is too little, it is drawn again with enough.
+# How many instances images on a device have: those of the latest, or of one shortly before that had more, as a step
+# may draw several sets. An image gets half as much capacity again, without waiting for its own count; where that is too
+# little, it is drawn again with enough.
 _latest_instances: dict[torch.device, int] = {}
+FADING = 0.97  # of a larger number than the latest
 
 
 class RasterPass:
@@ -88,7 +90,7 @@ class RasterPass:
                 if weights is not None:
                     weights.zero_()
                 self._draw_instances(launch, order, instances, results, weights)
-            _latest_instances[self.device] = instances
+            _latest_instances[self.device] = max(instances, int(FADING * _latest_instances.get(self.device, 0)))
 
     def _prepare(self, launch: Kernels, weights: Tensor | None) -> None:
         tensors, count = self.tensors, len(self.tensors.means)

@@ -18,9 +18,11 @@ PAGES_PER_PACKET = 2  # at first
 SPARE_PAGES = 64
 DRAWING = ("ray_keys.cu", "surfels.cu", "trace_rays.cu")
 
-# Pages that a packet of the latest batch on a device took. A batch gets a quarter more; where that is too
-# little, the backward pass traces once more with enough.
+# Pages that a packet of batches on a device takes: of the latest, or of one shortly before that took more, as a step
+# may trace several. A batch gets a quarter more; where that is too little, the backward pass traces once more with
+# enough.
 _latest_pages: dict[torch.device, float] = {}
+FADING = 0.97  # of a larger number than the latest
 
 
 class TracePass:
@@ -119,7 +121,7 @@ class TracePass:
     def _check_pages(self) -> None:
         self._counted.synchronize()
         used = int(self._wanted)
-        _latest_pages[self.device] = used / max(self.packets, 1)
+        _latest_pages[self.device] = max(used / max(self.packets, 1), FADING * _latest_pages.get(self.device, 0.0))
         if used > self.pages:
             self._trace(self._kernels(*DRAWING), used)
 
