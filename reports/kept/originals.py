@@ -6,15 +6,19 @@ second CSV, a row a method: its original's repository and commit, the page of it
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
+from .runs_file import NoRunsError
+
 CLOSE_DB, CLOSE_SHARE = 0.3, 0.1
 NOT_RUN = "not run"
-FACTS = ("method", "scene", "program", "commit", "seed", "steps", "alone", "psnr", "primitives", "seconds", "device")
+FACTS = ("method", "scene", "program", "commit", "seed", "steps", "psnr", "primitives", "seconds", "device")
+ALONE = ("step_ms", "frame_ms")  # timed while nothing else computed on the GPU
 WORDS = ("method", "repository", "commit", "page", "differs")
 ORIGINAL, OURS = "original", "ours"
 
@@ -58,7 +62,7 @@ class Pair:
 
 def read_marks(path: Path) -> pd.DataFrame:
     """The marks, a row each. Raises MarksError where the file or a column is missing."""
-    return _read(path, FACTS)
+    return _read(path, (*FACTS, *ALONE))
 
 
 def read_words(path: Path) -> pd.DataFrame:
@@ -67,7 +71,7 @@ def read_words(path: Path) -> pd.DataFrame:
 
 
 def pairs_of(marks: pd.DataFrame) -> Iterator[Pair]:
-    """Each scene of a method that both programs ran, in company or alone."""
+    """Each scene of a method that both programs ran."""
     scored = marks.dropna(subset=["psnr"])
     for (method, scene), rows in scored.groupby(["method", "scene"], sort=True):
         sides = {program: rows[rows["program"] == program] for program in (ORIGINAL, OURS)}
@@ -79,7 +83,7 @@ def pairs_of(marks: pd.DataFrame) -> Iterator[Pair]:
 
 def verdicts(marks: pd.DataFrame, words: pd.DataFrame) -> str:
     """A row a method: on how many scenes it is where its original is, how far apart they are at most, what differs."""
-    pairs = list(pairs_of(marks[marks["alone"] != 1]))
+    pairs = list(pairs_of(marks))
     rows = []
     for _, word in words.iterrows():
         own = [pair for pair in pairs if pair.method == word["method"]]
@@ -105,27 +109,35 @@ def comparisons(marks: pd.DataFrame, words: pd.DataFrame) -> str:
             f"{pair.steps:,}",
             *(_spread(side["psnr"], 2) for side in (pair.original, pair.ours)),
             *(f"{side['primitives'].mean():,.0f}" for side in (pair.original, pair.ours)),
-            *(f"{side['seconds'].mean():.0f}" for side in (pair.original, pair.ours)),
+            *(_seconds(side["seconds"].mean()) for side in (pair.original, pair.ours)),
             f"no: {', '.join(pair.apart)}" if pair.apart else "yes",
         ]
-        for pair in pairs_of(marks[marks["alone"] != 1])
+        for pair in pairs_of(marks)
     ]
     sides = [f"{side}, {what}" for what in ("dB", "primitives", "s") for side in (ORIGINAL, OURS)]
     return _table(["method", "scene", "steps", *sides, "faithful?"], ":::" + "-" * 7, rows)
 
 
 def costs_alone(marks: pd.DataFrame, words: pd.DataFrame) -> str:
-    """A row a method: seconds of training and of a frame, each program alone on the same GPU."""
+    """A row a scene of a method: a step of training and a frame, each timed while nothing else computed on the GPU.
+
+    Raises:
+        NoRunsError: none was.
+    """
     pages = {word["method"]: word for _, word in words.iterrows()}
     rows = []
-    for pair in pairs_of(marks[marks["alone"] == 1]):
+    for pair in pairs_of(marks.dropna(subset=list(ALONE))):
         cells = [_linked(pages[pair.method]), f"`{pair.scene}`", f"{pair.steps:,}"]
-        for name in ("seconds", "frame_ms"):
+        cells += [f"{side['primitives'].mean():,.0f}" for side in (pair.original, pair.ours)]
+        for name in ALONE:
             theirs, own = pair.original[name].mean(), pair.ours[name].mean()
             cells += [f"{theirs:.2f}", f"{own:.2f}", f"{theirs / own:.1f}×"]
         rows.append(cells)
-    sides = [f"{what}, {side}" for what in ("training, s", "frame, ms") for side in (ORIGINAL, OURS, "ratio")]
-    return _table(["method", "scene", "steps", *sides], "::" + "-" * 7, rows)
+    if not rows:
+        raise NoRunsError("no method was timed alone on a GPU beside its original")
+    sides = [f"primitives, {side}" for side in (ORIGINAL, OURS)]
+    sides += [f"{what}, {side}" for what in ("step, ms", "frame, ms") for side in (ORIGINAL, OURS, "ratio")]
+    return _table(["method", "scene", "steps", *sides], "::" + "-" * 9, rows)
 
 
 BESIDE_ORIGINALS = {"verdicts": verdicts, "comparisons": comparisons, "costs_alone": costs_alone}
@@ -143,6 +155,11 @@ def _read(path: Path, columns: tuple[str, ...]) -> pd.DataFrame:
 
 def _linked(word: pd.Series) -> str:
     return f"[`{word['method']}`]({word['page']})"
+
+
+def _seconds(mean: float) -> str:
+    """A dash where two programs did not train in equal company."""
+    return "–" if math.isnan(mean) else f"{mean:.0f}"
 
 
 def _spread(values: pd.Series, digits: int) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from pathlib import Path
 
 import pandas as pd
@@ -12,6 +13,7 @@ from envgs_bench.cli.composition import config_names
 from envgs_bench.methods.registry import BUILT_IN
 from envgs_bench.reports.kept import originals
 from envgs_bench.reports.kept.page import fill_page
+from envgs_bench.reports.kept.runs_file import NoRunsError
 from envgs_bench.reports.kept.tables import TableError
 
 DOCS = Path(__file__).parents[2] / "envgs_bench" / "docs"
@@ -19,11 +21,12 @@ RECORDS = DOCS / "records"
 OURS_ALONE = {"envgs", "envgs_single_set", "envmap"}  # kinds without a published method of that name
 
 
-def marks(*rows: tuple[str, int, int, float, int], alone: int = 0) -> pd.DataFrame:
+def marks(*rows: tuple[str, int, int, float, int]) -> pd.DataFrame:
     """Program, seed, steps, PSNR and primitives of each mark of one method on one scene."""
     names = ("program", "seed", "steps", "psnr", "primitives")
-    shared = {"method": "2dgs", "scene": "toy/glass", "commit": "abc", "seconds": 8.0, "frame_ms": 4.0, "alone": alone}
-    return pd.DataFrame([shared | dict(zip(names, row, strict=True)) | {"device": "X"} for row in rows])
+    shared = {"method": "2dgs", "scene": "toy/glass", "commit": "abc", "seconds": 8.0}
+    shared |= {"device": "X"} | dict.fromkeys(originals.ALONE)
+    return pd.DataFrame([shared | dict(zip(names, row, strict=True)) for row in rows])
 
 
 def only(found: pd.DataFrame) -> originals.Pair:
@@ -63,6 +66,8 @@ def test_seeds_are_averaged() -> None:
     assert (pair.gain, pair.share) == (0.0, 0.0)
     shown = originals.comparisons(pd.concat([pair.original, pair.ours]), WORDS)
     assert "| 24.00 | 24.00 ± 1.41 | 100 | 100 | 8 | 8 | yes |" in shown
+    shown = originals.comparisons(pd.concat([pair.original.assign(seconds=math.nan), pair.ours]), WORDS)
+    assert "| – | 8 | yes |" in shown
 
 
 def test_a_method_without_marks_is_said_not_to_have_been_run() -> None:
@@ -72,11 +77,12 @@ def test_a_method_without_marks_is_said_not_to_have_been_run() -> None:
     assert "| 0 | not run | – | – |" in second
 
 
-def test_runs_alone_stand_in_their_own_table() -> None:
-    found = marks(("original", 0, 9, 24.0, 100), ("ours", 0, 9, 24.0, 90), alone=1)
-    found.loc[found["program"] == "ours", ["seconds", "frame_ms"]] = 2.0, 0.5
-    assert "| 8.00 | 2.00 | 4.0× | 4.00 | 0.50 | 8.0× |" in originals.costs_alone(found, WORDS)
-    assert len(originals.comparisons(found, WORDS).splitlines()) == 2
+def test_what_was_timed_alone_is_the_last_that_both_have() -> None:
+    found = marks(("original", 0, 9, 24.0, 100), ("ours", 0, 9, 24.0, 90), ("original", 0, 99, 24.0, 100))
+    with pytest.raises(NoRunsError):
+        originals.costs_alone(found, WORDS)
+    found[["step_ms", "frame_ms"]] = [(8.0, 4.0), (2.0, 0.5), (9.0, 9.0)]
+    assert "| 9 | 100 | 90 | 8.00 | 2.00 | 4.0× | 4.00 | 0.50 | 8.0× |" in originals.costs_alone(found, WORDS)
 
 
 def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
@@ -101,9 +107,8 @@ def test_every_published_method_has_a_row() -> None:
 
 def test_the_kept_marks_are_whole() -> None:
     kept = originals.read_marks(RECORDS / "originals.csv")
-    assert not kept.duplicated(["method", "scene", "program", "seed", "steps", "alone"]).any()
+    assert not kept.duplicated(["method", "scene", "program", "seed", "steps"]).any()
     assert set(kept["program"]) == {originals.ORIGINAL, originals.OURS}
-    assert set(kept["alone"]) <= {0, 1}
-    for (_, scene, _, _, _), run in kept.groupby(["method", "scene", "program", "seed", "alone"]):
+    for (_, scene, _, _), run in kept.groupby(["method", "scene", "program", "seed"]):
         assert run["steps"].is_monotonic_increasing, scene
-        assert run["seconds"].is_monotonic_increasing, scene
+        assert run["seconds"].dropna().is_monotonic_increasing, scene
