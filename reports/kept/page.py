@@ -24,12 +24,12 @@ from .over_scenes import differences, mean_over_scenes, over_scenes
 from .perturbed_file import read_perturbed
 from .perturbed_tables import lag, recall, stability
 from .runs_file import NoRunsError, read_kept
-from .tables import FULL, KeptRuns, TableError, column_of, costs, difference, gains, scores
+from .tables import FULL, KeptRuns, TableError, column_of, costs, difference, gains, programs, scores
 
 TABLE = re.compile(r"(<!-- table: (\w+) (.*?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 NUMBER = re.compile(r"(<!-- number: (.*?) -->).*?(<!-- end -->)", re.DOTALL)
 CHOICES = ("scene", "method", "steps", "split", "protocol", "device")
-KINDS: dict[str, Callable[..., str]] = {"scores": scores, "gains": gains, "costs": costs, "over_scenes": over_scenes}
+KINDS: dict[str, Callable[..., str]] = {each.__name__: each for each in (scores, gains, costs, over_scenes, programs)}
 OF_OTHERS: dict[str, tuple[Callable[[Path], pd.DataFrame], Callable[..., str]]] = {  # of other files: how they are read
     **{table.__name__: (read_counts, table) for table in (false_alarms, found)},
     **{table.__name__: (read_perturbed, table) for table in (recall, lag, stability)},

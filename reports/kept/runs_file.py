@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 
 from envgs_bench.plain_text import no_formula
-from envgs_bench.records import Record, write_atomically
+from envgs_bench.records import EXTERNAL, Record, write_atomically
 
 from ..numbers.cards import PLAIN, card_of
 from ..numbers.labels import SET_UP
@@ -25,6 +25,7 @@ NOT_KEPT = ("checkpoint_bytes", "peak_host_bytes", "peak_device_bytes", "skipped
 
 PLACES_OF_DATA = ("data_root", "dataset.root", "path")
 PLACES_OF_OUTPUT = ("runs_dir=", "cache_dir=")
+PLACES_OF_PROGRAMS = ("method.settings.home=", "method.settings.python=", "method.settings.isolation=")
 
 
 class RunsFileError(ValueError):
@@ -59,15 +60,16 @@ def commit_of(record: Record, otherwise: str = "") -> str:
 
 
 def method_of(record: Record) -> str:
-    """Its name, and what its overrides change."""
+    """Its name, and what its overrides change; where another program lies is none of that."""
+    plain = ("method.name=", *PLACES_OF_PROGRAMS, *(("method.recipe=",) if record.kind == EXTERNAL else ()))
     changed = [each.lstrip("+~") for each in record.overrides]
-    changed = [each for each in changed if each.startswith(SET_UP) and not each.startswith("method.name=")]
+    changed = [each for each in changed if each.startswith(SET_UP) and not each.startswith(plain)]
     return f"{record.method} [{', '.join(each.rsplit('.', 1)[-1] for each in changed)}]" if changed else record.method
 
 
 def command_of(record: Record) -> str:
     """The command that does the run again at its commit; places on the machine that it ran on read FOLDER."""
-    overrides = [each for each in record.overrides if not each.startswith(PLACES_OF_OUTPUT)]
+    overrides = [each for each in record.overrides if not each.startswith((*PLACES_OF_OUTPUT, *PLACES_OF_PROGRAMS))]
     keys = [each.partition("=")[0] for each in overrides]
     overrides = [f"{key}=FOLDER" if key in PLACES_OF_DATA else each for key, each in zip(keys, overrides, strict=True)]
     return shlex.join(["envgs-bench", "run", *overrides])
@@ -81,7 +83,8 @@ def numbers_of(record: Record) -> dict[str, float]:
     if record.cost is not None:
         found |= {"primitives": sum(record.cost.primitives.values())} if record.cost.primitives else {}
         found |= {f"primitives_{name}": count for name, count in record.cost.primitives.items()}
-    for part, names in ((record.cost, COSTS), (record.timing, TIMES)):
+    told = ("own_seconds", "agreement_db")
+    for part, names in ((record.cost, COSTS), (record.timing, TIMES), (record.program, told)):
         found |= {name: getattr(part, name, None) for name in names if name not in NOT_KEPT}
     return {name: value for name, value in found.items() if value is not None}
 

@@ -11,7 +11,18 @@ import pandas as pd
 from ..numbers.cards import PLAIN
 from ..numbers.comparison import Comparison, compare
 from ..numbers.estimates import Estimate, Numbers
-from ..tables.columns import ENV_PRIMITIVES, FRAME_MS, NORMALS, PRIMITIVES, SCORES, TRAIN_SECONDS, Column, in_region
+from ..tables.columns import (
+    AGREEMENT,
+    ENV_PRIMITIVES,
+    FRAME_MS,
+    NORMALS,
+    OWN_SECONDS,
+    PRIMITIVES,
+    SCORES,
+    TRAIN_SECONDS,
+    Column,
+    in_region,
+)
 from .runs_file import FACTS, NoRunsError
 
 COSTS = (PRIMITIVES, ENV_PRIMITIVES, TRAIN_SECONDS, FRAME_MS)
@@ -192,6 +203,23 @@ def costs(runs: KeptRuns) -> str:
     ]
     heads = [column.title for column in columns]
     return f"{as_markdown(['method', *heads], rows)}\n{runs.caption('Means over scenes')}\n"
+
+
+def programs(runs: KeptRuns) -> str:
+    """A row a method on one scene, whatever it ran on: scores, what it costs, and how a program's pictures agree."""
+    runs.of_one("scene")
+    costs = (PRIMITIVES, TRAIN_SECONDS, OWN_SECONDS, FRAME_MS, AGREEMENT)
+    columns = [*(column_of(name) for name in ("psnr", "ssim", "lpips")), *costs]
+    rows = []
+    for method in runs.methods:
+        own = KeptRuns(runs.name, runs.rows[runs.rows["method"] == method])
+        own.of_one("device")
+        cells = (_cell(column, runs.numbers.estimate(runs.scenes, method, FULL, column.metric)) for column in columns)
+        rows.append([f"`{method}`", own.rows.iloc[0]["device"], *cells])
+    first = runs.rows.iloc[0]
+    what = f"`{first['scene']}`, {first['width']}×{first['height']} pixels"
+    heads = ["method", "on", *(column.title for column in columns)]
+    return f"{as_markdown(heads, rows)}\n{runs.caption(what)}\n"
 
 
 def _cell(column: Column, found: Estimate, best: bool = False) -> str:

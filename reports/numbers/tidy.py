@@ -52,8 +52,9 @@ def _numbers(record: Record) -> Iterator[tuple[str, str, float | None]]:
         for name in names:
             if (value := getattr(part, name, None)) is not None:
                 yield "full", name, value
-    if record.program is not None and record.program.agreement_db is not None:
-        yield "full", "agreement_db", record.program.agreement_db
+    for name in ("own_seconds", "agreement_db") if record.program is not None else ():
+        if (value := getattr(record.program, name)) is not None:
+            yield "full", name, value
     if record.cost is not None:
         if record.cost.primitives:
             yield "full", "primitives", sum(record.cost.primitives.values())

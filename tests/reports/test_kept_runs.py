@@ -130,6 +130,35 @@ def test_costs_are_of_one_device(kept: Path) -> None:
         filled(kept, "table: costs records=runs.csv")
 
 
+def test_programs_stand_beside_ours_on_one_scene_whatever_they_ran_on(tmp_path: Path) -> None:
+    """Where a program lies is no part of its name; what it was told is."""
+    scene, told = SCENES[:1], {"commands": {}, "page": "p", "commit": "c", "licence": "l", "tried": ""}
+    write_runs(tmp_path / "runs", scene, ("3dgs",), (0,), pictures=False)
+    at = ["method=external", "method.recipe=other", "method.settings.home=/home/me/other"]
+    for name, more in (("other", []), ("elsewhere", ["method.settings.arguments=--fast"])):
+        write_runs(tmp_path / "runs", scene, (name,), (0,), pictures=False, overrides=[*at, *more], kind="external")
+    for path in (tmp_path / "runs").rglob("record.json"):
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["kind"] == "external":
+            content["program"] = {**told, "own_seconds": 12.3, "agreement_db": 49.56}
+            content["provenance"]["device"] = {"type": "cuda", "name": "Another GPU"}
+            path.write_text(json.dumps(content), encoding="utf-8")
+    assert main(["report", str(tmp_path / "runs"), "--keep", str(tmp_path / "runs.csv")]) == 0
+    by_method = {row["method"]: row for row in rows(tmp_path)}
+    assert set(by_method) == {"3dgs", "other", "elsewhere [arguments=--fast]"}
+    assert by_method["other"]["command"] == "envgs-bench run method=external method.recipe=other"
+    lines = filled(tmp_path, f"table: programs records=runs.csv scene={scene[0]}").splitlines()
+    (head,) = (line for line in lines if line.startswith("| method |"))
+    (row,) = (line for line in lines if line.startswith("| `other` |"))
+    cells = dict(zip(*([cell.strip() for cell in line.strip("|").split("|")] for line in (head, row)), strict=True))
+    assert (cells["on"], cells["own train s"], cells["agreement dB"]) == ("Another GPU", "12", "49.6")
+    assert any(line.startswith("| `3dgs` |") for line in lines)
+    write_runs(tmp_path / "runs", SCENES[1:], ("3dgs",), (0,), pictures=False)
+    main(["report", str(tmp_path / "runs"), "--keep", str(tmp_path / "runs.csv")])
+    with pytest.raises(TableError, match="several scene"):
+        filled(tmp_path, "table: programs records=runs.csv")
+
+
 @pytest.mark.parametrize(
     ("comment", "message"),
     [

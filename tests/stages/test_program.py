@@ -223,7 +223,9 @@ def test_a_report_prints_the_agreement(tmp_path: Path) -> None:
     model_and_pictures(tmp_path / "made", flip=False)
     with_model(tmp_path)
     build_report(tmp_path / "runs", tmp_path / "report")
-    assert "agreement dB" in (tmp_path / "report" / "table.md").read_text()
+    table = (tmp_path / "report" / "table.md").read_text()
+    assert "agreement dB" in table
+    assert "own train s" in table
 
 
 def test_other_conventions_show_in_the_agreement(tmp_path: Path) -> None:
