@@ -209,7 +209,7 @@ def programs(runs: KeptRuns) -> str:
     """A row a method on one scene, whatever it ran on: scores, what it costs, and how a program's pictures agree."""
     runs.of_one("scene")
     costs = (PRIMITIVES, TRAIN_SECONDS, OWN_SECONDS, FRAME_MS, AGREEMENT)
-    columns = [*(column_of(name) for name in ("psnr", "ssim", "lpips")), *costs]
+    columns = [*SCORES, *costs]
     rows = []
     for method in runs.methods:
         own = KeptRuns(runs.name, runs.rows[runs.rows["method"] == method])
