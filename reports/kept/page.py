@@ -18,18 +18,19 @@ from pathlib import Path
 
 import pandas as pd
 
+from ..studies import STUDIES
 from .counts import false_alarms, found, read_counts
 from .originals import BESIDE_ORIGINALS, MarksError, read_marks, read_words
 from .over_scenes import differences, mean_over_scenes, over_scenes
 from .perturbed_file import read_perturbed
 from .perturbed_tables import lag, recall, stability
 from .runs_file import NoRunsError, read_kept
-from .tables import FULL, KeptRuns, TableError, column_of, costs, difference, gains, programs, scores
+from .tables import FULL, KeptRuns, PageTable, TableError, column_of, costs, difference, gains, programs, scores
 
 TABLE = re.compile(r"(<!-- table: (\w+) (.*?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 NUMBER = re.compile(r"(<!-- number: (.*?) -->).*?(<!-- end -->)", re.DOTALL)
 CHOICES = ("scene", "method", "steps", "split", "protocol", "device")
-KINDS: dict[str, Callable[..., str]] = {each.__name__: each for each in (scores, gains, costs, over_scenes, programs)}
+KINDS: dict[str, PageTable] = {each.__name__: each for each in (scores, gains, costs, over_scenes, programs)}
 OF_OTHERS: dict[str, tuple[Callable[[Path], pd.DataFrame], Callable[..., str]]] = {  # of other files: how they are read
     **{table.__name__: (read_counts, table) for table in (false_alarms, found)},
     **{table.__name__: (read_perturbed, table) for table in (recall, lag, stability)},
@@ -68,14 +69,15 @@ def fill_page(page: Path, folder: Path) -> tuple[str, list[str]]:
 
 
 def _table(kind: str, asked: str, folder: Path) -> str:
+    of_runs = KINDS | {name: make for study in STUDIES for name, make in study.page_tables.items()}
     if kind in BESIDE_ORIGINALS:
         return _beside_originals(kind, asked, folder)
-    if kind not in {*KINDS, *OF_OTHERS}:
-        raise TableError(f"there is no table {kind!r}, but {', '.join((*KINDS, *OF_OTHERS, *BESIDE_ORIGINALS))}")
+    if kind not in {*of_runs, *OF_OTHERS}:
+        raise TableError(f"there is no table {kind!r}, but {', '.join((*of_runs, *OF_OTHERS, *BESIDE_ORIGINALS))}")
     try:
-        if kind in KINDS:
+        if kind in of_runs:
             runs, rest = _chosen(asked, folder)
-            return KINDS[kind](runs, **rest)
+            return of_runs[kind](runs, **rest)
         name, rest = _named(asked)
         read, table = OF_OTHERS[kind]
         return table(read(folder / name), f"{folder.name}/{name}", **rest)
@@ -108,10 +110,12 @@ def _number(asked: str, folder: Path) -> str:
 
 
 def _chosen(asked: str, folder: Path) -> tuple[KeptRuns, dict[str, str]]:
-    """The rows that a comment asks for, and what else it says."""
-    name, pairs = _named(asked)
+    """The rows that a comment asks for, of one file or of several as `a,b`, and what else it says."""
+    named, pairs = _named(asked)
+    names = named.split(",")
     wanted = {key: pairs.pop(key) for key in CHOICES if key in pairs}
-    return KeptRuns.chosen(f"{folder.name}/{name}", read_kept(folder / name), wanted), pairs
+    rows = pd.concat([read_kept(folder / name) for name in names], ignore_index=True)
+    return KeptRuns.chosen(", ".join(f"{folder.name}/{name}" for name in names), rows, wanted), pairs
 
 
 def _named(asked: str) -> tuple[str, dict[str, str]]:

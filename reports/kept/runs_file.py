@@ -20,6 +20,7 @@ from ..numbers.tidy import COSTS, TIMES
 
 IDENTITY = ("scene", "method", "steps", "split", "protocol", "seed")  # a run of the same replaces a row
 FACTS = (*IDENTITY, "order", "status", "width", "height", "device", "commit", "run_id", "command")
+ATTRIBUTE = "attribute_"  # before the names of a scene's attributes
 DIGITS = 6  # of a number: more than any table prints
 NOT_KEPT = ("checkpoint_bytes", "peak_host_bytes", "peak_device_bytes", "skipped_steps", "prepare_ms")
 
@@ -76,8 +77,9 @@ def command_of(record: Record) -> str:
 
 
 def numbers_of(record: Record) -> dict[str, float]:
-    """Every score and cost that the record has."""
-    found: dict[str, float | None] = dict(record.metrics.mean) if record.metrics else {}
+    """Every score and cost that the record has, and what its scene is like."""
+    found: dict[str, float | None] = {f"{ATTRIBUTE}{name}": value for name, value in record.attributes.items()}
+    found |= record.metrics.mean if record.metrics else {}
     for region, masked in record.masked.items():
         found |= {f"{metric}_{region}": value for metric, value in masked.scores.items()}
     if record.cost is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -29,6 +29,7 @@ COSTS = (PRIMITIVES, ENV_PRIMITIVES, TRAIN_SECONDS, FRAME_MS)
 COLUMNS = {column.metric: column for column in (*SCORES, NORMALS, *COSTS)}
 FULL = "full"
 NOTHING = "–"
+PageTable = Callable[..., str]  # of KeptRuns and what else a comment says, by name -> Markdown
 
 
 class TableError(ValueError):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
 from ..charts.drawn import Canvas, DrawnChart
+from ..kept.tables import PageTable
 from ..page.html import Part
 from ..page.templates import rendered
 from ..tables.sections import Section
@@ -40,11 +41,13 @@ class Study(Protocol):
         name: of its files, its tables' kind and its place on the page; letters and dashes.
         title: of its tables, and of its part of the page.
         first: whether its tables come before the ordinary ones.
+        page_tables: kind -> what the documentation's pages may ask for of kept runs.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
     first: ClassVar[bool] = False
+    page_tables: ClassVar[Mapping[str, PageTable]] = {}
 
     @classmethod
     def of(cls, section: Section) -> Self | None:

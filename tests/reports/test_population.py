@@ -10,9 +10,14 @@ import pytest
 from reports_runs import record, sections_of, write_record
 from scipy.stats import binomtest, bootstrap
 
+from envgs_bench.cli.main import main
 from envgs_bench.reports import build_report
+from envgs_bench.reports.kept.page import fill_page
 from envgs_bench.reports.numbers.intervals import sample_interval, share_interval
-from envgs_bench.reports.studies.population.failure_map import Question, failure_map, sentences
+from envgs_bench.reports.studies.population.attribute_words import condition
+from envgs_bench.reports.studies.population.failure_map import Question, failure_map, sentences, signs_told
+from envgs_bench.reports.studies.population.goals import goals, told
+from envgs_bench.reports.studies.population.sentences import shown, where
 from envgs_bench.reports.studies.population.study import PopulationStudy
 
 MIRRORS = 0.2  # from which share of mirrors on envgs is ahead, by 2 dB; below it loses by 0.5
@@ -23,7 +28,12 @@ def write_scenes(folder: Path, count: int = 40, failed: int | None = None) -> No
     random = np.random.default_rng(0)
     for seed in range(12, 12 + count):
         mirrors, level = random.uniform(0, 0.5), random.uniform(20, 30)
-        attributes = {"mirror": mirrors, "texture": random.uniform(), "sky": random.uniform()}
+        attributes = {
+            "mirror": mirrors,
+            "reflective": mirrors + 0.05,
+            "texture": random.uniform(),
+            "sky": random.uniform(),
+        }
         ahead = 2.0 if mirrors >= MIRRORS else -0.5
         values = {"2dgs_tuned": level, "envmap": level - 1.0, "envgs": level + ahead, "3dgs": level - 3.0}
         for method, psnr in values.items():
@@ -78,8 +88,11 @@ def test_the_map_asks_what_decides_and_holds_on_unseen_scenes(tmp_path: Path) ->
     assert study.mapped.signs >= 0.9
     assert study.mapped.ranks.index[0] == "mirror"
     said = list(sentences(tree, "envgs", "the best other method", 0.1))
-    assert any(line.startswith("envgs loses to the best other method by 0.5 dB where mirror is below") for line in said)
-    assert any(line.startswith("envgs beats the best other method by 2.0 dB where mirror is") for line in said)
+    least = f"{100 * tree.below:.2g} % of the pixels mirror"
+    assert any(
+        line.startswith(f"envgs loses to the best other method by 0.5 dB where less than {least}") for line in said
+    )
+    assert any(line.startswith(f"envgs beats the best other method by 2.0 dB where at least {least}") for line in said)
 
 
 def test_the_map_finds_nothing_where_there_is_nothing() -> None:
@@ -122,8 +135,57 @@ def test_the_page_shows_the_population(tmp_path: Path) -> None:
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     assert "Population of scenes" in page
     assert "envgs beats the best other method by 2.0 dB" in page
-    assert "envgs beats 2dgs_tuned by 2.0 dB where mirror is" in page
+    assert "envgs beats 2dgs_tuned by 2.0 dB where at least" in page
+    assert "Missed: envgs is level with every other method, or ahead, on" in page
     table = pd.read_csv(tmp_path / "out" / "population.csv")
     assert len(table) == 40
     assert {"part", "mirror", "psnr: envgs", "margin: envgs"} <= set(table.columns)
     assert (tmp_path / "out" / "charts" / "population-0" / "failure-map.png").is_file()
+
+
+def test_pages_say_the_same_of_kept_runs(tmp_path: Path) -> None:
+    write_scenes(tmp_path / "runs", failed=20)
+    assert main(["report", str(tmp_path / "runs"), "--keep", str(tmp_path / "records" / "runs.csv")]) == 0
+    asked = ("goals of=envgs", "standings of=envgs", "failure_map of=envgs", "needs of=envgs ladder=2dgs_tuned,envgs")
+    comments = "".join(f"<!-- table: {one} records=runs.csv -->\n<!-- end of table -->\n" for one in asked)
+    (tmp_path / "page.md").write_text(comments, encoding="utf-8")
+    text, absent = fill_page(tmp_path / "page.md", tmp_path / "records")
+    assert absent == []
+    study = study_of(tmp_path / "runs")
+    ours = shown(study.found.standing("envgs", "judging"))
+    assert f"| envgs | {ours['best']} | {ours['margin']} |" in text
+    for sentence in (*where(study.found, study.mapped), *told(goals(study.found, study.mapped))):
+        assert f"* {sentence}\n" in text
+    assert text.index("Missed: ") < text.index("Reached: ")
+    assert "primitives are enough" in text
+
+
+def test_what_is_missed_is_what_the_numbers_say(tmp_path: Path) -> None:
+    """Of scenes whose differences are set: it is behind by 0.5 dB or ahead by 2, and no run failed."""
+    write_scenes(tmp_path)
+    study = study_of(tmp_path)
+    judged = study.found.margins("envgs", "judging")
+    reached = [goal.reached for goal in goals(study.found, study.mapped)]
+    reflects = study.found.attributes.loc[judged.index, "reflective"] >= 0.1
+    assert reached == [(judged > 0).mean() >= 0.9, judged[reflects].mean() >= 1.0, False, True, True]
+
+
+def test_a_tree_grown_on_some_scenes_is_held_against_others() -> None:
+    random = np.random.default_rng(5)
+    attributes = pd.DataFrame(random.uniform(size=(60, 3)), columns=list("abc"))
+    difference = pd.Series(np.where(attributes["b"] < 0.4, -1.0, 1.0))
+    grown = failure_map(attributes[:30], difference[:30])
+    assert signs_told(grown, attributes[30:], difference[30:]) >= 0.9
+    assert signs_told(grown, attributes[30:], -difference[30:]) <= 0.1
+
+
+@pytest.mark.parametrize(
+    ("attribute", "below", "words"),
+    [
+        ("mirror", True, "less than 2 % of the pixels mirror"),
+        ("mirrored_distance", False, "what is mirrored is as far as 0.02 m"),
+        ("grain", True, "grain is below 0.02"),
+    ],
+)
+def test_conditions_are_words(attribute: str, below: bool, words: str) -> None:
+    assert condition(attribute, 0.02, below) == words

@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from .attribute_words import condition
+
 Array = NDArray[np.float64]
 
 DEPTH = 2
@@ -49,6 +51,7 @@ class FailureMap:
     """
 
     tree: Node
+    names: tuple[str, ...]  # of the attributes that it may ask for
     signs: float
     majority: float
     explained: float
@@ -73,11 +76,19 @@ def failure_map(attributes: pd.DataFrame, difference: pd.Series) -> FailureMap:
     ranks = varied.rank().corrwith(difference.rank()).sort_values(key=abs, ascending=False)
     return FailureMap(
         grown(x, y, names),
+        tuple(names),
         float(((guesses > 0) == (y > 0)).mean()),
         float((majority == (y > 0)).mean()),
         1 - float(((y - guesses) ** 2).sum()) / total if total else 0.0,
         ranks,
     )
+
+
+def signs_told(found: FailureMap, attributes: pd.DataFrame, difference: pd.Series) -> float:
+    """Share of other scenes on which the tree tells who is ahead."""
+    names = list(found.names)
+    told = guess(found.tree, names, attributes[names].to_numpy(float))
+    return float(((told > 0) == (difference.to_numpy() > 0)).mean())
 
 
 def grown(x: Array, y: Array, names: list[str], depth: int = DEPTH, fewest: int = 0) -> Node:
@@ -109,26 +120,22 @@ def guess(node: Node, names: list[str], x: Array) -> Array:
     return np.where(yes, guess(node.yes, names, x), guess(node.no, names, x))
 
 
-def sentences(node: Node, method: str, other: str, level: float, conditions: tuple[str, ...] = ()) -> Iterator[str]:
+def leaves(node: Node, conditions: tuple[str, ...] = ()) -> Iterator[tuple[Leaf, str]]:
+    """Every leaf, and what scenes are like there: "" where the tree asks nothing."""
+    if isinstance(node, Leaf):
+        yield node, " and ".join(conditions)
+        return
+    for branch, below in ((node.yes, True), (node.no, False)):
+        yield from leaves(branch, (*conditions, condition(node.attribute, node.below, below)))
+
+
+def sentences(tree: Node, method: str, other: str, level: float) -> Iterator[str]:
     """One a leaf: whether the method wins, ties or loses there, by how much, and what scenes are like there.
 
     Args:
         level: a mean difference of no more is a tie, dB.
     """
-    if isinstance(node, Question):
-        value = f"{node.below:.3g}"
-        yield from sentences(
-            node.yes, method, other, level, (*conditions, f"{_named(node.attribute)} is below {value}")
-        )
-        yield from sentences(
-            node.no, method, other, level, (*conditions, f"{_named(node.attribute)} is {value} or more")
-        )
-        return
-    where = f" where {' and '.join(conditions)}" if conditions else ""
-    verdict = "ties with" if abs(node.mean) <= level else ("beats" if node.mean > 0 else "loses to")
-    by = "" if verdict == "ties with" else f" by {abs(node.mean):.1f} dB"
-    yield f"{method} {verdict} {other}{by}{where} ({node.scenes} scenes)."
-
-
-def _named(attribute: str) -> str:
-    return attribute.replace("_", " ")
+    for leaf, where in leaves(tree):
+        verdict = "ties with" if abs(leaf.mean) <= level else ("beats" if leaf.mean > 0 else "loses to")
+        by = "" if verdict == "ties with" else f" by {abs(leaf.mean):.1f} dB"
+        yield f"{method} {verdict} {other}{by}{f' where {where}' if where else ''} ({leaf.scenes} scenes)."

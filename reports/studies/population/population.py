@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
 import pandas as pd
 
 from ...numbers.intervals import Interval, sample_interval, share_interval
@@ -119,11 +118,16 @@ def population_of(section: Section) -> Population | None:
         return None
     attributes = pd.DataFrame({name: record.attributes for name, record in about.items()}).T
     seeds = {name: int(record.config.get("dataset", {}).get("seed", CHOOSING)) for name, record in about.items()}
-    parts = pd.Series({name: "choosing" if seed < CHOOSING else "judging" for name, seed in seeds.items()})
+    parts = pd.Series({name: part_of(seed) for name, seed in seeds.items()})
     ladder = tuple(_ladder(section, list(psnr.columns)))
     means = psnr.dropna().mean()
     subject = ladder[-1] if len(ladder) > 1 else str(means.idxmax())
     return Population(attributes, parts, tables, _failures(section, set(about)), subject, ladder)
+
+
+def part_of(seed: int) -> str:
+    """A key of PARTS, by a scene's seed."""
+    return "choosing" if seed < CHOOSING else "judging"
 
 
 def _table(tidy: pd.DataFrame, metric: str, methods: list[str]) -> pd.DataFrame:
@@ -148,43 +152,3 @@ def _failures(section: Section, scenes: set[str]) -> dict[str, int]:
         if item.dataset in scenes:
             found[item.method] = found.get(item.method, 0) + (not item.run.ok)
     return found
-
-
-def tidy_population(found: Population) -> pd.DataFrame:
-    """A row a scene: its part, its attributes, each method's scores, and what is enough for it."""
-    table = found.attributes.copy()
-    table.insert(0, "part", found.parts)
-    for metric, values in found.scores.items():
-        for method in values.columns:
-            table[f"{metric}: {method}"] = values[method]
-    table[f"margin: {found.subject}"] = found.margins(found.subject)
-    enough = {scene: found.enough(scene) for scene in found.psnr.index}
-    table["first variant that is enough"] = pd.Series({scene: pair[0] for scene, pair in enough.items()}, dtype=object)
-    table["smallest that is enough"] = pd.Series({scene: pair[1] for scene, pair in enough.items()}, dtype=object)
-    return table.rename_axis("scene").reset_index()
-
-
-def standings_table(found: Population) -> pd.DataFrame:
-    """A row a method and part of the scenes."""
-    rows = []
-    for part in ["", *found.used_parts]:
-        for method in found.psnr.columns:
-            one = found.standing(method, part)
-            low, high = one.margin_interval or (np.nan, np.nan)
-            rows.append(
-                {
-                    "part": part or "all",
-                    "method": method,
-                    "scenes": one.scenes,
-                    "best": one.best,
-                    "best_low": one.best_share.low,
-                    "best_high": one.best_share.high,
-                    "margin_db": one.margin,
-                    "margin_low": low,
-                    "margin_high": high,
-                    "level_share": one.level,
-                    "worst_db": one.worst,
-                    "failed": one.failed,
-                }
-            )
-    return pd.DataFrame(rows)
