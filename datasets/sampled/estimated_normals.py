@@ -9,10 +9,12 @@ from scipy import ndimage
 
 from envgs_bench.core import Camera
 
-from ..toy.normal_noise import noisy_normals
+from ..toy.normal_noise import smooth_rotations, turned_normals
 from ..toy.world import Array
 from .distribution import MIRRORS_TAKEN_FOR_ROOMS, NORMALS_BLUR, NORMALS_OFF, between
 from .truth import Truth
+
+COARSE = 4  # pixels along a cell of what varies smoothly: its finest waves are a fortieth of a picture
 
 
 @dataclass(frozen=True)
@@ -38,4 +40,7 @@ class Estimator:
         smooth = np.where(length > 1e-3, soft / np.maximum(length, 1e-3), truth.normal)
         smooth[truth.depth == 0] = 0
         directions = camera.rays()[1].double().numpy()
-        return noisy_normals(smooth.astype(np.float64), directions, self.degrees, rng)
+        height, width = truth.depth.shape
+        coarse = smooth_rotations((-(-height // COARSE), -(-width // COARSE)), self.degrees, rng)
+        rotation = ndimage.zoom(coarse, (COARSE, COARSE, 1), order=1, mode="nearest", grid_mode=True)[:height, :width]
+        return turned_normals(smooth.astype(np.float64), directions, rotation)

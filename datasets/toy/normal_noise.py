@@ -31,10 +31,19 @@ def noisy_normals(normals: Array, directions: Array, mean_degrees: float, rng: n
         directions: [H, W, 3] of the rays through the pixels, of any length.
         mean_degrees: the angle's mean over many views; one view's own mean differs, as estimators' do.
     """
+    return turned_normals(normals, directions, smooth_rotations(normals.shape[:2], mean_degrees, rng))
+
+
+def smooth_rotations(shape: tuple[int, int], mean_degrees: float, rng: np.random.Generator) -> Array:
+    """The rotation vectors [H, W, 3], radians."""
     deviation = np.radians(mean_degrees) / np.sqrt(np.pi / 2)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        fields = [_bands(normals.shape[:2], rng, pool) for _ in range(3)]
-        rotation = deviation * np.stack([sum(band.result() for band in bands) for bands in fields], axis=-1)
+        fields = [_bands(shape, rng, pool) for _ in range(3)]
+        return deviation * np.stack([sum(band.result() for band in bands) for bands in fields], axis=-1)
+
+
+def turned_normals(normals: Array, directions: Array, rotation: Array) -> Array:
+    """The normals turned, and mirrored back where they would then face away from the camera."""
     turned = _rotated(normals, rotation)
     sight = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
     along = np.sum(turned * sight, axis=-1, keepdims=True)

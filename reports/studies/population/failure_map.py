@@ -138,4 +138,4 @@ def sentences(tree: Node, method: str, other: str, level: float) -> Iterator[str
     for leaf, where in leaves(tree):
         verdict = "ties with" if abs(leaf.mean) <= level else ("beats" if leaf.mean > 0 else "loses to")
         by = "" if verdict == "ties with" else f" by {abs(leaf.mean):.1f} dB"
-        yield f"{method} {verdict} {other}{by}{f' where {where}' if where else ''} ({leaf.scenes} scenes)."
+        yield f"{f'Where {where}: ' if where else ''}{method} {verdict} {other}{by} ({leaf.scenes} scenes)."

@@ -72,7 +72,7 @@ def _sizes(attributes: pd.DataFrame, sizes: pd.Series) -> Iterator[str]:
         return
     for leaf, like in leaves(failure_map(attributes, np.log(sizes)).tree):
         count = f"{float(f'{np.exp(leaf.mean):.2g}'):,.0f}"
-        yield f"{count} primitives are enough{f' where {like}' if like else ''} ({leaf.scenes} scenes)."
+        yield f"{f'Where {like}: ' if like else ''}{count} primitives are enough ({leaf.scenes} scenes)."
 
 
 def shown(one: Standing) -> dict[str, str]:
