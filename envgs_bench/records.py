@@ -23,7 +23,7 @@ ELSEWHERE = (RENDERS, EXTERNAL)  # the kinds whose pictures another program draw
 
 Status = Literal["ok", "failed", "diverged", "out_of_memory", "timeout", "interrupted"]
 ScoredOn = Literal["test", "validation"]
-RepairKind = Literal["exposures", "normals"]  # what a run may repair of its scene; normals: mirrored ones
+RepairKind = Literal["exposures", "poses", "normals"]  # what a run may repair of its scene; normals: mirrored ones
 RepairName = Annotated[str, Field(pattern=r"^[a-z_]{1,40}$")]  # a RepairKind, or what an older record has in its place
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
 Count = Annotated[int, Field(ge=0, le=int(LARGEST))]

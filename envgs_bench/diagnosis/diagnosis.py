@@ -61,6 +61,11 @@ class Diagnosis:
     def alignment(self) -> Alignment:
         return alignment(self.observations, self.device)
 
+    @property
+    def poses_told(self) -> bool:
+        """Whether points say anything of poses."""
+        return self.points_in_order and not self.observations.colorless
+
     @cached_property
     def exposures(self) -> Exposures:
         return exposures(self.observations, self.device)

@@ -7,12 +7,14 @@ agrees with them best as it is, one whose pose is off once it is turned. The tur
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 from torch.nn.utils.rnn import pad_sequence
+
+from envgs_bench.core import View
 
 from .observations import Observations
 
@@ -87,6 +89,16 @@ def alignment(observations: Observations, device: torch.device | str = "cpu") ->
     gains = 1 - after / before.clamp_min(1e-6)
     better = (sights.known.sum(dim=1) >= FEWEST) & (gains > 0)  # NaN is not: the picture is not finite
     return Alignment(torch.where(better[:, None, None], turns, none).cpu(), torch.where(better, gains, 0.0).cpu())
+
+
+def turned(view: View, turn: Tensor) -> View:
+    """The view with a rotation [3, 3] after its own, about its center. Normals, which are its camera's, follow."""
+    pose = view.camera.world_to_camera.clone()
+    pose[:3] = turn.to(pose) @ pose[:3]
+    normal = view.normal
+    if normal is not None:
+        normal = normal @ (view.camera.world_to_camera[:3, :3].T @ pose[:3, :3]).to(normal)
+    return replace(view, camera=replace(view.camera, world_to_camera=pose), normal=normal)
 
 
 def _sights(observations: Observations) -> _Sights:

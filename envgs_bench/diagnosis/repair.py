@@ -14,6 +14,8 @@ from envgs_bench.records import RepairKind, RepairOutcome
 from .diagnosis import Diagnosis
 from .exposures import equalized
 from .mirrored_normals import mirrored_normals
+from .poses import turned
+from .thresholds import TURNED
 
 Repaired = tuple[Scene, RepairOutcome]
 
@@ -21,7 +23,7 @@ Repaired = tuple[Scene, RepairOutcome]
 def repaired(diagnosis: Diagnosis, kinds: Sequence[RepairKind]) -> tuple[Diagnosis, list[RepairOutcome]]:
     """The diagnosis of the scene after these repairs, the same object where none was made; and what became of each.
 
-    Exposures come first.
+    Exposures come first, which poses are told by, and normals last, since views turn theirs.
     """
     outcomes = []
     for kind in (kind for kind in REPAIRS if kind in kinds):
@@ -34,9 +36,7 @@ def repaired(diagnosis: Diagnosis, kinds: Sequence[RepairKind]) -> tuple[Diagnos
 
 def _exposures(diagnosis: Diagnosis) -> Repaired:
     if not diagnosis.points_in_order:
-        said = "the points, which are missing, wrong or of one color, say nothing of that"
-        unknown = {"photo_consistency": diagnosis.photo_consistency, "coverage": diagnosis.coverage}
-        return diagnosis.scene, RepairOutcome(kind="exposures", kept=False, message=said, evidence=unknown)
+        return diagnosis.scene, _unknown("exposures", diagnosis)
     bright = diagnosis.exposures
     found = {"stops": bright.stops}
     if not bright.factors:
@@ -54,6 +54,29 @@ def _exposures(diagnosis: Diagnosis) -> Repaired:
     )
     outcome = RepairOutcome(kind="exposures", kept=True, message=said, evidence=found)
     return _with_views(diagnosis.scene, equal), outcome
+
+
+def _poses(diagnosis: Diagnosis) -> Repaired:
+    if not diagnosis.poses_told:
+        return diagnosis.scene, _unknown("poses", diagnosis)
+    aligned = diagnosis.alignment
+    found = {"gain": aligned.gain, "degrees": aligned.degrees}
+    if aligned.gain <= TURNED:
+        return diagnosis.scene, RepairOutcome(kind="poses", kept=False, message="poses are in order", evidence=found)
+    each = zip(diagnosis.scene.train, aligned.turns, aligned.gains, strict=True)
+    turns = {view.name: turn for view, turn, gain in each if gain > 0}
+    said = (
+        f"{len(turns)} of {len(diagnosis.scene.train)} training views are turned to where they show the points, the "
+        f"median view by {aligned.degrees:.1f}°"
+    )
+    scene = _with_views(diagnosis.scene, lambda view: turned(view, turns[view.name]) if view.name in turns else view)
+    return scene, RepairOutcome(kind="poses", kept=True, message=said, evidence=found)
+
+
+def _unknown(kind: RepairKind, diagnosis: Diagnosis) -> RepairOutcome:
+    said = "the points, which are missing, wrong or of one color, say nothing of that"
+    known = {"photo_consistency": diagnosis.photo_consistency, "coverage": diagnosis.coverage}
+    return RepairOutcome(kind=kind, kept=False, message=said, evidence=known)
 
 
 def _normals(diagnosis: Diagnosis) -> Repaired:
@@ -77,5 +100,6 @@ def _with_views(scene: Scene, changed: Callable[[View], View]) -> Scene:
 
 REPAIRS: dict[RepairKind, Callable[[Diagnosis], Repaired]] = {
     "exposures": _exposures,
+    "poses": _poses,
     "normals": _normals,
 }

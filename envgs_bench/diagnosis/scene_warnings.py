@@ -44,7 +44,6 @@ def scene_warnings(
     aligned, bright = diagnosis.alignment, diagnosis.exposures
     mirrored, disagreement = diagnosis.mirrored, diagnosis.disagreement
     hidden = diagnosis.observations.hidden_share(near)
-    colorless = diagnosis.observations.colorless
     slowly = f", at {quickness:.2g} times the method's own learning rates" if quickness < 1 else ""
     found: list[tuple[WarningKind, bool, str]] = [
         (
@@ -104,7 +103,7 @@ def scene_warnings(
         ),
         (
             "poses_off",
-            aligned.gain > POSES_OFF and in_order and not colorless,
+            aligned.gain > POSES_OFF and diagnosis.poses_told,
             f"the training views agree {aligned.gain:.0%} better with the points' colors once they are turned, the "
             f"median view by {aligned.degrees:.1f}°: their poses may be off; or surfaces repeat themselves or reflect",
         ),

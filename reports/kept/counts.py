@@ -20,9 +20,9 @@ from .tables import as_markdown
 KINDS = get_args(WarningKind)
 OF_SCENES = KINDS[KINDS.index("views_sparse") :]  # the warnings of a scene that is trained on for long enough
 REPAIRS = get_args(RepairKind)
-ANSWERS: dict[str, tuple[str, ...]] = {  # what is spoiled -> the warning and the repair, if there is one, that say so
+ANSWERS: dict[str, tuple[str, ...]] = {  # what is spoiled -> the warning and the repair that say so
     "exposure": ("warning exposures_differ", "repair exposures"),
-    "pose_rotation": ("warning poses_off",),
+    "pose_rotation": ("warning poses_off", "repair poses"),
     "normals_mirrored": ("warning normals_mirrored", "repair normals"),
 }
 CONFIDENCE = 0.95

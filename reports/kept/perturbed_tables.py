@@ -12,7 +12,11 @@ from .runs_file import NoRunsError
 from .tables import NOTHING, as_markdown
 
 LEAST = "1"  # dB from which a run has lost something
-REPAIRED_BY = {"exposures": "exposures_differ", "normals": "normals_mirrored"}  # and the warning that is given with it
+REPAIRED_BY = {
+    "exposures": "exposures_differ",
+    "poses": "poses_off",
+    "normals": "normals_mirrored",
+}  # and the warning that is given with it
 SAME = "="
 
 

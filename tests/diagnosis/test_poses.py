@@ -14,7 +14,7 @@ from envgs_bench.core import Scene, View
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
 from envgs_bench.diagnosis.observations import Observations
-from envgs_bench.diagnosis.poses import FEWEST, alignment
+from envgs_bench.diagnosis.poses import FEWEST, alignment, turned
 from envgs_bench.testing import NotFinite
 
 
@@ -30,13 +30,8 @@ def perturbed(scene: Scene, kind: str, severity: int) -> Scene:
 
 
 def aligned_views(scene: Scene) -> list[View]:
-    """The views as they agree best with the points, with their centers kept."""
-    found, views = alignment(Observations.of(scene, 0.0)), []
-    for view, turn in zip(scene.train, found.turns, strict=True):
-        pose = view.camera.world_to_camera.clone()
-        pose[:3] = turn.to(pose) @ pose[:3]
-        views.append(replace(view, camera=replace(view.camera, world_to_camera=pose)))
-    return views
+    found = alignment(Observations.of(scene, 0.0))
+    return [turned(view, turn) for view, turn in zip(scene.train, found.turns, strict=True)]
 
 
 def degrees_between(views: list[View], others: list[View]) -> np.ndarray:
@@ -61,6 +56,20 @@ def test_views_in_order_gain_nothing_by_a_turn(room: Scene) -> None:
     found = alignment(Observations.of(room, 0.0))
     assert found.gain < 0.03
     assert found.degrees < 0.3
+
+
+def test_a_turned_view_has_its_old_center_and_normals_in_its_own_axes(room: Scene) -> None:
+    """As the perturbation has, which wrote the same in NumPy."""
+    turn = torch.from_numpy(Rotation.from_rotvec([0.02, -0.03, 0.05]).as_matrix()).float()
+    view = room.train[3]
+    found = turned(view, turn)
+    assert degrees_between([found], [view]) == pytest.approx(np.degrees(np.linalg.norm([0.02, -0.03, 0.05])), rel=1e-3)
+    torch.testing.assert_close(found.camera.center, view.camera.center, atol=1e-5, rtol=0)
+    in_camera = [each.normal @ each.camera.world_to_camera[:3, :3].T for each in (view, found)]
+    torch.testing.assert_close(*in_camera, atol=1e-5, rtol=0)
+    back = turned(found, turn.T)
+    torch.testing.assert_close(back.camera.world_to_camera, view.camera.world_to_camera, atol=1e-5, rtol=0)
+    torch.testing.assert_close(back.normal, view.normal, atol=1e-5, rtol=0)
 
 
 def test_what_shows_nothing_or_too_little_stays_as_it_is(room: Scene) -> None:

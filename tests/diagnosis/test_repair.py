@@ -1,12 +1,13 @@
-"""Mirrored normals are repaired, and what is in order stays as it is; of exposures: `test_exposures`."""
+"""Poses and mirrored normals are repaired, and what is in order stays as it is; of exposures: `test_exposures`."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
-from toy_scenes import coarse_toys
+from toy_scenes import coarse_toys, worst
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
@@ -86,4 +87,34 @@ def test_repairs_are_done_in_one_order_whatever_was_asked_for_first(room: Scene)
     assert exposures.message.endswith("the median view's")
     assert normals.message == f"the normals of 7 of {len(room.train)} training views are mirrored back"
     assert exposures.evidence.keys() == {"stops"}
+    assert found.scene.test is broken.test
+
+
+def test_views_are_turned_back(room: Scene) -> None:
+    """Their normals, too, which had turned with them."""
+    broken = worst(room, "pose_rotation")
+    found, outcome = after(broken, "poses")
+    off: dict[str, list[float]] = {"given": [], "repaired": []}
+    for exact, *both in zip(room.train, broken.train, found.train, strict=True):
+        for kind, each in zip(off, both, strict=True):
+            off[kind].append(float((each.normal - exact.normal).norm(dim=-1).mean()))
+            torch.testing.assert_close(each.camera.center, exact.camera.center, atol=1e-5, rtol=0)
+    assert np.mean(off["repaired"]) < np.mean(off["given"]) / 5
+    assert outcome.evidence["degrees"] == pytest.approx(2, abs=0.5)
+
+
+def test_points_that_are_missing_or_of_one_color_turn_no_view(room: Scene) -> None:
+    broken = worst(room, "pose_rotation")
+    gray = replace(broken, point_colors=torch.full_like(room.point_colors, 0.5))
+    few = replace(broken, points=broken.points[::12], point_colors=broken.point_colors[::12])
+    for scene in (gray, few):
+        found, outcome = after(scene, "poses")
+        assert found is scene
+        assert "say nothing" in outcome.message
+
+
+def test_normals_are_judged_by_the_poses_that_were_found_before(room: Scene) -> None:
+    broken = worst(PERTURBATIONS["normals_mirrored"].applied(room, 1, "normals_mirrored", seed=0), "pose_rotation")
+    found, outcomes = repaired(Diagnosis(broken), ["normals", "poses"])
+    assert [(outcome.kind, outcome.kept) for outcome in outcomes] == [("poses", True), ("normals", True)]
     assert found.scene.test is broken.test

@@ -134,6 +134,7 @@ def test_what_is_concluded_names_what_else_looks_like_it(support: float) -> None
         photo_consistency=support,
         coverage=0.0,
         parallax=90.0,
+        poses_told=True,
         points_in_order=True,
         alignment=SimpleNamespace(gain=1.0, degrees=2.0),
         exposures=SimpleNamespace(factors={"0": 2.0}, stops=1.0),
