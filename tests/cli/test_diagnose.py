@@ -14,6 +14,7 @@ import pytest
 from scipy.stats import binom
 from toy_scenes import rough_toys
 
+import envgs_bench
 from envgs_bench.cli import diagnosis_counts
 from envgs_bench.cli.diagnosis_counts import SPOILED, counted
 from envgs_bench.cli.main import main
@@ -22,6 +23,7 @@ from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
 from envgs_bench.diagnosis.repair import REPAIRS
 from envgs_bench.diagnosis.scene_warnings import scene_warnings
+from envgs_bench.diagnosis.thresholds import BLOCKY, BLURRED, DISAGREEING, MISSING, NOISY, POSES_OFF, UNSUPPORTED
 from envgs_bench.reports.kept.counts import ANSWERS, OF_SCENES, CountsError, rates, read_counts
 
 
@@ -94,6 +96,27 @@ def test_mirrored_normals_count_as_repaired_where_just_those_views_are_named(
     assert set(rows["warned"]) == {"poses_off"}
     assert rows["stops"].tolist() == pytest.approx([0.1235, 0.1235, 0.1235, *[math.nan] * 4], nan_ok=True)
     assert (rows.loc[("", 0), "width"], rows.loc[("", 0), "views"]) == (16, len(room.train))
+
+
+def test_what_was_counted_is_counted_by_these_thresholds() -> None:
+    """Of scenes in order each warning is given where its threshold says so, but for what rounding may turn over."""
+    rows = read_counts(Path(envgs_bench.__file__).parent / "docs" / "records" / "warnings.csv")
+    rows = rows[rows["spoiled"] == ""].set_index("seed")
+    measured = rows[list(diagnosis_counts.MEASURED)].astype(float)
+    told = (measured["photo_consistency"] >= UNSUPPORTED) & (measured["coverage"] >= MISSING)
+    limits = {
+        "views_noisy": measured["noise"] - NOISY,
+        "views_blurred": BLURRED - measured["detail"],
+        "views_blocky": measured["blockiness"] - BLOCKY,
+        "points_missing": MISSING - measured["coverage"],
+        "points_unsupported": UNSUPPORTED - measured["photo_consistency"],
+        "poses_off": (measured["pose_gain"] - POSES_OFF).where(told, -1),
+        "normals_disagree": (measured["normal_disagreement"] - DISAGREEING) / 90,
+    }
+    assert len(rows) > 100
+    for kind, beyond in limits.items():
+        warned = rows["warned"].map(lambda words, kind=kind: kind in words.split())
+        assert (warned == (beyond > 0))[beyond.abs() > 0.001].all(), kind
 
 
 def test_seeds_that_are_none_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
