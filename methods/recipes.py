@@ -57,7 +57,7 @@ class Rules:
 
     settling_interval: Count = 5  # × densify_every between warm_up and disturb_until; less in a short run
     settling_pixels: Amount = 64.0  # but not before the base has a primitive for so many training pixels; 0: always
-    beta_threshold: Share = 1 / 255  # an image traces no ray whose β is below; in training every surface reflects
+    beta_threshold: Share = 1 / 255  # what moves a pixel less is not traced: rays of an image, what others leave
     ray_offset: Amount = 1e-3  # a reflected ray starts this far above the surface, × scene radius
     reflect_alpha: Share = 0.0  # pixels whose alpha is not above do not reflect: in images, and late in training
     reflect_alpha_from: Steps = 0  # step after which that holds in training too

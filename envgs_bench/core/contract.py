@@ -38,7 +38,7 @@ class RasterizeOptions:
 class TraceOptions:
     background: Tensor  # [3]
     t_min: float
-    transmittance_min: float
+    transmittance_min: Tensor  # [R]
     sh_along_ray: bool  # else toward each primitive's center
 
 

@@ -27,7 +27,7 @@ def trace(
     *,
     background: Tensor | None = None,
     t_min: float = 0.0,
-    transmittance_min: float = 1e-4,
+    transmittance_min: Tensor | float = 1e-4,  # [...] or for all
     sh_direction: str = "center",
     bvh: Bvh | None = None,
     backend: str = "auto",
@@ -44,7 +44,8 @@ def trace(
         origins, directions: rays, world frame, any leading shape.
         background: [3] color behind everything, in [0, 1]; black where None. Receives no gradient.
         t_min: hits at smaller t are not drawn.
-        transmittance_min: a ray ends with the hit that takes its transmittance below this.
+        transmittance_min: a ray ends with the hit that takes its transmittance below this, of each ray or of all. A
+            ray that counts little may end sooner. Receives no gradient.
         sh_direction: where spherical harmonics are evaluated: "center", from the ray's origin toward each surfel's
             center, as an image of a camera there has them; or "ray", along the ray, whose direction then gets their
             gradient, and no center does (EnvGS's released tracer).
@@ -73,7 +74,7 @@ def trace_color(
     *,
     background: Tensor | None = None,
     t_min: float = 0.0,
-    transmittance_min: float = 1e-4,
+    transmittance_min: Tensor | float = 1e-4,  # [...] or for all
     sh_direction: str = "center",
     bvh: Bvh | None = None,
     backend: str = "auto",
@@ -108,7 +109,7 @@ def _checked(
     directions: Tensor,
     background: Tensor | None,
     t_min: float,
-    transmittance_min: float,
+    transmittance_min: Tensor | float,
     sh_direction: str,
     bvh: Bvh | None,
     backend: str,
@@ -131,7 +132,22 @@ def _checked(
             f"the BVH was built over {bvh.primitives} primitives, the set has {len(gaussians)}: rebuild it"
         )
     background = checked_background(background, gaussians)
-    return module, TraceOptions(background, t_min, transmittance_min, sh_direction == "ray")
+    ends = _of_each_ray(transmittance_min, origins)
+    return module, TraceOptions(background, t_min, ends, sh_direction == "ray")
+
+
+def _of_each_ray(transmittance_min: Tensor | float, origins: Tensor) -> Tensor:
+    """[R] for rays whose origins are [..., 3]."""
+    shape = origins.shape[:-1]
+    if not isinstance(transmittance_min, Tensor):
+        return origins.new_full((shape.numel(),), transmittance_min)
+    given = transmittance_min.detach()
+    if given.shape != shape or (given.dtype, given.device) != (origins.dtype, origins.device):
+        raise ValueError(
+            f"transmittance_min is {given.dtype} {tuple(given.shape)} on {given.device}, expected a number, or "
+            f"{origins.dtype} {tuple(shape)} on {origins.device}: one for each ray"
+        )
+    return given.reshape(-1).contiguous()
 
 
 def _check_surfels(gaussians: GaussianSet) -> None:

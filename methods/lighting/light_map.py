@@ -62,7 +62,9 @@ class CubeMap(Light):
         if self._begun and size != self.texels.shape[1]:
             self.become(resized_cubemap(self.texels.detach(), self._layout, size))
 
-    def color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict[str, Statistics]]:
+    def color(
+        self, origins: Tensor, directions: Tensor, step: int | None, beta: Tensor | None = None
+    ) -> tuple[Tensor, dict[str, Statistics]]:
         color = sample_cubemap(self.texels, directions.reshape(-1, 3), self._layout).sigmoid()
         return color.reshape(directions.shape), {}
 

@@ -24,6 +24,8 @@ from ..training.schedule import Every, Part
 from .settings import ReflectionSettings
 from .supersampling import averaged, finer, repeated
 
+FAINTEST, BRIGHTEST = 1e-4, 0.1  # transmittances at which a reflected ray ends, at the latest and at the earliest
+
 
 class Light(Part):
     """Where reflected color comes from: a component of `Reflection`, whose other hooks are a `Part`'s."""
@@ -31,12 +33,15 @@ class Light(Part):
     def begin(self) -> None:
         """Come into being: called once, before the first step after the warm-up."""
 
-    def color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict[str, Statistics]]:
+    def color(
+        self, origins: Tensor, directions: Tensor, step: int | None, beta: Tensor | None = None
+    ) -> tuple[Tensor, dict[str, Statistics]]:
         """The color that reflected rays see, and of a training step each traced set's statistics.
 
         Args:
             origins, directions: [H, W, 3] of `reflect`, world frame; the direction is 0 where nothing reflects.
             step: the training's; None for an image.
+            beta: [H, W] how much of a pixel its ray makes; None: all of it.
 
         Returns:
             Color [H, W, 3], sRGB; differentiable in the rays where they carry gradients.
@@ -73,12 +78,12 @@ class Reflection(Part):
         points = self._settings.supersampling
         if points == 1:
             origins, directions, beta = self.rays(base, camera, step)
-            reflection, statistics = self.light.color(origins, directions, step)
+            reflection, statistics = self.light.color(origins, directions, step, beta)
             beta = beta[..., None]
             blended, reflected = torch.lerp(base.color, reflection, beta), reflection * (beta > 0)  # Eq. 5
         else:
             origins, directions, beta = self.rays(*finer(base, camera, points), step)
-            reflection, statistics = self.light.color(origins, directions, step)
+            reflection, statistics = self.light.color(origins, directions, step, beta)
             beta = beta[..., None]
             blended = averaged(torch.lerp(repeated(base.color, points), reflection, beta), points)
             reflected = averaged(reflection * (beta > 0), points)
@@ -237,11 +242,14 @@ class Traced(Light):
         gaussians = self._model.prepared.get(self.name)
         self._bvh = None if gaussians is None else build_bvh(gaussians, backend=self._settings.backend)
 
-    def color(self, origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict[str, Statistics]]:
+    def color(
+        self, origins: Tensor, directions: Tensor, step: int | None, beta: Tensor | None = None
+    ) -> tuple[Tensor, dict[str, Statistics]]:
         """Without statistics of an image that nobody differentiates, and of the base set, which has its own."""
         arguments: dict[str, Any] = {
             "background": self._model.background if self._settings.rule.traced_background == "scene" else None,
             "t_min": self._settings.rule.traced_near,
+            "transmittance_min": self._ends(beta),
             "sh_direction": self._settings.rule.traced_sh_direction,
             "bvh": self._bvh if step is None else None,
             "backend": self._settings.backend,
@@ -251,3 +259,15 @@ class Traced(Light):
             return trace_color(gaussians, origins, directions, **arguments)[0], {}
         rendering = trace(gaussians, origins, directions, **arguments)
         return rendering.color, {} if self.name == BASE else {self.name: rendering.statistics}
+
+    def _ends(self, beta: Tensor | None) -> Tensor | float:
+        """The transmittance [H, W] at which rays end: what is behind would move the pixel by less than can be seen.
+
+        Behind a hit that leaves transmittance T, a ray of weight β adds βT to its pixel at most. It is followed until
+        that is below `beta_threshold`, and in any case until nine tenths of its light are known, lest β learn from a
+        reflection that is too dark.
+        """
+        threshold = self._settings.rule.beta_threshold
+        if beta is None or threshold == 0:
+            return FAINTEST
+        return (threshold / beta.detach().clamp_min(threshold)).clamp(FAINTEST, BRIGHTEST)

@@ -13,7 +13,7 @@ import torch
 
 from envgs_bench.core import Camera
 
-SPARE_BYTES = 1 << 30  # that torch may keep for nothing; sizes change with each recording, and it keeps all of them
+SPARE_SHARE = 1 / 32  # of a GPU's memory, that torch may keep for nothing: sizes change with each recording
 
 Result = TypeVar("Result")
 
@@ -82,7 +82,8 @@ def _no_collection() -> Iterator[None]:
 
 def _give_back_spare(device: torch.device) -> None:
     """Leave a GPU's memory to others that share it: what earlier recordings took, torch does not reuse for the next."""
-    if torch.cuda.memory_reserved(device) > SPARE_BYTES + torch.cuda.memory_allocated(device):
+    spare = SPARE_SHARE * torch.cuda.get_device_properties(device).total_memory
+    if torch.cuda.memory_reserved(device) > spare + torch.cuda.memory_allocated(device):
         torch.cuda.empty_cache()
 
 

@@ -194,6 +194,21 @@ def test_more_hits_than_a_list_holds_are_blended_once_each_and_in_order(backend,
         assert relative_error(gradient, expected_gradients[name]) < TOLERANCE, name
 
 
+@ONE_ORDER
+def test_rays_of_one_packet_end_where_each_of_them_is_to(backend):
+    """The number of hits by the closed form, of rays side by side through more of them than a list holds."""
+    count, opacity = 200, 0.05
+    means = torch.stack([torch.zeros(count), torch.zeros(count), 3 + 0.01 * torch.arange(count)], 1)
+    surfels = facing_surfels(means, 2.0, opacity)
+    ends = torch.tensor([0.9, 1e-4, 0.3, 0.02, 0.5, 1e-3, 0.1, 2e-4])
+    origins, directions = torch.zeros(8, 3), torch.tensor([[0.0, 0.0, 1.0]]).repeat(8, 1)
+    drawn = backend.trace(*(backend.take(x) for x in (surfels, origins, directions)), transmittance_min=ends)
+    expected = [math.ceil(math.log(end) / math.log(1 - opacity)) for end in ends.tolist()]
+    assert drawn.hits.tolist() == expected
+    left = 1 - drawn.alpha.detach()
+    assert left.tolist() == pytest.approx([(1 - opacity) ** hits for hits in expected], abs=1e-6)
+
+
 def test_rays_with_more_hits_than_pages_have_the_same_gradients(backend, monkeypatch):
     surfels, rays = random_set(300), random_rays(200)
 

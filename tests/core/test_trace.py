@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from core_scenes import colored, facing_surfels, gradients_of, loss_of, random_rays, random_set
+from core_scenes import colored, facing_surfels, gradients_of, loss_of, random_rays, random_set, relative_error
 from scipy.spatial.transform import Rotation
 
-from envgs_bench.core import build_bvh
+from envgs_bench.core import Rendering, build_bvh
 
 
 def forward_ray(x: float = 0.0, y: float = 0.0, length: float = 1.0) -> tuple[torch.Tensor, torch.Tensor]:
@@ -152,6 +152,51 @@ def test_a_ray_ends_with_the_hit_that_takes_it_below_the_threshold(tracer):
     assert drawn.hits.item() == 3
     assert drawn.alpha.item() == pytest.approx(0.999, abs=1e-5)
     assert trace_with(tracer, gaussians, *forward_ray(), transmittance_min=0.0).hits.item() == 6
+
+
+def test_each_ray_ends_below_its_own_threshold(tracer):
+    """As if those of one threshold were traced by themselves: what they draw, and what all of them differentiate."""
+    surfels, rays = random_set(300), random_rays(120)
+    thresholds = torch.tensor([1e-4, 0.05, 0.5, 1.0])
+    own = thresholds[torch.arange(120) % 4]
+
+    leaves, (origins, directions) = tracer.take(surfels), [tracer.take(x) for x in rays]
+    ends = own.to(origins)
+    drawn = tracer.trace(leaves, origins, directions, transmittance_min=ends)
+    color, alpha = tracer.trace_color(leaves, origins, directions, transmittance_min=ends)
+    loss_of(drawn).backward()
+    gradients = gradients_of(leaves, origins=origins, directions=directions)
+
+    others, (origins, directions) = tracer.take(surfels), [tracer.take(x) for x in rays]
+    parts = [
+        tracer.trace(others, origins[k::4], directions[k::4], transmittance_min=float(threshold))
+        for k, threshold in enumerate(thresholds)
+    ]
+    for name in ("color", "alpha", "depth", "normal", "extras", "hits"):
+        values = torch.stack([getattr(part, name) for part in parts], dim=1).flatten(0, 1)
+        torch.testing.assert_close(getattr(drawn, name), values, atol=1e-6, rtol=1e-5)
+    assert (drawn.hits[3::4] <= 1).all()
+    assert 0 < drawn.hits[2::4].sum() < drawn.hits[0::4].sum()
+    torch.testing.assert_close(color.to(drawn.color), drawn.color.detach(), atol=1e-3, rtol=0)
+    torch.testing.assert_close(alpha.to(drawn.alpha), drawn.alpha.detach(), atol=1e-5, rtol=0)
+    loss_of(mixed_of(parts)).backward()
+    for name, gradient in gradients_of(others, origins=origins, directions=directions).items():
+        assert relative_error(gradients[name], gradient) < 1e-4, name
+
+
+def mixed_of(parts: list[Rendering]) -> Rendering:
+    """Batches of rays taken in turn as one."""
+    fields = {
+        name: torch.stack([getattr(part, name) for part in parts], dim=1).flatten(0, 1)
+        for name in ("color", "alpha", "depth", "normal", "extras", "hits")
+    }
+    return replace(parts[0], **fields)
+
+
+def test_thresholds_that_are_not_the_rays_are_refused(tracer):
+    leaves, (origins, directions) = tracer.take(random_set(3)), [tracer.take(x) for x in random_rays(5)]
+    with pytest.raises(ValueError, match=r"transmittance_min is .* \(4,\) .*expected a number, or .* \(5,\)"):
+        tracer.trace(leaves, origins, directions, transmittance_min=origins.new_full((4,), 0.1))
 
 
 @pytest.mark.parametrize("shape", [(0,), (1,), (3, 5), (2, 0, 4), ()])

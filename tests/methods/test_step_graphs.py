@@ -334,7 +334,7 @@ def test_garbage_waits_until_a_recording_ends_cuda():
 
 @needs_cuda
 def test_memory_of_earlier_recordings_is_given_back_cuda(monkeypatch):
-    monkeypatch.setattr(cuda_graphs, "SPARE_BYTES", 0)
+    monkeypatch.setattr(cuda_graphs, "SPARE_SHARE", 0)
     method, scene = create_method("2dgs", {}, device="cuda"), points_scene(width=96, height=72)
     method.initialize(scene, 1000)
     reserved = []

@@ -36,7 +36,9 @@ def ball(camera: Camera) -> Rendering:
     return Rendering(color, full, depth, normal, full[..., None], full.int(), Statistics(torch.zeros(0)))
 
 
-def stripes(origins: Tensor, directions: Tensor, step: int | None) -> tuple[Tensor, dict[str, Statistics]]:
+def stripes(
+    origins: Tensor, directions: Tensor, step: int | None, beta: Tensor
+) -> tuple[Tensor, dict[str, Statistics]]:
     """Surroundings that vary by some degrees, smooth enough to be averaged."""
     wave = torch.sin(30 * directions @ unit(LIGHT))
     return (0.5 + 0.5 * wave)[..., None].expand(*wave.shape, 3), {}

@@ -101,6 +101,28 @@ def test_only_what_nobody_differentiates_is_traced_for_color_alone(kind, monkeyp
         torch.testing.assert_close(color, picture)
 
 
+@pytest.mark.parametrize("step", [None, 50])
+def test_what_would_not_be_seen_is_not_traced(step):
+    """Behind what leaves a twentieth of the light, a ray goes on where its weight lets that be seen."""
+    method = facing_a_wall(background=(1.0, 1.0, 1.0))
+    tensors = method.state()["sets"]["env"]
+    several = {name: values.repeat(4, *[1] * (values.ndim - 1)) for name, values in tensors.items()}
+    several["means"] = torch.tensor([[0.0, 0.0, 3.0 + k] for k in range(4)])
+    several["sh_dc"] = several["sh_dc"] * 0 - 0.5 / 0.28209479  # black
+    several["sh_rest"] = several["sh_rest"] * 0
+    several["opacity_logits"] = torch.full((4, 1), 0.95).logit().reshape(several["opacity_logits"].shape)
+    method.restore({**method.state(), "sets": {**method.state()["sets"], "env": several}})
+    method.prepare()
+    beta = torch.tensor([[1.0, 0.5, 0.01]])
+    rays = torch.zeros(1, 3, 3), torch.tensor([[[0.0, 0.0, 1.0]]]).repeat(1, 3, 1)
+    with torch.set_grad_enabled(step is not None):
+        every, some = (method.reflection.light.color(*rays, step, weights)[0] for weights in (None, beta))
+    left = some[0, :, 0].tolist()  # of the background's light
+    assert left == pytest.approx([0.05**2, 0.05**2, 0.05], rel=0.02, abs=2e-4)
+    assert every[0, :, 0].tolist() == pytest.approx([0.05**4] * 3, abs=2e-4)
+    assert float((beta * (some - every).detach().abs().amax(dim=-1)).max()) <= 1 / 255
+
+
 def test_an_unknown_background_is_refused():
     with pytest.raises(ValueError, match="traced_background is 'white', expected 'scene' or 'black'"):
         create_method("envgs", with_rules(traced_background="white"))

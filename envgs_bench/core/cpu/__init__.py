@@ -105,9 +105,9 @@ class _TracePass:
             tuple(self.tensors),
             self.origins,
             self.directions,
+            options.transmittance_min,
             options.background,
             options.t_min,
-            options.transmittance_min,
             options.sh_along_ray,
             threads,
         )

@@ -53,9 +53,9 @@ class TracePass:
         gaussians: tuple[Tensor, ...],  # the fields of SetTensors, of surfels
         origins: Tensor,  # [R, 3] world units
         directions: Tensor,  # [R, 3] world frame, any length; zero hits nothing
+        transmittance_min: Tensor,  # [R] a ray ends with the hit that takes it below this
         background: Tensor,  # [3] in [0, 1]
         t_min: float,  # hits at smaller t are not drawn, units of |direction|
-        transmittance_min: float,  # a ray ends with the hit that takes it below this
         sh_along_ray: bool,  # SH at the ray's direction; else from its origin toward each surfel's center
         threads: int,  # workers; sums over rays depend on their number
         /,

@@ -38,8 +38,15 @@ using GradientPlanes =
 
 Gaussians gaussians_of(const InSet& set) {
     const auto& [means, quaternions, scales, opacities, sh, extras] = set;
-    return {means.data(),  quaternions.data(),  scales.data(),    opacities.data(),    sh.data(),
-            extras.data(), int(means.shape(0)), int(sh.shape(1) * sh.shape(2) / 3), int(extras.shape(1)),
+    return {means.data(),
+            quaternions.data(),
+            scales.data(),
+            opacities.data(),
+            sh.data(),
+            extras.data(),
+            int(means.shape(0)),
+            int(sh.shape(1) * sh.shape(2) / 3),
+            int(extras.shape(1)),
             sh.shape(2) == kSiteFloats};
 }
 
@@ -141,15 +148,15 @@ void envgs::bind(nb::module_& m) {
                 const InSet& set,          // surfels
                 In origins,                // [R, 3] world units
                 In directions,             // [R, 3] world frame, any length; zero hits nothing
+                In transmittance_min,      // [R] a ray ends with the hit that takes it below this
                 In background,             // [3] in [0, 1]
                 float t_min,               // hits at smaller t are not drawn, units of |direction|
-                float transmittance_min,   // a ray ends with the hit that takes it below this
                 bool sh_along_ray,         // SH at the ray's direction; else toward each surfel's center
                 int threads                // workers; sums over rays depend on their number
              ) {
-                 RayBatch rays = {origins.data(), directions.data(), int(origins.shape(0))};
+                 RayBatch rays = {origins.data(), directions.data(), transmittance_min.data(), int(origins.shape(0))};
                  new (self) TracePass(std::move(bvh), gaussians_of(set), rays, load3(background.data()), t_min,
-                                      transmittance_min, sh_along_ray, threads);
+                                      sh_along_ray, threads);
              })
         .def("forward",
              [](TracePass& self,

@@ -40,13 +40,12 @@ struct TracePass::Worker {
 };
 
 TracePass::TracePass(std::shared_ptr<const Bvh> bvh, const Gaussians& gaussians, const RayBatch& rays,
-                     Vec3<float> background, float t_min, float transmittance_min, bool sh_along_ray, int threads)
+                     Vec3<float> background, float t_min, bool sh_along_ray, int threads)
     : bvh_(std::move(bvh)),
       g_(gaussians),
       rays_(rays),
       background_(background),
       t_min_(t_min),
-      transmittance_min_(transmittance_min),
       sh_along_ray_(sh_along_ray),
       threads_(threads) {}
 
@@ -62,7 +61,7 @@ void TracePass::forward(Planes<float> out, int* hits, float* weights, bool keep_
         for (int chunk = worker; chunk < chunks(); chunk += threads_)
             for (int ray = chunk * kChunk; ray < std::min((chunk + 1) * kChunk, rays_.count); ++ray) {
                 Vec3<float> origin = ray_at(rays_.origins, ray), direction = ray_at(rays_.directions, ray);
-                const std::vector<Hit>& found = traversal.hits(origin, direction, t_min_, transmittance_min_);
+                const std::vector<Hit>& found = traversal.hits(origin, direction, t_min_, rays_.transmittance_min[ray]);
                 BlendedSums<float> sums = {};
                 float transmittance = 1.0f, extras[kMaxExtras] = {};
                 for (size_t k = 0; k < found.size(); ++k) {

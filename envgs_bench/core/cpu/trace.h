@@ -9,6 +9,7 @@ namespace envgs {
 
 struct RayBatch {
     const float *origins, *directions;  // [R, 3] world units; world frame, any length
+    const float* transmittance_min;     // [R] a ray ends with the hit that takes it below this
     int count;                          // R
 };
 
@@ -23,11 +24,10 @@ public:
     TracePass(std::shared_ptr<const Bvh> bvh,  // over `gaussians`
               const Gaussians& gaussians,      // surfels
               const RayBatch& rays,
-              Vec3<float> background,   // in [0, 1]
-              float t_min,              // hits at smaller t are not drawn, units of |direction|
-              float transmittance_min,  // a ray ends with the hit that takes it below this
-              bool sh_along_ray,        // SH at the ray's direction; else from its origin toward each surfel's center
-              int threads               // workers; sums over rays depend on their number
+              Vec3<float> background,  // in [0, 1]
+              float t_min,             // hits at smaller t are not drawn, units of |direction|
+              bool sh_along_ray,       // SH at the ray's direction; else from its origin toward each surfel's center
+              int threads              // workers; sums over rays depend on their number
     );
 
     void forward(Planes<float> out,  // filled, P = R
@@ -55,7 +55,7 @@ private:
     Gaussians g_;
     RayBatch rays_;
     Vec3<float> background_;
-    float t_min_, transmittance_min_;
+    float t_min_;
     bool sh_along_ray_;
     int threads_;
     std::vector<std::vector<int>> chunk_hits_;  // primitive indices, ray after ray

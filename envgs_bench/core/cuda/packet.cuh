@@ -31,12 +31,14 @@ struct alignas(16) RayState {
     float from_t;
     Vec3<float> direction;
     float far_t;
-    u32 listed;         // how many hits are listed, and 256 times the optical depth with them, rounded down
-    u32 initial_depth;  // optical depth before them
-    int from_slot;      // −1: hits at from_t itself are taken
-    int far_slot;       // −1: hits at far_t itself are taken
-    int dropped;        // hits beyond far_t may have been left for another search
-    int unused[7];      // rays begin in different banks
+    u32 listed;               // how many hits are listed, and 256 times the optical depth with them, rounded down
+    u32 initial_depth;        // optical depth before them
+    int from_slot;            // −1: hits at from_t itself are taken
+    int far_slot;             // −1: hits at far_t itself are taken
+    int dropped;              // hits beyond far_t may have been left for another search
+    float transmittance_min;  // the ray ends with the hit that takes its transmittance below this,
+    u32 end_depth;            // and with the hit that takes its optical depth above this
+    int unused[5];            // rays begin in different banks
 };
 
 struct alignas(16) PacketMemory {
@@ -75,7 +77,6 @@ public:
           surfels_(surfels),
           own_(memory.rays[lane_id() % kRays]),
           max_origin_distance_(max_origin_distance),
-          end_depth_(optical_depth(0.999f * transmittance_min) + 1),
           stride_(levels.total()) {
         Vec3<float> d = ray.direction;
         float least = 1e-12f * maximum(absolute(d.x), maximum(absolute(d.y), absolute(d.z)));
@@ -85,6 +86,8 @@ public:
         if (lane_id() < kRays) {
             own_.origin = ray.origin, own_.direction = ray.direction;
             own_.from_t = t_min, own_.from_slot = -1;
+            own_.transmittance_min = transmittance_min;
+            own_.end_depth = optical_depth(0.999f * transmittance_min) + 1;
         }
         __syncwarp();
     }
@@ -291,7 +294,7 @@ private:
         __syncwarp();
         u32 left = __ballot_sync(kFullWarp, overflowed), moved = left;
         while (left) left = insert_overflowed(left, r, t, tag);
-        u32 ended = __ballot_sync(kFullWarp, own_.listed >> 8 > end_depth_ && !(own_.far_t < kInfinity));
+        u32 ended = __ballot_sync(kFullWarp, own_.listed >> 8 > own_.end_depth && !(own_.far_t < kInfinity));
         moved |= ended;
         for (ended &= (1u << kRays) - 1; ended; ended &= ended - 1) limit_to_farthest(__ffs(ended) - 1);
         if (moved) shrink(s);
@@ -423,13 +426,13 @@ private:
         if (k < kListCapacity)
             first = optical_depth_of_tag(m_.tag[r][k]), second = optical_depth_of_tag(m_.tag[r][k + 1]);
         u32 through = warp_inclusive_sum(first + second);
-        u32 before = ray.initial_depth;
-        u32 ended = __ballot_sync(kFullWarp, before + through > end_depth_);
+        u32 before = ray.initial_depth, end_depth = ray.end_depth;
+        u32 ended = __ballot_sync(kFullWarp, before + through > end_depth);
         int kept = kListCapacity;
         if (ended) {
             int thread = __ffs(ended) - 1;
             u32 through_first = __shfl_sync(kFullWarp, through - second, thread);
-            kept = 2 * thread + (before + through_first > end_depth_ ? 1 : 2);
+            kept = 2 * thread + (before + through_first > end_depth ? 1 : 2);
         }
         bool drops = kept > kListCapacity - kListSlack;
         if (drops) kept = kListCapacity - kListSlack;
@@ -449,7 +452,6 @@ private:
     PackedSurfels surfels_;
     RayState& own_;
     float max_origin_distance_;
-    u32 end_depth_;
     bool ties_matter_;     // some ray's interval ends at a surfel: see within_interval()
     int stride_;           // boxes in a plane
     Vec3<float> inverse_;  // 1 / the ray's direction

@@ -116,7 +116,7 @@ class TracePass:
         tree, options = self.tree, self.options
         launch("trace_rays", self.packets, 32, self.origins, self.directions, self.order, self.rays,
                tree.surfels, self.appearances, tree.boxes, tree.count, tree.statistics, float(options.t_min),
-               float(options.transmittance_min), self.background, *results)  # fmt: skip
+               options.transmittance_min, self.background, *results)  # fmt: skip
 
     def _check_pages(self) -> None:
         self._counted.synchronize()

@@ -103,7 +103,7 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks)
                int surfel_count,     // N
                const CenterStatistics* statistics,  // [1] extent of the surfels' centers
                float t_min,                         // hits at smaller t are not drawn
-               float transmittance_min,             // a ray ends below this
+               const float* transmittance_min,      // [R] a ray ends below this
                const float* background,             // [3] in [0, 1]
                float* color,                        // [3, R] blended color, 1 is white
                float* alpha,                        // [R] in [0, 1]
@@ -132,7 +132,8 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks)
     const RayState& own = memory.rays[lane_id() % kRays];
     Extent extent(*statistics);
     float max_origin_distance = kGroupOriginDistance * maximum(extent.size.x, maximum(extent.size.y, extent.size.z));
-    Packet packet(memory, levels, boxes, surfels, ray, t_min, transmittance_min, max_origin_distance);
+    Packet packet(memory, levels, boxes, surfels, ray, t_min, index < 0 ? 1.0f : transmittance_min[index],
+                  max_origin_distance);
     if (thread_of_ray == 0) blended_of_rays[lane_id()] = Blended<kColorAlone>::initial();
     float transmittance = 1.0f;
     bool wanted = index >= 0;
@@ -160,7 +161,7 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks)
             }
             // Weigh: by what the hits before leave of the ray.
             float before = transmittance * exclusive_product(1.0f - a);
-            bool blends = listed && before >= transmittance_min;
+            bool blends = listed && before >= own.transmittance_min;
             if (blends) {
                 Appearance appearance(appearances[slot]);
                 Vec3<float> v = kShAlongRay ? own.direction : s.mean - own.origin;
@@ -178,7 +179,7 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks)
             float after = __shfl_sync(kFullWarp, before * (1.0f - a), max(count - 1, 0) * kRays + lane_id() % kRays);
             if (count) transmittance = after;
             blended += count;
-            ended = ended || transmittance < transmittance_min;
+            ended = ended || transmittance < own.transmittance_min;
         }
         // Resume: behind the last hit that was blended, where the list had no room for all.
         part.join_threads();

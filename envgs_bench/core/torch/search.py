@@ -21,7 +21,7 @@ class BlendedHits:
     primitives: Tensor  # [P] int64
 
 
-def all_blended_hits(intersector: Intersector, transmittance_min: float) -> BlendedHits:
+def all_blended_hits(intersector: Intersector, transmittance_min: Tensor | float) -> BlendedHits:
     """The blended hits of all rays, by testing each against all primitives."""
     device = intersector.gaussians.device
     primitives = torch.arange(len(intersector.gaussians), device=device)
@@ -33,8 +33,14 @@ def all_blended_hits(intersector: Intersector, transmittance_min: float) -> Blen
 
 
 @torch.no_grad()
-def blended_hits(intersector: Intersector, rays: Tensor, primitives: Tensor, transmittance_min: float) -> BlendedHits:
-    """The blended hits among candidate pairs, given as indices of shapes that broadcast."""
+def blended_hits(
+    intersector: Intersector, rays: Tensor, primitives: Tensor, transmittance_min: Tensor | float
+) -> BlendedHits:
+    """The blended hits among candidate pairs, given as indices of shapes that broadcast.
+
+    Args:
+        transmittance_min: of all rays, or [R] of each.
+    """
     opacities = intersector.gaussians.opacities
     intersections = intersector.intersect(rays, primitives, intersector.gaussians.means[primitives])
     drawn = intersections.valid & (intersections.rho <= cutoffs(opacities)[primitives])
@@ -44,7 +50,8 @@ def blended_hits(intersector: Intersector, rays: Tensor, primitives: Tensor, tra
     order = front_to_back(rays, intersections.order[drawn], primitives)
     rays, primitives, alpha = rays[order], primitives[order], alpha[order]
     # The hit that takes the transmittance below the threshold is the last one blended.
-    kept = transmittances(rays, alpha) >= transmittance_min
+    ends = transmittance_min[rays] if isinstance(transmittance_min, Tensor) else transmittance_min
+    kept = transmittances(rays, alpha) >= ends
     return BlendedHits(rays[kept], primitives[kept])
 
 
