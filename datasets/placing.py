@@ -83,12 +83,14 @@ def placed_scene(scene: Scene) -> Scene:
         return scene
     points = torch.from_numpy(placement.points_from_data(scene.points.double().numpy())).float()
     train, test, val = ([_placed_view(v, placement) for v in part] for part in (scene.train, scene.test, scene.val))
+    unseen = {place: [_placed_view(view, placement) for view in views] for place, views in scene.unseen.items()}
     free_space, bounds = scene.free_space / placement.scale, scene.bounds / placement.scale
     return replace(
         scene,
         train=train,
         test=test,
         val=val,
+        unseen=unseen,
         points=points,
         free_space=free_space,
         bounds=bounds,

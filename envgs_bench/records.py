@@ -259,6 +259,7 @@ class Record(_Part):
     dropped_losses: dict[str, str] = {}  # a loss that the settings ask for -> why it could not be computed
     metrics: Metrics | None = None
     masked: dict[str, MaskedScores] = {}
+    unseen: dict[MetricName, Metrics] = {}  # of views that nobody took, by how they lie to the training cameras
     timing: Timing | None = None
     cost: Cost | None = None
     program: ProgramRun | None = None  # of kind `EXTERNAL` alone

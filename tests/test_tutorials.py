@@ -3,8 +3,10 @@ to be what the page shows, but for numbers."""
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
+import shutil
 import sys
 from collections.abc import Iterator
 from fnmatch import fnmatch
@@ -22,6 +24,7 @@ from envgs_bench.testing import check_method
 TUTORIALS = Path(__file__).parents[1] / "envgs_bench" / "docs" / "tutorials"
 CONSOLE = re.compile(r"^```console\n(.*?)^```", re.MULTILINE | re.DOTALL)
 SOURCE = re.compile(r"^```(?:python|yaml)\n# (\w+\.(?:py|yaml))\n(.*?)^```", re.MULTILINE | re.DOTALL)
+STAND_INS = Path(__file__).parent / "support" / "stand_ins"
 SHORT = ["steps=6", "timing.frames=1", "timing.seconds=0.01", "device=cpu"]
 TINY = [*SHORT, "dataset.width=32", "dataset.height=24", "dataset.supersampling=1"]
 PHOTOS = [*SHORT, "dataset.feature_size=240", "dataset.camera_model=SIMPLE_PINHOLE"]
@@ -94,9 +97,26 @@ def take_photographs(folder: Path) -> None:
         Image.fromarray(photograph(index)).save(folder / f"{index}.png")
 
 
+def install_programs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stand-ins where the page has the reader install OpenSplat and gsplat."""
+    bin_, examples = folder / "bin", folder / "gsplat" / "examples"
+    for path in (bin_, examples):
+        path.mkdir(parents=True)
+    for name, words in (("opensplat", f"{sys.executable} {STAND_INS / 'opensplat.py'}"), ("python", sys.executable)):
+        (bin_ / name).write_text(f'#!/bin/sh\nexec {words} "$@"\n')
+        (bin_ / name).chmod(0o755)
+    for name in ("opensplat.py", "simple_trainer.py"):
+        shutil.copy(STAND_INS / name, examples)
+    monkeypatch.setenv("PATH", str(bin_), prepend=os.pathsep)
+
+
 @pytest.mark.parametrize("page", sorted(TUTORIALS.glob("*.md")), ids=lambda path: path.stem)
-def test_a_tutorials_commands_print_what_it_shows(page: Path, reader: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_tutorials_commands_print_what_it_shows(
+    page: Path, reader: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     text = page.read_text(encoding="utf-8")
+    if "method.recipe=opensplat" in text:
+        install_programs(reader, monkeypatch)
     if "dataset.root=photos" in text:
         take_photographs(reader / "photos")
     for name, code in SOURCE.findall(text):

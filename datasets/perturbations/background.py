@@ -30,6 +30,7 @@ def replace_background(scene: Scene, gray: float, rng: object) -> Scene:
         train=[_laid(view, color, scene.name) for view in scene.train],
         test=[_laid(view, color, scene.name) for view in scene.test],
         val=[_laid(view, color, scene.name) for view in scene.val],
+        unseen={place: [_laid(view, color, scene.name) for view in views] for place, views in scene.unseen.items()},
         background=color,
     )
     if all(_opaque(view, scene.name).all() for view in scene.train):

@@ -203,11 +203,13 @@ def _as_dict(scene: Scene, block: Callable[[Tensor], list[Any]]) -> dict[str, An
             "depth": None if view.depth is None else block(view.depth),
         }
 
+    unseen = {place: [view_as_dict(view) for view in views] for place, views in scene.unseen.items()}
     return {
         "name": scene.name,
         "train": [view_as_dict(view) for view in scene.train],
         "test": [view_as_dict(view) for view in scene.test],
         "val": [view_as_dict(view) for view in scene.val],
+        **({"unseen": unseen} if unseen else {}),
         "points": block(scene.points),
         "point_colors": block(scene.point_colors),
         "background": _numbers(scene.background),
@@ -244,6 +246,7 @@ def _from_dict(content: dict[str, Any], tensor: Callable[[list[Any]], Tensor]) -
         train=[view_from_dict(view) for view in content["train"]],
         test=[view_from_dict(view) for view in content["test"]],
         val=[view_from_dict(view) for view in content["val"]],
+        unseen={place: [view_from_dict(view) for view in views] for place, views in content.get("unseen", {}).items()},
         points=tensor(content["points"]),
         point_colors=tensor(content["point_colors"]),
         background=_tensor(*content["background"]),

@@ -16,6 +16,7 @@ from envgs_bench.core import Camera, Scene, View
 from ..progress import streamed
 from ..split import split_views, taken_out, validation_of
 from ..store.scene_file import on_disk
+from ..unseen import BETWEEN, BEYOND, between, beyond
 from .cameras import cameras_around
 from .covisibility import covisible
 from .lighting import bake
@@ -35,7 +36,8 @@ SLIVER = 1e-3  # of the pixels of all views: a region with fewer is none
 def make_scene(choice: ToySettings, name: str) -> Scene:
     """The scene that these settings describe."""
     # one generator for each thing that is random, so that a change of one leaves the others as they are
-    streams = np.random.SeedSequence(choice.seed).spawn(4 + choice.views)
+    sequence = np.random.SeedSequence(choice.seed)
+    streams = sequence.spawn(4 + choice.views)
     for_scene, for_light, for_points, *for_views, for_normals = (np.random.default_rng(stream) for stream in streams)
     description = SCENES[choice.scene](for_scene)
     world = World(description.parts, description.sky, description.bounces)
@@ -51,12 +53,41 @@ def make_scene(choice: ToySettings, name: str) -> Scene:
     val = validation_of(train)  # with exact normals, as test views
     val = with_covisible(world, val, taken_out(train, val))
     test = with_covisible(world, test, train)
+    unseen = _unseen(world, paint, choice, train, sequence)
     points, colors = sfm_points(train, choice.noise, description.far_points, for_points)
     if choice.normal_noise:
         train = on_disk(_with_estimated_normals(view, choice.normal_noise, for_normals) for view in train)
     as_bytes = np.round(255 * colors) / 255  # a point's color has 8 bits wherever structure from motion stores it
     cloud = torch.from_numpy(points).float(), torch.from_numpy(as_bytes).float()
-    return Scene(name, train, test, *cloud, val=val)
+    return Scene(name, train, test, *cloud, val=val, unseen=unseen)
+
+
+def _unseen(
+    world: World, paint: Painter, choice: ToySettings, train: list[View], sequence: np.random.SeedSequence
+) -> dict[str, list[View]]:
+    """What is to be seen from between the training cameras, and from beyond them."""
+    if not choice.unseen:
+        return {}
+
+    def free(place: NDArray[np.float64], direction: NDArray[np.float64]) -> float:
+        length = float(world.cast(np.float32(place[None]), np.float32(direction[None])).distance[0])
+        return length or np.inf
+
+    cameras = [view.camera for view in train]
+    radius = Scene("", train, [], torch.empty(0, 3), torch.empty(0, 3)).radius
+    places = {
+        BETWEEN: between(cameras, choice.unseen),
+        BEYOND: beyond(cameras, choice.unseen, radius, free),
+    }
+    found = {}
+    for place, seen in places.items():
+        pixels = [np.random.default_rng(stream) for stream in sequence.spawn(len(seen))]
+        views = [
+            _view(world, camera, f"{place}-{index:04d}", paint(camera, choice.supersampling, rng))
+            for index, (camera, rng) in enumerate(zip(seen, pixels, strict=True))
+        ]
+        found[place] = with_covisible(world, without_slivers(on_disk(views)), train)
+    return found
 
 
 def without_slivers(views: list[View]) -> list[View]:

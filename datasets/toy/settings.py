@@ -30,6 +30,7 @@ class ToySettings(SourceSettings):
     width: Annotated[int, Field(ge=8)] = 160  # pixels
     height: Annotated[int, Field(ge=8)] = 120
     views: Annotated[int, Field(ge=2)] = 48  # training and test views together
+    unseen: Annotated[int, Field(ge=0)] = 0  # views between the training cameras, and as many beyond them
     noise: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.01  # standard deviation of the points' positions, m
     normal_noise: Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)] = 0.0  # mean angle of training views, °
     seed: Annotated[int, Field(ge=0)] = 0  # for textures, sky, light, pixels, points and normals

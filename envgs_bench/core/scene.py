@@ -58,6 +58,8 @@ class Scene:
     """[3] in [0, 1], behind everything."""
     val: Sequence[View] = ()
     """Taken out of the training views, to choose settings by."""
+    unseen: Mapping[str, Sequence[View]] = field(default_factory=dict)
+    """Views of places where nobody stood, by how these lie to the training cameras; scored beside those that test."""
     free_space: float = 0.0
     """Nothing is nearer than this to any camera."""
     bounds: float = 0.0

@@ -67,6 +67,7 @@ class Draft:
             dropped_losses={loss: shortened(why) for loss, why in results.dropped_losses.items()},
             metrics=results.metrics,
             masked=results.masked,
+            unseen=results.unseen,
             timing=results.timing,
             cost=results.cost,
             program=results.program,

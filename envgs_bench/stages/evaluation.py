@@ -56,6 +56,13 @@ def evaluate(
     return metrics, masked
 
 
+def evaluate_unseen(
+    method: Method, scene: Scene, protocol: Protocol, folder: Path, report: EventListener
+) -> dict[str, Metrics]:
+    """Scores of the scene's unseen views, by how they lie to the training cameras. Raises as `evaluate`."""
+    return {place: evaluate(method, views, protocol, folder, report)[0] for place, views in scene.unseen.items()}
+
+
 def _drawn(
     method: Method,
     views: Sequence[View],

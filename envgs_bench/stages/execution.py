@@ -27,7 +27,7 @@ from envgs_bench.settings import RunSettings
 from .background import Background
 from .budget import limited_method
 from .cost import cost_of, with_files
-from .evaluation import evaluate, scored_views
+from .evaluation import evaluate, evaluate_unseen, scored_views
 from .events import EventListener
 from .fixed_rays import sampled
 from .loading import check_scene, load_for_run
@@ -116,6 +116,8 @@ def execute(
             report({"stage": "preparing"})
             method.prepare()
             results.metrics, results.masked = evaluate(method, views, protocol, folder, report, alignment)
+            if settings.score_on == "test":
+                results.unseen = evaluate_unseen(method, scene, protocol, folder, report)
         finally:
             results.cost = packing.result()
     report({"stage": "timing"})

@@ -33,6 +33,7 @@ class Results:
     warnings: list[TrainingWarning] = field(default_factory=list)
     metrics: Metrics | None = None
     masked: dict[str, MaskedScores] = field(default_factory=dict)
+    unseen: dict[str, Metrics] = field(default_factory=dict)
     timing: Timing | None = None
     cost: Cost | None = None
     program: ProgramRun | None = None

@@ -43,8 +43,8 @@ from envgs_bench.run_folder import (
 from envgs_bench.runs.draft import now
 from envgs_bench.runs.job import resolve_device
 from envgs_bench.settings import read_settings
-from envgs_bench.stages.evaluation import evaluate, scored_views
-from envgs_bench.stages.pose_alignment import alignment_of
+from envgs_bench.stages.evaluation import evaluate, evaluate_unseen, scored_views
+from envgs_bench.stages.pose_alignment import ALIGNED, alignment_of
 from envgs_bench.stages.renders import score_renders
 from envgs_bench.stages.scoring import FULL, Pair, score_pairs
 
@@ -63,7 +63,11 @@ def rescore(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> R
     """
     record, protocol, device = read_record(run), protocol.of_pictures(), resolve_device(device)
     scores = None if record.metrics is None else pictures_scored(run, record, protocol, device)
-    return _write(run, record, protocol, scores, out, "pictures", (*PICTURES, CURVE_NAME, SAMPLES_NAME))
+    unseen = {
+        place: pictures_scored(run, record.model_copy(update={"metrics": metrics, "masked": {}}), protocol, device)[0]
+        for place, metrics in record.unseen.items()
+    }
+    return _write(run, record, protocol, scores, unseen, out, "pictures", (*PICTURES, CURVE_NAME, SAMPLES_NAME))
 
 
 def pictures_scored(
@@ -80,7 +84,7 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
         RecordError, ValueError, FileNotFoundError: as `read_record`, `reopen` and `reopen_scene`.
     """
     record = read_record(run)
-    scores = None
+    scores, unseen = None, {}
     for name in PICTURES:
         if (out / name).is_symlink():  # to the run's own, which are not to be written
             (out / name).unlink()
@@ -98,7 +102,9 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
             _, method = reopen(run, device)
             method.prepare()
             scores = evaluate(method, views, protocol, out, _silent, alignment_of(settings, scene, protocol))
-    return _write(run, record, protocol, scores, out, "checkpoint", (CURVE_NAME, SAMPLES_NAME))
+            if record.unseen:
+                unseen = evaluate_unseen(method, scene, protocol, out, _silent)
+    return _write(run, record, protocol, scores, unseen, out, "checkpoint", (CURVE_NAME, SAMPLES_NAME))
 
 
 def _write(
@@ -106,6 +112,7 @@ def _write(
     record: Record,
     protocol: Protocol,
     scores: tuple[Metrics, dict[str, MaskedScores]] | None,
+    unseen: dict[str, Metrics],
     out: Path,
     source: str,
     shared: tuple[str, ...],
@@ -119,6 +126,7 @@ def _write(
             "provenance": record.provenance.model_copy(update={"rescored": origin}),
             "metrics": metrics,
             "masked": masked,
+            "unseen": unseen,
         }
     )
     out.mkdir(parents=True, exist_ok=True)
@@ -152,7 +160,7 @@ def _pairs(run: Path, record: Record) -> Iterator[Pair]:
 
 def _others(row: ViewScores) -> Scores:
     """The scores that pictures cannot give again, as the angle between normals."""
-    given = {*registered_metrics(), *corrected_metrics(), "fraction"}
+    given = {*registered_metrics(), *corrected_metrics(), "fraction", ALIGNED}  # the last by another protocol
     return {name: value for name, value in row.scores.items() if name not in given}
 
 

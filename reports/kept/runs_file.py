@@ -82,6 +82,8 @@ def numbers_of(record: Record) -> dict[str, float]:
     found |= record.metrics.mean if record.metrics else {}
     for region, masked in record.masked.items():
         found |= {f"{metric}_{region}": value for metric, value in masked.scores.items()}
+    for place, metrics in record.unseen.items():
+        found |= {f"{metric}_{place}": value for metric, value in metrics.mean.items()}
     if record.cost is not None:
         found |= {"primitives": sum(record.cost.primitives.values())} if record.cost.primitives else {}
         found |= {f"primitives_{name}": count for name, count in record.cost.primitives.items()}

@@ -22,7 +22,7 @@ def tidy_table(runs: Sequence[tuple[str, str, Run]]) -> pd.DataFrame:
 
     Values are in the records' units (dB, ms, seconds, bytes), NaN for what could not be computed; `primitives` is the
     sum over the sets and `primitives_<set>` one set. A run whose pictures came from elsewhere has no times and costs.
-    Times and costs have the region `full`.
+    Times and costs have the region `full`; scores of unseen views have how these lie for a region.
     """
     rows = [
         (dataset, method, run.record.seed, region, metric, value)
@@ -48,6 +48,9 @@ def _numbers(record: Record) -> Iterator[tuple[str, str, float | None]]:
         for name, value in scores.scores.items():
             yield region, name, value
         yield region, "fraction", scores.fraction
+    for place, metrics in record.unseen.items():
+        for name, value in metrics.mean.items():
+            yield place, name, value
     for part, names in ((record.timing, TIMES), (record.cost, COSTS)):
         for name in names:
             if (value := getattr(part, name, None)) is not None:

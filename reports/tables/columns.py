@@ -140,6 +140,11 @@ CHECKPOINT_MEGABYTES = Column(
 )
 # those whose PSNR stands beside the full image's
 REGIONS = ("covisible", "reflective", "near_field", "transmissive", "foreground")
+# and those of views that nobody took
+UNSEEN = tuple(
+    replace(PSNR, region=place, title=f"PSNR {place}", axis=f"{PSNR.axis}, {place} cameras")
+    for place in ("between", "beyond")
+)
 COSTS = (FRAME_MS, TRAIN_SECONDS, MEGABYTES, PRIMITIVES)  # the axes of the charts
 
 
@@ -151,7 +156,7 @@ def score_columns(metrics: Mapping[str, MetricCard]) -> tuple[Column, ...]:
 def accuracy_columns(metrics: Mapping[str, MetricCard]) -> tuple[Column, ...]:
     """The columns that say how near pictures and normals are to the data."""
     corrected = (score_column(name, card) for name, card in metrics.items() if card.corrected)
-    return (*score_columns(metrics), *corrected, *(in_region(PSNR, region) for region in REGIONS), NORMALS)
+    return (*score_columns(metrics), *corrected, *(in_region(PSNR, region) for region in REGIONS), *UNSEEN, NORMALS)
 
 
 def main_columns(metrics: Mapping[str, MetricCard]) -> tuple[Column, ...]:
