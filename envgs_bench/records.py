@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from .parts import MethodCard, MetricCard
 from .regular_file import read_regular_text
@@ -107,7 +107,9 @@ class RepairOutcome(_Part):
     kind: RepairName
     kept: bool  # whether anything was changed
     message: str  # what was changed, or why nothing was
-    evidence: dict[str, Finite] = {}  # what it was decided by
+    measured: dict[str, Finite] = Field(  # the numbers that decided it; older records have another word
+        default={}, validation_alias=AliasChoices("measured", "evidence")
+    )
 
 
 class WorldPlacement(_Part):

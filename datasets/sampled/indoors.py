@@ -22,7 +22,7 @@ from .distribution import (
     whole,
 )
 from .light import panorama
-from .materials import MATT, MIRROR, PANE, Surface
+from .materials import DIFFUSE, MIRROR, PANE, Surface
 from .place import Place, Wall
 from .solids import Superellipsoid
 from .stock import Finish, Stock, Vector
@@ -38,7 +38,7 @@ def room(rng: np.random.Generator) -> Place:
     half, height = (between(rng, (2.5, 3.2)), between(rng, (2.5, 3.6))), between(rng, (2.5, 3.0))
     walls = built.four_walls(half, height)
     parts = _shell(stock, half, height, _floor(stock, "room"))
-    paper: Finish = (MATT, _wallpaper(stock))
+    paper: Finish = (DIFFUSE, _wallpaper(stock))
     opening = (-between(rng, (0.5, 1.1)), 0.8, between(rng, (0.5, 1.1)), 2.15)
     white = pat.plaster(stock.white)
     parts += built.walled(stock, walls[0], paper, (opening,)) + built.window(stock, walls[0], opening, white)
@@ -55,7 +55,7 @@ def room(rng: np.random.Generator) -> Place:
         target = (0.0, 0.0, top + 0.05)
     else:
         rug = built.flat((0, 0, 0.01), between(rng, (1.8, 2.4)), between(rng, (1.4, 2.0)))
-        parts.append(stock.surface(rug, (MATT, pat.rug(stock.colors)), stock.thing()))
+        parts.append(stock.surface(rug, (DIFFUSE, pat.rug(stock.colors)), stock.thing()))
         parts += scattered(stock, LARGE, count, (0, 0, 0.01), 0.95, (0.22, 0.42))
         target = (0.0, 0.0, 0.4)
     return _inside("room", stock, parts, half, height, target)
@@ -66,7 +66,7 @@ def gallery(rng: np.random.Generator) -> Place:
     stock = Stock(rng, liked=("smooth_metal", "brushed_metal", "car_paint"))
     half, height = (between(rng, (2.8, 3.4)), between(rng, (2.8, 3.8))), between(rng, (2.8, 3.3))
     parts = _shell(stock, half, height, _floor(stock, "gallery"))
-    white: Finish = (MATT, pat.plaster(pat.blend(stock.white, (0.0, 0.0, 0.0), 0.03)))
+    white: Finish = (DIFFUSE, pat.plaster(pat.blend(stock.white, (0.0, 0.0, 0.0), 0.03)))
     for index, wall in enumerate(built.four_walls(half, height)):
         opening = (-0.6, 0.0, 0.6, 2.1) if index == 3 and rng.uniform() < 0.5 else None
         parts += built.walled(stock, wall, white, (opening,) if opening else ())
@@ -75,7 +75,7 @@ def gallery(rng: np.random.Generator) -> Place:
                 continue
             wide, tall = between(rng, (0.4, 0.75)), between(rng, (0.35, 0.6))
             mirrored = rng.uniform() < WALL_MIRROR["gallery"] / 2
-            shown: Finish = (MIRROR, None) if mirrored else (MATT, pat.canvas(stock.colors))
+            shown: Finish = (MIRROR, None) if mirrored else (DIFFUSE, pat.canvas(stock.colors))
             frame = pat.plaster(stock.black if rng.uniform() < 0.5 else OAK)
             parts += built.hung(stock, wall, (right - wide, 1.45 - tall, right + wide, 1.45 + tall), shown, frame)
     spots = [(0.0, 0.0)] + [
@@ -91,7 +91,7 @@ def chapel(rng: np.random.Generator) -> Place:
     stock = Stock(rng, liked=("smooth_metal", "varnish"))
     half, height = (between(rng, (2.6, 3.1)), between(rng, (2.9, 3.6))), between(rng, (3.2, 4.0))
     parts = _shell(stock, half, height, _floor(stock, "chapel"))
-    stone_wall: Finish = (MATT, pat.slabs([(0.66, 0.62, 0.54), (0.6, 0.57, 0.5), (0.7, 0.66, 0.6)], 0.45))
+    stone_wall: Finish = (DIFFUSE, pat.slabs([(0.66, 0.62, 0.54), (0.6, 0.57, 0.5), (0.7, 0.66, 0.6)], 0.45))
     vivid = [(0.75, 0.08, 0.06), (0.08, 0.18, 0.7), (0.9, 0.65, 0.1), (0.1, 0.5, 0.2), (0.8, 0.8, 0.85)]
     for index, wall in enumerate(built.four_walls(half, height)):
         places = (-1.3, 0.0, 1.3) if wall.length > 5.5 and index % 2 else (0.0,) if index != 2 else ()
@@ -99,12 +99,12 @@ def chapel(rng: np.random.Generator) -> Place:
         parts += built.walled(stock, wall, stone_wall, openings)
         for opening in openings:
             parts += built.window(stock, wall, opening, pat.plaster((0.12, 0.12, 0.12)), pat.leaded(vivid))
-    parts += built.table(stock, (0, 0, 0), (1.3, 0.8, 0.8), (MATT, pat.wood(OAK, 0.1)), between(rng, (0, 40)))
+    parts += built.table(stock, (0, 0, 0), (1.3, 0.8, 0.8), (DIFFUSE, pat.wood(OAK, 0.1)), between(rng, (0, 40)))
     parts += scattered(stock, SMALL, whole(rng, THINGS["chapel"]), (0, 0, 0.8), 0.45, (0.1, 0.18))
     for side in (-1, 1):
         for y in (-1.9, 1.9):
             bench = list(box((side * (half[0] - 0.5), y, 0), (0.5, 1.4, 0.45), 0))
-            parts += stock.surfaces(bench, (MATT, pat.wood(OAK, 0.12)))
+            parts += stock.surfaces(bench, (DIFFUSE, pat.wood(OAK, 0.12)))
     sky = 6 * panorama("overcast", np.array(GROUND), rng)
     return _inside("chapel", stock, parts, half, height, (0.0, 0.0, 0.8), sky)
 
@@ -135,7 +135,7 @@ def _shell(stock: Stock, half: tuple[float, float], height: float, floor: Finish
     above = pat.plaster(stock.white) if stock.rng.uniform() < 0.6 else pat.wood((0.6, 0.46, 0.32), 0.25)
     return [
         stock.surface(built.flat((0, 0, 0), width, depth), floor, stock.thing()),
-        stock.surface(lid, (MATT, above), stock.thing()),
+        stock.surface(lid, (DIFFUSE, above), stock.thing()),
     ]
 
 
@@ -151,7 +151,7 @@ def _floor(stock: Stock, name: str) -> Finish:
     )
     pattern = choices[int(rng.integers(len(choices)))]
     if rng.uniform() >= POLISHED_FLOOR[name]:
-        return MATT, pattern
+        return DIFFUSE, pattern
     return built.polished(stock, between(rng, FLOOR_ROUGHNESS)), pattern
 
 
@@ -172,7 +172,7 @@ def _wooden(stock: Stock) -> Finish:
     """Of a table: lacquered in as many scenes as things shine."""
     coated = stock.rng.uniform() < 0.6 * stock.shining
     color = (OAK, (0.3, 0.18, 0.12), (0.72, 0.58, 0.4))[int(stock.rng.integers(3))]
-    return built.polished(stock, between(stock.rng, FLOOR_ROUGHNESS)) if coated else MATT, pat.wood(color, 0.14)
+    return built.polished(stock, between(stock.rng, FLOOR_ROUGHNESS)) if coated else DIFFUSE, pat.wood(color, 0.14)
 
 
 def _along(stock: Stock, walls: list[Wall]) -> list[Surface]:
@@ -180,27 +180,27 @@ def _along(stock: Stock, walls: list[Wall]) -> list[Surface]:
     rng, parts = stock.rng, []
     wooden = _wooden(stock)
     shelf = (between(rng, (1.2, 2.0)), 0.3, between(rng, (1.7, 2.1)))
-    parts += built.against(stock, walls[1], between(rng, (-1, 1)), shelf, wooden, (MATT, pat.books))
+    parts += built.against(stock, walls[1], between(rng, (-1, 1)), shelf, wooden, (DIFFUSE, pat.books))
     right = between(rng, (-0.6, 0.6))
     parts += built.against(stock, walls[2], right, (between(rng, (1.2, 1.8)), 0.42, 0.75), wooden, stock.finish())
     mirrored = rng.uniform() < WALL_MIRROR["room"]
-    shown: Finish = (MIRROR, None) if mirrored else (MATT, pat.canvas(stock.colors))
+    shown: Finish = (MIRROR, None) if mirrored else (DIFFUSE, pat.canvas(stock.colors))
     parts += built.hung(stock, walls[2], (right - 0.7, 1.0, right + 0.7, 2.0), shown, pat.plaster(stock.black))
     for at in (-1.1, 1.0):
         frame = (at - 0.35, 1.1, at + 0.35, 1.9)
-        parts += built.hung(stock, walls[3], frame, (MATT, pat.canvas(stock.colors)), pat.plaster(OAK))
+        parts += built.hung(stock, walls[3], frame, (DIFFUSE, pat.canvas(stock.colors)), pat.plaster(OAK))
     parts += _sofa(stock, walls[3])
     x, y, _ = walls[0].at(walls[0].length / 2 - 0.45, 0, 0.4)
     parts += plant(stock, (float(x), float(y), 0.0), 0.42)
     x, y, _ = walls[2].at(walls[2].length / 2 - 0.4, 0, 0.35)
     foot = stock.surfaces([Rod((x, y, 0), (x, y, 1.4), 0.025), Disc((x, y, 0.02), 0.16)], stock.finish())
     shade = Lathe((float(x), float(y), 1.35), ((0.1, 0.35), (0.17, 0.15), (0.24, 0.0)))
-    glow = Surface(shade, MATT, np.array([1, 0.85, 0.6]).reshape(1, 1, 3), stock.thing(), between(rng, (1, 3)))
+    glow = Surface(shade, DIFFUSE, np.array([1, 0.85, 0.6]).reshape(1, 1, 3), stock.thing(), between(rng, (1, 3)))
     return [*parts, *foot, glow]
 
 
 def _sofa(stock: Stock, wall: Wall) -> list[Surface]:
-    finish: Finish = (MATT, pat.weave([stock.color(), stock.color()], 0.4))
+    finish: Finish = (DIFFUSE, pat.weave([stock.color(), stock.color()], 0.4))
     wide, turn = between(stock.rng, (1.4, 1.9)), wall.turn_degrees()
     seat, back = wall.at(0, 0.25, 0.42), wall.at(0, 0.5, 0.16)
     shapes = [
@@ -215,7 +215,7 @@ def _sofa(stock: Stock, wall: Wall) -> list[Surface]:
 
 def _chairs(stock: Stock) -> list[Surface]:
     """Two or three stools about the table."""
-    finish: Finish = (MATT, pat.wood((0.45, 0.3, 0.18), 0.08))
+    finish: Finish = (DIFFUSE, pat.wood((0.45, 0.3, 0.18), 0.08))
     parts = []
     for angle in stock.rng.uniform(0, 6.28) + np.arange(whole(stock.rng, (1, 3))) * 2.1:
         x, y = 1.0 * np.cos(angle), 1.0 * np.sin(angle)
@@ -227,7 +227,7 @@ def _on_plinth(stock: Stock, x: float, y: float) -> list[Surface]:
     """A sculpture at breast height; now and then in a showcase of glass."""
     rng, tall = stock.rng, between(stock.rng, (0.45, 0.85))
     plinth = list(box((x, y, 0), (0.42, 0.42, tall), 0))
-    parts = stock.surfaces(plinth, (MATT, pat.plaster(stock.white if rng.uniform() < 0.6 else stock.black)))
+    parts = stock.surfaces(plinth, (DIFFUSE, pat.plaster(stock.white if rng.uniform() < 0.6 else stock.black)))
     thing = (knot, stone, figure, vase)[int(rng.integers(4))]
     parts += thing(stock, (x, y, tall), between(rng, (0.2, 0.28)))
     if rng.uniform() < SHOWCASE:

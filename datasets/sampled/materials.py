@@ -24,15 +24,15 @@ BLANK = np.full((1, 1, 3), 0.5)
 class Material:
     """How a surface reflects. Its color is its texture's, or its metal's."""
 
-    name: str = "matt"
+    name: str = "diffuse"
     roughness: float = 0.0  # the square root of GGX's alpha
     metal: str = ""  # a chemical symbol
     ior: float = 1.5  # index of refraction, of a coat or of what is clear
 
     @property
     def reflective(self) -> bool:
-        """Whether things show in it: matt and satin surfaces are too rough."""
-        return self.name not in ("matt", "satin")
+        """Whether things show in it: diffuse and satin surfaces are too rough."""
+        return self.name not in ("diffuse", "satin")
 
     @property
     def mirror(self) -> bool:
@@ -53,14 +53,14 @@ class Material:
         elif self.name == "car_paint":
             paint = {"metallic": 0.6, "roughness": 0.45, "clearcoat": 1.0, "clearcoat_gloss": 0.98}
             surface = {"type": "principled", "base_color": color, **paint}
-        elif self.name == "matt":
+        elif self.name == "diffuse":
             surface = {"type": "diffuse", "reflectance": color}
         else:
             surface = {"type": f"{rough}plastic", "int_ior": self.ior, "diffuse_reflectance": color, **facets}
         return {"type": "twosided", "surface": surface}
 
 
-MATT = Material()
+DIFFUSE = Material()
 MIRROR = Material("mirror", metal="Ag")
 PANE = Material("pane")
 STAINED = Material("stained")
@@ -72,7 +72,7 @@ class Surface:
     """One surface of a place: its shape, what it is made of and painted with, and which thing it belongs to."""
 
     shape: Shape | Mesh
-    material: Material = MATT
+    material: Material = DIFFUSE
     linear: Array = field(default_factory=lambda: BLANK)  # [H, W, 3] color, linear, upright as the shape's (u, v)
     thing: int = 0  # surfaces of one number are one thing: what mirrors it in itself reflects itself
     emission: float = 0.0  # radiance that it sends out, in units of its color
@@ -83,7 +83,7 @@ class Surface:
 
 
 def drawn_material(rng: np.random.Generator, name: str) -> Material:
-    """One of the class `name`: a key of `distribution.MATERIALS`, or matt."""
+    """One of the class `name`: a key of `distribution.MATERIALS`, or diffuse."""
     roughness = between(rng, ROUGHNESS[name]) if name in ROUGHNESS else 0.0
     metal = one_of(rng, METALS) if name in METALLIC else ""
     return Material(name, roughness, metal, between(rng, COAT))

@@ -21,7 +21,7 @@ from .distribution import (
     whole,
 )
 from .light import panorama
-from .materials import MATT, WATER, Surface, drawn_material
+from .materials import DIFFUSE, WATER, Surface, drawn_material
 from .place import Place
 from .solids import Superellipsoid
 from .stock import Finish, Stock
@@ -37,16 +37,16 @@ def tabletop(rng: np.random.Generator) -> Place:
     tops = (pat.wood((0.5, 0.34, 0.2), 0.18), pat.marble(stock.white), pat.slabs([stock.color(), stock.white], 0.25))
     pattern = (*tops, cloth)[int(rng.integers(4))]
     coated = pattern is not cloth and rng.uniform() < 0.7 * stock.shining
-    finish: Finish = (built.polished(stock, between(rng, FLOOR_ROUGHNESS)) if coated else MATT, pattern)
+    finish: Finish = (built.polished(stock, between(rng, FLOOR_ROUGHNESS)) if coated else DIFFUSE, pattern)
     radius = between(rng, (1.0, 1.3))
     if rng.uniform() < 0.5:
         parts = stock.surfaces([Disc((0, 0, 0), radius), Cone((0, 0, -0.08), radius, radius, 0.08)], finish)
     else:
         parts = stock.surfaces(list(box((0, 0, -0.08), (2 * radius, 1.6 * radius, 0.08), 0)), finish)
-    parts += stock.surfaces([Cone((0, 0, -1.3), 0.5, 0.2, 1.25)], (MATT, pat.wood((0.4, 0.28, 0.18), 0.2)))
+    parts += stock.surfaces([Cone((0, 0, -1.3), 0.5, 0.2, 1.25)], (DIFFUSE, pat.wood((0.4, 0.28, 0.18), 0.2)))
     kind = one_of(rng, TABLE_LIGHT)
     below = (pat.wood((0.3, 0.22, 0.16), 0.25), pat.slabs([(0.5, 0.48, 0.45), (0.42, 0.4, 0.38)], 0.7))
-    parts.append(stock.surface(Disc((0, 0, -1.3), 4.0), (MATT, below[int(rng.integers(2))]), stock.thing()))
+    parts.append(stock.surface(Disc((0, 0, -1.3), 4.0), (DIFFUSE, below[int(rng.integers(2))]), stock.thing()))
     parts += scattered(stock, SMALL, whole(rng, THINGS["tabletop"]), (0, 0, 0), 0.85 * radius, (0.16, 0.34))
     sky = panorama(kind, np.array([0.15, 0.15, 0.13]), rng)
     return Place("tabletop", parts, sky, (0.0, 0.0, 0.15), (1.5, 2.2), (0.5, 1.4))
@@ -63,7 +63,7 @@ def courtyard(rng: np.random.Generator) -> Place:
     )
     polished = rng.uniform() < POLISHED_FLOOR["courtyard"]
     ground: Finish = (
-        built.polished(stock, between(rng, FLOOR_ROUGHNESS)) if polished else MATT,
+        built.polished(stock, between(rng, FLOOR_ROUGHNESS)) if polished else DIFFUSE,
         pavings[int(rng.integers(3))],
     )
     parts = [stock.surface(built.flat((0, 0, 0), 2 * half[0] + 0.04, 2 * half[1] + 0.04), ground, stock.thing())]
@@ -73,14 +73,16 @@ def courtyard(rng: np.random.Generator) -> Place:
         pat.plaster(stock.white),
     )
     front = facades[int(rng.integers(3))]
-    facade: Finish = (MATT, front)
+    facade: Finish = (DIFFUSE, front)
     for wall in built.four_walls(half, height)[: whole(rng, (2, 4))]:
         parts += built.walled(stock, wall, facade)
         door = pat.wood(stock.color(), 0.2)
         at = between(rng, (-0.5, 0.5))
-        parts += built.hung(stock, wall, (at - 0.45, 0.0, at + 0.45, min(2.0, height - 0.2)), (MATT, door), front)
+        parts += built.hung(stock, wall, (at - 0.45, 0.0, at + 0.45, min(2.0, height - 0.2)), (DIFFUSE, door), front)
         for right in (-1.8, 1.8):
-            pane = stock.finish() if rng.uniform() < 0.3 else (MATT, pat.leaded([(0.2, 0.25, 0.3), (0.3, 0.36, 0.42)]))
+            pane = (
+                stock.finish() if rng.uniform() < 0.3 else (DIFFUSE, pat.leaded([(0.2, 0.25, 0.3), (0.3, 0.36, 0.42)]))
+            )
             frame = (right - 0.4, 0.7, right + 0.4, min(1.6, height - 0.2))
             parts += built.hung(stock, wall, frame, pane, pat.plaster(stock.white))
     parts += _corners(stock, half)
@@ -101,7 +103,7 @@ def plaza(rng: np.random.Generator) -> Place:
     shape = built.flat((0, 0, 0), 2 * FAR, 2 * FAR)
     parts = [stock.surface(shape, floor, stock.thing(), darker=between(rng, DARK_PLAZA))]
     parts += scattered(stock, (*LARGE, candlestick), whole(rng, THINGS["plaza"]), (0, 0, 0), 1.15, (0.25, 0.45))
-    column: Finish = (MATT, pat.marble((0.85, 0.82, 0.76)))
+    column: Finish = (DIFFUSE, pat.marble((0.85, 0.82, 0.76)))
     for angle in rng.uniform(0, 6.28) + np.arange(whole(rng, (0, 8))) * 2 * np.pi / 8:
         x, y = float(4.2 * np.cos(angle)), float(4.2 * np.sin(angle))
         side = Cone((x, y, 0.1), 0.26, 0.22, 2.6)
@@ -120,7 +122,7 @@ def vehicle(rng: np.random.Generator) -> Place:
         pat.concrete((0.55, 0.54, 0.52)),
         pat.grass((0.30, 0.34, 0.17)),
     )
-    ground = stock.surface(built.flat((0, 0, 0), 16, 16), (MATT, grounds[int(rng.integers(4))]), stock.thing())
+    ground = stock.surface(built.flat((0, 0, 0), 16, 16), (DIFFUSE, grounds[int(rng.integers(4))]), stock.thing())
     parts = [ground, *_car(stock)]
     for x, y in ((1.9, 1.3), (-1.8, -1.4), (1.7, -1.5), (-1.9, 1.2)):
         if rng.uniform() < 0.6:
@@ -142,19 +144,19 @@ def pond(rng: np.random.Generator) -> Place:
     meadow = pat.grass((0.28, 0.33, 0.16))
     parts = [
         stock.surface(water, (WATER, murky), stock.thing(), darker=0.6),
-        stock.surface(_frame_of_ground(), (MATT, meadow), stock.thing()),
+        stock.surface(_frame_of_ground(), (DIFFUSE, meadow), stock.thing()),
     ]
     for angle in np.arange(0, 2 * np.pi, 0.33) + rng.uniform(-0.06, 0.06, 20):
         spot = (float(1.72 * np.cos(angle)), float(1.72 * np.sin(angle)), -0.08)
         boulder = stone(stock, spot, between(rng, (0.16, 0.32)))
-        gray: Finish = (MATT, pat.concrete(tuple(np.full(3, between(rng, (0.35, 0.6))) + 0.04 * rng.normal(size=3))))
+        gray: Finish = (DIFFUSE, pat.concrete(tuple(np.full(3, between(rng, (0.35, 0.6))) + 0.04 * rng.normal(size=3))))
         parts += boulder if rng.uniform() < 0.1 else [stock.surface(b.shape, gray, b.thing) for b in boulder]
     for _ in range(whole(rng, (4, 9))):
         away, angle = 1.3 * np.sqrt(rng.uniform(0.1, 1)), rng.uniform(0, 6.28)
         pad = Disc((float(away * np.cos(angle)), float(away * np.sin(angle)), 0.02), between(rng, (0.08, 0.18)))
-        parts += stock.surfaces([pad], (MATT, pat.glaze((0.2, 0.42, 0.16), (0.28, 0.5, 0.2))))
+        parts += stock.surfaces([pad], (DIFFUSE, pat.glaze((0.2, 0.42, 0.16), (0.28, 0.5, 0.2))))
     island = list(box((0, 0, -0.05), (0.6, 0.6, 0.25), between(rng, (0, 90))))
-    parts += stock.surfaces(island, (MATT, pat.concrete((0.6, 0.58, 0.55))))
+    parts += stock.surfaces(island, (DIFFUSE, pat.concrete((0.6, 0.58, 0.55))))
     parts += (figure, knot, vase, stone)[int(rng.integers(4))](stock, (0.0, 0.0, 0.2), between(rng, (0.28, 0.4)))
     sky = panorama(one_of(rng, DAYLIGHT), np.array([0.16, 0.2, 0.09]), rng)
     return Place("pond", parts, sky, (0.0, 0.0, 0.2), (2.1, 2.8), (0.8, 1.6))
@@ -171,7 +173,7 @@ def _corners(stock: Stock, half: tuple[float, float]) -> list[Surface]:
         if stock.rng.uniform() < 0.7:
             parts += plant(stock, (x * (half[0] - 0.55), y * (half[1] - 0.55), 0.0), between(stock.rng, (0.4, 0.6)))
     bench = list(box((half[0] - 0.4, 0, 0), (0.45, 1.5, 0.45), 0))
-    return [*parts, *stock.surfaces(bench, (MATT, pat.wood((0.5, 0.38, 0.26), 0.1)))]
+    return [*parts, *stock.surfaces(bench, (DIFFUSE, pat.wood((0.5, 0.38, 0.26), 0.1)))]
 
 
 def _basin(stock: Stock) -> list[Surface]:
@@ -179,12 +181,12 @@ def _basin(stock: Stock) -> list[Surface]:
     rim: list[Shape] = []
     for side in (-0.85, 0.85):
         rim += [*box((side, 0, 0), (0.16, 1.86, 0.4), 0), *box((0, side, 0), (1.86, 0.16, 0.4), 0)]
-    parts = stock.surfaces(rim, (MATT, pat.concrete((0.62, 0.6, 0.56))))
+    parts = stock.surfaces(rim, (DIFFUSE, pat.concrete((0.62, 0.6, 0.56))))
     waves = tuple(Wave(0.002, float(a), float(b), 0.1 * a) for a, b in stock.rng.uniform(-5, 5, (4, 2)))
     water = Waves((-0.8, 0.8, 0.32), (1.6, 0, 0), (0, -1.6, 0), waves)
     tiles = pat.slabs([(0.2, 0.42, 0.5), (0.16, 0.35, 0.45)], 0.15)
     parts.append(stock.surface(water, (WATER, tiles), stock.thing(), darker=0.7))
-    parts += stock.surfaces([Cone((0, 0, 0.2), 0.16, 0.12, 0.5)], (MATT, pat.marble(stock.white)))
+    parts += stock.surfaces([Cone((0, 0, 0.2), 0.16, 0.12, 0.5)], (DIFFUSE, pat.marble(stock.white)))
     return [*parts, *(knot, vase, figure, stone)[int(stock.rng.integers(4))](stock, (0.0, 0.0, 0.7), 0.3)]
 
 
@@ -206,12 +208,12 @@ def _car(stock: Stock) -> list[Surface]:
     band = Superellipsoid((-0.12, 0, middle), (0.562 * long, 0.885 * wide, 0.66 * roof), 3.0, turn)
     parts.append(stock.surface(band, glass, number))
     chrome: Finish = (drawn_material(rng, "smooth_metal"), None)
-    rubber: Finish = (MATT, pat.plaster((0.07, 0.07, 0.07)))
+    rubber: Finish = (DIFFUSE, pat.plaster((0.07, 0.07, 0.07)))
     for x in (-0.62 * long, 0.62 * long):
         for side in (-1, 1):
             parts += _wheel(stock, x, side * 0.95 * wide, rubber, chrome)
     for side in (-1, 1):
-        for end, finish in ((1, chrome), (-1, (MATT, pat.plaster((0.6, 0.05, 0.04))))):
+        for end, finish in ((1, chrome), (-1, (DIFFUSE, pat.plaster((0.6, 0.05, 0.04))))):
             light = Superellipsoid((end * 0.93 * long, side * 0.62 * wide, 0.48), (0.09, 0.1, 0.07), 2, 0)
             parts.append(stock.surface(light, finish, number))
     bar = [Rod((end * 1.0 * long, -0.8 * wide, 0.3), (end * 1.0 * long, 0.8 * wide, 0.3), 0.04) for end in (-1, 1)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..toy.shapes import Array, Rectangle, Shape, box
-from .materials import MATT, STAINED, Material, Surface
+from .materials import DIFFUSE, STAINED, Material, Surface
 from .patterns import Pattern
 from .stock import Finish, Stock, Vector
 
@@ -100,7 +100,7 @@ def window(stock: Stock, wall: Wall, opening: Opening, frame: Pattern, glass: Pa
         bars.append(wall.panel(x - 0.03, bottom, x + 0.03, top, 0.02))
     for y in (bottom, (bottom + top) / 2, top):
         bars.append(wall.panel(left - 0.03, y - 0.03, right + 0.03, y + 0.03, 0.025))
-    parts = [stock.surface(bar, (MATT, frame), number) for bar in bars]
+    parts = [stock.surface(bar, (DIFFUSE, frame), number) for bar in bars]
     if glass is not None:
         parts.append(stock.surface(wall.panel(left, bottom, right, top, -0.02), (STAINED, glass), stock.thing()))
     return parts
@@ -122,7 +122,7 @@ def hung(stock: Stock, wall: Wall, opening: Opening, picture: Finish, frame: Pat
     number = stock.thing()
     border = wall.panel(left - 0.06, bottom - 0.06, right + 0.06, top + 0.06, 0.02)
     inside = wall.panel(left, bottom, right, top, 0.03)
-    return [stock.surface(border, (MATT, frame), number), stock.surface(inside, picture, number)]
+    return [stock.surface(border, (DIFFUSE, frame), number), stock.surface(inside, picture, number)]
 
 
 def table(stock: Stock, base: Vector, size: Vector, finish: Finish, turn_degrees: float = 0.0) -> list[Surface]:
@@ -142,7 +142,7 @@ def lamp(center: Vector, width: float, depth: float, radiance: float) -> Surface
     """A panel that shines downward."""
     x, y, z = center
     shape = Rectangle((x - width / 2, y - depth / 2, z), (width, 0, 0), (0, depth, 0))
-    return Surface(shape, MATT, np.array([1.0, 0.94, 0.85]).reshape(1, 1, 3), emission=radiance)
+    return Surface(shape, DIFFUSE, np.array([1.0, 0.94, 0.85]).reshape(1, 1, 3), emission=radiance)
 
 
 def polished(stock: Stock, roughness: float) -> Material:

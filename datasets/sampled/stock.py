@@ -10,7 +10,7 @@ from ..formats.srgb import to_linear
 from ..toy.shapes import Mesh, Shape
 from . import patterns as pat
 from .distribution import MATERIALS, NOTHING_SHINES, SHINING, between, one_of
-from .materials import BLANK, MATT, METALLIC, Material, Surface, drawn_material
+from .materials import BLANK, DIFFUSE, METALLIC, Material, Surface, drawn_material
 from .patterns import Color, Pattern
 
 Vector = tuple[float, float, float]
@@ -50,7 +50,7 @@ class Stock:
     def finish(self, solid: bool = False) -> Finish:
         """What a thing is made of and painted with; of glass only where it is `solid`, closed all around."""
         if self.rng.uniform() >= self.shining:
-            return MATT, self.paint()
+            return DIFFUSE, self.paint()
         name = one_of(self.rng, {k: v for k, v in self.shares.items() if solid or k != "glass"})
         material = drawn_material(self.rng, name)
         if name in (*METALLIC, "glass"):

@@ -10,7 +10,7 @@ from ..toy.lathe import Lathe
 from ..toy.rod import Rod
 from ..toy.shapes import Cone, Disc, Sphere, Torus, box
 from .distribution import between, whole
-from .materials import MATT, Surface
+from .materials import DIFFUSE, Surface
 from .patterns import printed
 from .solids import Knot, Lump, Superellipsoid, blobs
 from .stock import Stock, Vector
@@ -80,7 +80,7 @@ def stack_of_books(stock: Stock, base: Vector, size: float) -> list[Surface]:
         edges = (1.5 * size * between(stock.rng, (0.8, 1)), 1.1 * size * between(stock.rng, (0.8, 1)), thick)
         cover = (stock.finish()[0], printed(stock.color(), stock.white))
         faces = box((base[0], base[1], height), edges, between(stock.rng, (-25, 25)))
-        parts += stock.surfaces(list(faces), cover if cover[0].name in ("satin", "lacquer") else (MATT, cover[1]))
+        parts += stock.surfaces(list(faces), cover if cover[0].name in ("satin", "lacquer") else (DIFFUSE, cover[1]))
         height += thick
     return parts
 
@@ -123,7 +123,7 @@ def ring_toy(stock: Stock, base: Vector, size: float) -> list[Surface]:
         tube = 0.22 * size * scale
         parts += stock.surfaces([Torus((x, y, height + tube), 0.62 * size * scale, tube)], stock.finish())
         height += 1.7 * tube
-    stick = stock.surfaces([Rod(base, (x, y, height), 0.07 * size)], (MATT, printed(stock.white, stock.color())))
+    stick = stock.surfaces([Rod(base, (x, y, height), 0.07 * size)], (DIFFUSE, printed(stock.white, stock.color())))
     return [*parts, *stick, *stock.surfaces([Sphere((x, y, height + 0.15 * size), 0.22 * size)], stock.finish())]
 
 
@@ -133,7 +133,7 @@ def candlestick(stock: Stock, base: Vector, size: float) -> list[Surface]:
     shape = Lathe(base, tuple((size * radius, tall * height) for radius, height in profile))
     x, y, z = base
     wax = Rod((x, y, z + tall), (x, y, z + tall + 0.7 * size), 0.09 * size)
-    candle = stock.surfaces([wax], (MATT, printed(stock.white, stock.white)))
+    candle = stock.surfaces([wax], (DIFFUSE, printed(stock.white, stock.white)))
     return [*stock.surfaces([shape], stock.finish()), *candle]
 
 
@@ -151,7 +151,7 @@ def plant(stock: Stock, base: Vector, size: float) -> list[Surface]:
     """A pot with leaves: flat ellipsoids about a stem."""
     rng, (x, y, z) = stock.rng, base
     parts = stock.surfaces([Cone(base, 0.4 * size, 0.55 * size, 0.7 * size)], stock.finish())
-    leaf = (MATT, printed((0.25, 0.45, 0.2), (0.18, 0.36, 0.14)))
+    leaf = (DIFFUSE, printed((0.25, 0.45, 0.2), (0.18, 0.36, 0.14)))
     leaves = []
     for _ in range(whole(rng, (9, 14))):
         angle, height = rng.uniform(0, 2 * np.pi), z + size * rng.uniform(0.8, 1.9)

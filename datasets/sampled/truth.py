@@ -22,7 +22,9 @@ class Truth:
     depth: Array  # [H, W] camera-frame z; 0 where nothing is met
     normal: Array  # [H, W, 3] world frame, unit, facing the camera; 0 where nothing is met
     regions: dict[str, Mask]  # [H, W] each
-    roughness: Array  # [H, W] the square root of GGX's alpha; 0 on mirrors, 1 on what is matt and where nothing is met
+    roughness: (
+        Array  # [H, W] the square root of GGX's alpha; 0 on mirrors, 1 on what is diffuse and where nothing is met
+    )
     mirrored: Array  # [H, W] distance from a reflective surface to what it mirrors; 0 where that is the sky
     mirrored_normal: Array  # [H, W, 3] of what is mirrored, as the mirror shows it; 0 where that is the sky
 
@@ -40,14 +42,14 @@ class TruthOf:
             "rough": np.array([material.reflective and material.roughness > 0 for material in materials]),
             "coated": np.array([material.name in COATED for material in materials]),
             "transmissive": np.array([material.name in CLEAR for material in materials]),
-            "matt": np.array([not material.reflective for material in materials]),
+            "diffuse": np.array([not material.reflective for material in materials]),
         }
         rough = [material.roughness if material.reflective else 1.0 for material in materials]
         self._roughness = np.array(rough, np.float32)
 
     def __call__(self, camera: Camera) -> Truth:
         """Regions by material: `reflective`, of which `mirror` (smooth metal), `rough`, `coated`, `transmissive`; and
-        `matt`. By what is mirrored at the pixel's center `near_field` (another thing), `self_field` (the same) and
+        `diffuse`. By what is mirrored at the pixel's center `near_field` (another thing), `self_field` (the same) and
         `far_field` (the sky).
         """
         shape = (camera.height, camera.width)

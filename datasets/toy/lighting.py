@@ -26,8 +26,8 @@ def bake(world: World, rng: np.random.Generator) -> None:
     """Sets `world.textures` to outgoing radiance: emission + albedo·E/π with E the irradiance gathered by rays.
 
     Each pass gathers what the pass before left on the surfaces, so pass n adds light of n − 1 bounces. A reflector
-    counts as a matte surface here and a clear solid as air: light thrown by mirrors or gathered by glass (caustics) is
-    left out. Being stored on the surface, the result is the same from every side, that is Lambertian.
+    counts as a diffuse surface here and a clear solid as air. Light thrown by mirrors or gathered by glass (caustics)
+    is left out. Being stored on the surface, the result is the same from every side, that is Lambertian.
     """
     if world.ior.any():
         opaque = World([part for part in world.parts if not part.ior], world.sky)

@@ -1,4 +1,4 @@
-"""Light paths through a World: mirrors, glossy coats and clear solids, until a matte surface or the sky."""
+"""Light paths through a World: mirrors, glossy coats and clear solids, until a diffuse surface or the sky."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A point cloud as structure from motion would leave it: on textured, matte surfaces, noisy, lost on mirrors."""
+"""A point cloud as structure from motion would leave it: on textured, diffuse surfaces, noisy, lost on mirrors."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ def _shares(total: int, parts: int) -> list[int]:
 
 
 def _on_surfaces(view: View, count: int, rng: np.random.Generator) -> Array:
-    """Points at pixel centers of matte surfaces, the likelier the stronger the picture's gradient."""
+    """Points at pixel centers of diffuse surfaces, the likelier the stronger the picture's gradient."""
     picture = view.image.double().numpy().mean(-1) / 255
     gradient = np.hypot(*np.gradient(picture))
-    likelihood = np.where(_matte(view), gradient.reshape(-1) + 0.005, 0.0)
+    likelihood = np.where(_diffuse(view), gradient.reshape(-1) + 0.005, 0.0)
     usable = int((likelihood > 0).sum())
     if not usable:
         return np.empty((0, 3))
@@ -86,8 +86,8 @@ def _mean_colors(points: Array, views: list[View]) -> tuple[Array, Array]:
         inside = (depth > 0) & (pixels >= 0).all(1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
         flat = pixels[inside].astype(np.int64) @ np.array([1, width])
         agrees = abs(_depth(view)[flat] - depth[inside]) < VISIBILITY * depth[inside]
-        visible = np.flatnonzero(inside)[agrees & _matte(view)[flat]]
-        total[visible] += _colors(view)[flat[agrees & _matte(view)[flat]]]
+        visible = np.flatnonzero(inside)[agrees & _diffuse(view)[flat]]
+        total[visible] += _colors(view)[flat[agrees & _diffuse(view)[flat]]]
         seen_by[visible] += 1
     return total / np.maximum(seen_by, 1)[:, None], seen_by
 
@@ -97,12 +97,12 @@ def _unprojected(view: View, pixels: NDArray[np.int64], depth: Array) -> Array:
     return origins[pixels] + depth[:, None] * directions[pixels]
 
 
-def _matte(view: View) -> NDArray[np.bool_]:
+def _diffuse(view: View) -> NDArray[np.bool_]:
     return (_depth(view) > 0) & ~_mirrors(view).reshape(-1)
 
 
 def _mirrors(view: View) -> NDArray[np.bool_]:
-    """[H, W]: what matching of features fails on; under a coat it finds the picture, as on what is matte."""
+    """[H, W]: what matching of features fails on; under a coat it finds the picture, as on what is diffuse."""
     return view.masks.get("mirror", view.masks["reflective"]).numpy()
 
 

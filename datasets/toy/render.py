@@ -49,7 +49,7 @@ def geometry(world: World, camera: Camera) -> Geometry:
 
     `reflective` are mirrors, metals, coats and clear solids; `near_field` those whose mirrored ray hits a surface and
     not the sky. Where the world has such things, `transmissive` are clear solids, `mirror` metals, `coated` what is
-    under a coat, and `matt` is every surface that is not reflective.
+    under a coat, and `diffuse` is every surface that is not reflective.
     """
     origin, to_direction = _frame(camera)
     y, x = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
@@ -70,7 +70,7 @@ def geometry(world: World, camera: Camera) -> Geometry:
     if world.fresnel:
         regions["mirror"] = hits.met & world.metal[part]
         regions["coated"] = hits.met & world.coated[part]
-        regions["matt"] = hits.met & ~regions["reflective"]
+        regions["diffuse"] = hits.met & ~regions["reflective"]
     shape = (camera.height, camera.width)
     masks = {name: region.reshape(shape) for name, region in regions.items()}
     return Geometry(hits.distance.reshape(shape), normals.reshape(*shape, 3), masks)

@@ -41,7 +41,7 @@ def _exposures(diagnosis: Diagnosis) -> Repaired:
     found = {"stops": bright.stops}
     if not bright.factors:
         return diagnosis.scene, RepairOutcome(
-            kind="exposures", kept=False, message="views are equally bright", evidence=found
+            kind="exposures", kept=False, message="views are equally bright", measured=found
         )
 
     def equal(view: View) -> View:
@@ -52,7 +52,7 @@ def _exposures(diagnosis: Diagnosis) -> Repaired:
         f"{len(bright.factors)} of {len(diagnosis.scene.train)} training views are made equally bright, in each "
         f"channel: what they show at the points is off by {bright.stops:.1f} stops, the median view's"
     )
-    outcome = RepairOutcome(kind="exposures", kept=True, message=said, evidence=found)
+    outcome = RepairOutcome(kind="exposures", kept=True, message=said, measured=found)
     return _with_views(diagnosis.scene, equal), outcome
 
 
@@ -62,7 +62,7 @@ def _poses(diagnosis: Diagnosis) -> Repaired:
     aligned = diagnosis.alignment
     found = {"gain": aligned.gain, "degrees": aligned.degrees}
     if aligned.gain <= TURNED:
-        return diagnosis.scene, RepairOutcome(kind="poses", kept=False, message="poses are in order", evidence=found)
+        return diagnosis.scene, RepairOutcome(kind="poses", kept=False, message="poses are in order", measured=found)
     each = zip(diagnosis.scene.train, aligned.turns, aligned.gains, strict=True)
     turns = {view.name: turn for view, turn, gain in each if gain > 0}
     said = (
@@ -70,20 +70,20 @@ def _poses(diagnosis: Diagnosis) -> Repaired:
         f"median view by {aligned.degrees:.1f}°"
     )
     scene = _with_views(diagnosis.scene, lambda view: turned(view, turns[view.name]) if view.name in turns else view)
-    return scene, RepairOutcome(kind="poses", kept=True, message=said, evidence=found)
+    return scene, RepairOutcome(kind="poses", kept=True, message=said, measured=found)
 
 
 def _unknown(kind: RepairKind, diagnosis: Diagnosis) -> RepairOutcome:
     said = "the points, which are missing, wrong or of one color, say nothing of that"
     known = {"photo_consistency": diagnosis.photo_consistency, "coverage": diagnosis.coverage}
-    return RepairOutcome(kind=kind, kept=False, message=said, evidence=known)
+    return RepairOutcome(kind=kind, kept=False, message=said, measured=known)
 
 
 def _normals(diagnosis: Diagnosis) -> Repaired:
     scene, mirrored = diagnosis.scene, frozenset(diagnosis.mirrored)
     found = {"mirrored_views": float(len(mirrored))}
     if not mirrored:
-        return scene, RepairOutcome(kind="normals", kept=False, message="no normals are mirrored", evidence=found)
+        return scene, RepairOutcome(kind="normals", kept=False, message="no normals are mirrored", measured=found)
 
     def unmirrored(view: View) -> View:
         if view.normal is None or view.name not in mirrored:
@@ -91,7 +91,7 @@ def _normals(diagnosis: Diagnosis) -> Repaired:
         return replace(view, normal=mirrored_normals(view.normal, view))
 
     said = f"the normals of {len(mirrored)} of {len(scene.train)} training views are mirrored back"
-    return _with_views(scene, unmirrored), RepairOutcome(kind="normals", kept=True, message=said, evidence=found)
+    return _with_views(scene, unmirrored), RepairOutcome(kind="normals", kept=True, message=said, measured=found)
 
 
 def _with_views(scene: Scene, changed: Callable[[View], View]) -> Scene:

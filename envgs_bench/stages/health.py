@@ -182,9 +182,9 @@ class Health:
     def _look_at_beta(self, step: int, beta: Tensor, view: View) -> None:
         """β against the view's own mask of what reflects; where it has none, only that nearly all reflects is said."""
         mirrors = view.masks.get(REFLECTIVE)
-        matte = beta if mirrors is None else beta[~mirrors.to(beta.device)]
-        if matte.numel():
-            mean = float(matte.mean())
+        diffuse = beta if mirrors is None else beta[~mirrors.to(beta.device)]
+        if diffuse.numel():
+            mean = float(diffuse.mean())
             self._lasts("beta_saturates", mean > SATURATED, step, f"a mean β of {mean:.2f} where nothing reflects")
         if mirrors is not None and mirrors.any():
             mean = float(beta[mirrors.to(beta.device)].mean())

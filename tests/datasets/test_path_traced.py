@@ -48,9 +48,9 @@ def both(parts: list[Part], sky: np.ndarray, camera: Camera, metals: tuple[Part,
     """The world's picture as our own tracer makes it, and as Mitsuba does, with `metals` in place of our mirrors."""
     world = World(parts, sky)
     world.set_textures([part.emission * part.albedo for part in parts])
-    matt = [part for part in parts if not part.reflectance]
+    diffuse = [part for part in parts if not part.reflectance]
     ours = picture(world, camera, 8, np.random.default_rng(0))
-    return ours, PathTraced([*matt, *metals], sky).picture(camera, 8, np.random.default_rng(0))
+    return ours, PathTraced([*diffuse, *metals], sky).picture(camera, 8, np.random.default_rng(0))
 
 
 def psnr(ours: np.ndarray, theirs: np.ndarray) -> float:
@@ -97,9 +97,9 @@ def test_regions_part_all_surfaces() -> None:
     gray = np.full((1, 1, 3), 0.5)
     parts = [Part(balls[0], gray, metal="Cu"), Part(balls[1], gray, coat=1.5), Part(balls[2], gray)]
     exact = geometry(World(parts, WHITE), camera_of((3, 0, 0)))
-    mirror, coated, matt = (exact.regions[name] for name in ("mirror", "coated", "matt"))
-    assert (mirror.sum(), coated.sum(), matt.sum()) > (50, 50, 50)
-    assert np.array_equal(mirror.astype(int) + coated + matt, exact.depth > 0)
+    mirror, coated, diffuse = (exact.regions[name] for name in ("mirror", "coated", "diffuse"))
+    assert (mirror.sum(), coated.sum(), diffuse.sum()) > (50, 50, 50)
+    assert np.array_equal(mirror.astype(int) + coated + diffuse, exact.depth > 0)
     assert np.array_equal(mirror | coated, exact.regions["reflective"])
 
 
@@ -110,7 +110,7 @@ def test_a_scene_is_made_the_same_each_time(tmp_path: Path, name: str) -> None:
         once, again = (load_scene(toy, tmp_path / folder) for folder in ("a", "b"))
     for ours, theirs in zip(once.train, again.train, strict=True):
         assert torch.equal(ours.image, theirs.image)
-        assert set(ours.masks) == {"reflective", "near_field", "mirror", "coated", "matt"}
+        assert set(ours.masks) == {"reflective", "near_field", "mirror", "coated", "diffuse"}
     assert torch.equal(once.points, again.points)
 
 

@@ -101,10 +101,10 @@ def test_truth_of_a_mirror_says_what_it_mirrors() -> None:
     assert np.array_equal(truth.regions["far_field"][sure], (nearest > 0.3)[sure])
     assert truth.regions["near_field"].sum() > 20
     assert not truth.regions["self_field"].any()
-    assert (truth.regions["matt"] | truth.regions["mirror"] == (truth.depth > 0)).all()
+    assert (truth.regions["diffuse"] | truth.regions["mirror"] == (truth.depth > 0)).all()
 
 
-@pytest.mark.parametrize("name", ["matt", *distribution.MATERIALS])
+@pytest.mark.parametrize("name", ["diffuse", *distribution.MATERIALS])
 def test_no_material_gives_more_light_than_it_gets(name: str) -> None:
     """In a white furnace a pixel is at most white, and a surface of white paint or glass hardly darker."""
     rng = np.random.default_rng(1)

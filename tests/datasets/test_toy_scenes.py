@@ -23,8 +23,8 @@ from envgs_bench.datasets.toy.scenes import SCENES
 SMALL = {"kind": "toy", "width": 64, "height": 48, "views": 17, "noise": 0.0, "supersampling": 1}
 MORE_REGIONS = {
     "glass": {"transmissive"},
-    "copper_table": {"mirror", "coated", "matt"},
-    "brushed_patio": {"mirror", "coated", "matt"},
+    "copper_table": {"mirror", "coated", "diffuse"},
+    "brushed_patio": {"mirror", "coated", "diffuse"},
 }
 Load = Callable[..., Scene]
 
@@ -143,9 +143,9 @@ def test_wavy_normals_are_those_of_the_surface(load: Load) -> None:
     assert torch.rad2deg(normals[inner].std(0).norm()) > 3
 
 
-def test_matte_surfaces_look_the_same_from_everywhere_and_mirrors_do_not(load: Load) -> None:
-    """Depth carries pixels of one view into the next: matte ones keep their color, reflections move."""
-    matte, mirror = [], []
+def test_diffuse_surfaces_look_the_same_from_everywhere_and_mirrors_do_not(load: Load) -> None:
+    """Depth carries pixels of one view into the next: diffuse ones keep their color, reflections move."""
+    diffuse, mirror = [], []
     scene = load("chrome_room")
     ordered = views_of(scene)
     for view, other in pairwise(ordered):
@@ -153,12 +153,12 @@ def test_matte_surfaces_look_the_same_from_everywhere_and_mirrors_do_not(load: L
         # level patches only: elsewhere the two pixels cover different areas of a pattern
         level = neighborhood_range(view) < 0.15
         difference = (ours - theirs).abs().mean(-1)
-        matte.append(difference[seen & level & ~view.masks["reflective"]])
+        diffuse.append(difference[seen & level & ~view.masks["reflective"]])
         mirror.append(difference[seen & level & view.masks["reflective"]])
-    assert torch.cat(matte).numel() > 300
+    assert torch.cat(diffuse).numel() > 300
     assert torch.cat(mirror).numel() > 100
-    assert torch.cat(matte).median() < 0.03
-    assert torch.cat(mirror).median() > 2 * torch.cat(matte).median()
+    assert torch.cat(diffuse).median() < 0.03
+    assert torch.cat(mirror).median() > 2 * torch.cat(diffuse).median()
 
 
 def test_points_lie_on_matte_surfaces_that_two_views_see(load: Load) -> None:

@@ -86,7 +86,7 @@ def test_repairs_are_done_in_one_order_whatever_was_asked_for_first(room: Scene)
     found, (exposures, normals) = repaired(Diagnosis(broken), ["normals", "exposures"])
     assert exposures.message.endswith("the median view's")
     assert normals.message == f"the normals of 7 of {len(room.train)} training views are mirrored back"
-    assert exposures.evidence.keys() == {"stops"}
+    assert exposures.measured.keys() == {"stops"}
     assert found.scene.test is broken.test
 
 

@@ -11,6 +11,7 @@ from envgs_bench import records
 from envgs_bench.records import (
     Record,
     RecordError,
+    RepairOutcome,
     TrainingWarning,
     find_records,
     find_runs,
@@ -242,3 +243,8 @@ def test_warnings_of_older_records_have_todays_words() -> None:
     older = {"needles": "degenerate", "capped": "size_limit", "loss_climbs": "loss_climbs"}
     read = [TrainingWarning.model_validate({"kind": kind, "step": 1, "part": "", "message": ""}) for kind in older]
     assert [warning.kind for warning in read] == list(older.values())
+
+
+def test_what_older_records_say_decided_a_repair_is_read() -> None:
+    older = {"kind": "exposures", "kept": True, "message": "", "evidence": {"stops": 0.5}}
+    assert RepairOutcome.model_validate(older).measured == {"stops": 0.5}

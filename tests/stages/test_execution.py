@@ -113,7 +113,7 @@ def test_what_is_wrong_with_a_scene_and_what_was_repaired_are_results(
 ) -> None:
     scene = tiny_scene()
     at_a_camera = replace(scene, points=scene.train[0].camera.center + 0.01 * scene.points)
-    outcome = RepairOutcome(kind="exposures", kept=True, message="other light", evidence={"stops": 0.5})
+    outcome = RepairOutcome(kind="exposures", kept=True, message="other light", measured={"stops": 0.5})
     given: list[tuple[Any, ...]] = []
 
     def repaired(diagnosis: Diagnosis, *arguments: Any) -> tuple[Diagnosis, list[RepairOutcome]]:

@@ -40,7 +40,7 @@ class Description:
 
 
 def painted(shape: Shape, picture: Array) -> Part:
-    """The matte surface with an sRGB picture [H, W, 3]."""
+    """The diffuse surface with an sRGB picture [H, W, 3]."""
     return Part(shape, to_linear(picture))
 
 
