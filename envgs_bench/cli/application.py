@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
-from envgs_bench.pages import help_on
+from envgs_bench.pages import FAILED, OF_ERRORS
 from envgs_bench.plain_text import plain
 from envgs_bench.runs.display import make_display
 from envgs_bench.runs.interruption import INTERRUPTION
@@ -25,6 +25,7 @@ from envgs_bench.stages.stop import INTERRUPTED
 
 from .checks import checked
 from .composition import CONF, explain, register_choices, settings_of
+from .explained import complain
 from .live_page import end_page, renew_page
 from .sweep_summary import (
     SWEEP_VARIABLE,
@@ -77,7 +78,7 @@ def _run(arguments: list[str]) -> int:
     try:
         arguments = checked(arguments)
     except (CompactHydraException, HydraException, OmegaConfBaseException, SettingsError) as error:
-        print(f"envgs-bench run: {plain(explain(error))}\n{help_on(type(error).__name__)}", file=sys.stderr)
+        complain("run", explain(error), see=OF_ERRORS.get(type(error).__name__, FAILED))
         return 2
     program, sys.argv = sys.argv, ["envgs-bench run", *_flags_first(arguments)]
     variables = {name: os.environ.get(name) for name in ("HYDRA_FULL_ERROR", SWEEP_VARIABLE)}
@@ -89,10 +90,10 @@ def _run(arguments: list[str]) -> int:
         try:
             _application()
         except (CompactHydraException, OmegaConfBaseException, SettingsError) as error:
-            print(f"envgs-bench run: {plain(explain(error))}\n{help_on(type(error).__name__)}", file=sys.stderr)
+            complain("run", explain(error), see=OF_ERRORS.get(type(error).__name__, FAILED))
             code = 2
         except OSError as error:
-            print(f"envgs-bench run: {error}; give a folder that can be written as runs_dir=", file=sys.stderr)
+            complain("run", f"{error}; give a folder that can be written as runs_dir=")
             code = 2
         except KeyboardInterrupt:
             code = INTERRUPTED
@@ -115,7 +116,7 @@ def _run(arguments: list[str]) -> int:
             print_outcomes(outcomes, console)
             print_next(runs_dir, page)
         elif not code:
-            print("envgs-bench run: no job reported back; `envgs-bench report` shows what is there", file=sys.stderr)
+            complain("run", "no job reported back; `envgs-bench report` shows what is there")
         return code or int(not outcomes or not all(outcome.ok for outcome in outcomes))
 
 

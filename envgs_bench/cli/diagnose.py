@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from .explained import explained
+from .explained import complain, explained
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -27,7 +26,9 @@ def main(arguments: Sequence[str]) -> int:
     options, overrides = parser.parse_known_args(arguments)
     first, _, last = options.seeds.partition("-")
     if not (first.isdigit() and (last or first).isdigit() and int(first) <= int(last or first)):
-        print(f"envgs-bench diagnose: --seeds {options.seeds}: expected FIRST-LAST, as 1000-1063", file=sys.stderr)
+        complain(
+            "diagnose", f"--seeds {options.seeds}: expected FIRST-LAST, as 1000-1063", see="reference/sampled_scenes"
+        )
         return 2
     seeds = range(int(first), int(last or first) + 1)
     return explained("diagnose", lambda: _diagnose(overrides, seeds, options.out))
@@ -50,7 +51,7 @@ def _diagnose(overrides: list[str], seeds: range, out: Path) -> int:
         try:
             settings = composed(["dataset=sampled", *overrides, f"dataset.seed={seed}"])
         except SettingsError as error:
-            print(f"envgs-bench diagnose: {error}", file=sys.stderr)
+            complain("diagnose", error)
             return 2
         rows = pd.DataFrame(counted(load_scene(settings.dataset, settings.cache_dir), seed))
         rows.to_csv(out, mode="a", header=not out.is_file(), index=False)

@@ -14,21 +14,22 @@ from rich.table import Table
 from envgs_bench.core import available_backends
 from envgs_bench.methods.registry import installed_methods
 from envgs_bench.metrics import WeightsUnavailable, find_weights
-from envgs_bench.pages import help_on
+from envgs_bench.pages import FAILED, help_at
 from envgs_bench.settings import default_cache_dir
 
-PACKAGES = (
-    "envgs-bench",
-    "torch",
-    "numpy",
-    "hydra-core",
-    "embreex",
-    "pycolmap",
-    "flip-evaluator",
-    "torchmetrics",
-    "kornia",
-    "scikit-image",
-)
+MEASURING, CORE, DATA, METHOD = "reference/measuring", "explanation/core", "reference/data_sets", "tutorials/own_method"
+PACKAGES = {  # and the page on what each is for
+    "envgs-bench": FAILED,
+    "torch": FAILED,
+    "numpy": FAILED,
+    "hydra-core": "reference/command_line",
+    "embreex": CORE,
+    "pycolmap": DATA,
+    "flip-evaluator": MEASURING,
+    "torchmetrics": MEASURING,
+    "kornia": MEASURING,
+    "scikit-image": MEASURING,
+}
 
 
 def examine() -> int:
@@ -39,27 +40,30 @@ def examine() -> int:
     """
     backends = available_backends()
     table = Table("what", "state", "remark", show_header=False, box=None)
+    pages = [FAILED]
+
+    def add(what: str, problem: str | None, remark: str = "", page: str = FAILED) -> None:
+        table.add_row(what, "no" if problem else "yes", problem or remark)
+        pages.extend([page] if problem else [])
+
     for name, reason in backends.items():
-        _add(table, f"backend {name}", reason)
-    _add(table, "VGG-16 weights", *_weights())
+        add(f"backend {name}", reason, page=CORE)
+    add("VGG-16 weights", *_weights(), page=MEASURING)
     for name, point in installed_methods().items():
-        _add(table, f"method {name}", _loading_error(point))
-    _add(table, "cache", _cache_error(), str(default_cache_dir()))
-    for package in PACKAGES:
-        _add(table, package, *_version(package))
-    _add(table, "python", None, f"{platform.python_version()} on {platform.platform()}")
-    _add(table, "threads", None, f"{torch.get_num_threads()} of {os.cpu_count()} logical processors")
+        add(f"method {name}", _loading_error(point), page=METHOD)
+    add("cache", _cache_error(), str(default_cache_dir()))
+    for package, page in PACKAGES.items():
+        add(package, *_version(package), page=page)
+    add("python", None, f"{platform.python_version()} on {platform.platform()}")
+    add("threads", None, f"{torch.get_num_threads()} of {os.cpu_count()} logical processors")
     console = Console(width=160)
     console.print(table, highlight=False)
-    console.print(help_on(""), highlight=False, soft_wrap=True)
+    for page in dict.fromkeys(pages):
+        console.print(help_at(page), highlight=False, soft_wrap=True)
     drawing = [name for name, reason in backends.items() if reason is None and name != "embree"]
     if not drawing:
         console.print("No backend can draw: install again with a C++ compiler at hand (pip install -e .)")
     return 0 if drawing else 1
-
-
-def _add(table: Table, what: str, problem: str | None, remark: str = "") -> None:
-    table.add_row(what, "no" if problem else "yes", problem or remark)
 
 
 def _version(package: str) -> tuple[str | None, str]:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from .explained import explained
+from .explained import complain, explained
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -52,6 +51,5 @@ def _layouts(options: argparse.Namespace) -> int:
     (options.out / "layouts.csv").write_text(as_csv(losses), encoding="utf-8")
     (options.out / "layouts.md").write_text(as_markdown(losses), encoding="utf-8")
     print(as_markdown(losses), end="")
-    for problem in problems:
-        print(f"envgs-bench layouts: {problem}", file=sys.stderr)
+    complain("layouts", *problems)
     return int(bool(problems) or not folders)

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from .explained import explained
+from .explained import complain, explained
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -82,8 +82,7 @@ def _fill(page: Path, folder: Path) -> int:
     text, absent = fill_page(page, folder)
     write_atomically(page, text)
     print(page)
-    for asked in absent:
-        print(f"envgs-bench report: {page}: not measured: {asked}", file=sys.stderr)
+    complain("report", *(f"{page}: not measured: {asked}" for asked in absent), see="how_to/add_table")
     return 0
 
 
@@ -104,8 +103,7 @@ def _keep(options: argparse.Namespace) -> int:
     for keep, path in ((keep_runs, options.keep), (keep_perturbed, options.keep_perturbed)):
         if path:
             print(f"{len(found)} runs, {keep(found, path, options.commit)} in {path}")
-    for record in broken:
-        print(f"envgs-bench report: {record.path}: {record.reason}", file=sys.stderr)
+    complain("report", *(f"{record.path}: {record.reason}" for record in broken), see="reference/records")
     return int(bool(broken) or not found)
 
 
@@ -116,8 +114,7 @@ def _report(options: argparse.Namespace) -> int:
     worse = _compare(options, out) if options.against else False
     report = build_report(options.runs, out, options.only, options.exclude, options.for_print)
     print(report)
-    for record in report.broken:
-        print(f"envgs-bench report: {record.path}: {record.reason}", file=sys.stderr)
+    complain("report", *(f"{record.path}: {record.reason}" for record in report.broken), see="reference/records")
     return int(bool(report.broken) or worse)
 
 

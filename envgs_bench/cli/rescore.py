@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from .explained import explained
+from .explained import complain, explained
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -58,6 +57,5 @@ def _rescore(options: argparse.Namespace) -> int:
         except (OSError, ValueError) as error:
             problems.append(error)
     print(f"{len(folders) - len(problems)} records under protocol {', '.join(sorted(names)) or protocol.name}: {out}")
-    for problem in problems:
-        print(f"envgs-bench rescore: {problem}", file=sys.stderr)
+    complain("rescore", *problems)
     return int(bool(problems) or not folders)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from envgs_bench.runs.display import make_display
 from envgs_bench.settings import SettingsError
 
 from .composition import composed
+from .explained import complain
 
 WRONG_ARGUMENTS = 2
 
@@ -38,7 +38,7 @@ def export(overrides: list[str], form: str, out: Path) -> int:
     try:
         settings = composed(overrides)
     except SettingsError as error:
-        print(f"envgs-bench export: {error}", file=sys.stderr)
+        complain("export", error)
         return WRONG_ARGUMENTS
     display = make_display(alone=True)
     display.start(settings.dataset_name)

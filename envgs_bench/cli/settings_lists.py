@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -23,6 +22,7 @@ from envgs_bench.records import EXTERNAL, RENDERS
 from envgs_bench.stages.renders import RendersSettings
 
 from .composition import CONF, explain, register_choices
+from .explained import complain
 from .setting_comments import setting_comments
 
 WRONG_ARGUMENTS = 2
@@ -46,7 +46,7 @@ def print_method_settings(name: str) -> int:
             return print_programs()
         found = RendersSettings if method.kind == RENDERS else settings_type(method.kind)
     except (CompactHydraException, OmegaConfBaseException, ValueError) as error:
-        print(f"envgs-bench list: {explain(error)}", file=sys.stderr)
+        complain("list", explain(error), see="reference/methods")
         return WRONG_ARGUMENTS
     values: Any = OmegaConf.to_container(method.settings)
     defaults, comments = dataclasses.asdict(found()), setting_comments(found)
@@ -69,7 +69,7 @@ def print_method_settings(name: str) -> int:
 def print_dataset_settings(kind: str) -> int:
     """Print a row each setting of dataset=<kind>; returns the exit status, 0, or 2 where there is no such kind."""
     if kind not in SETTINGS:
-        print(f"envgs-bench list: there is no kind {kind!r} of data set, but {', '.join(SETTINGS)}", file=sys.stderr)
+        complain("list", f"there is no kind {kind!r} of data set, but {', '.join(SETTINGS)}", see="reference/data_sets")
         return WRONG_ARGUMENTS
     comments = setting_comments(SETTINGS[kind])
     table = Table("setting", kind, "", box=None, pad_edge=False)

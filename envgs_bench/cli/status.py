@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+
+from .explained import complain
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -24,7 +25,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         states = overview(options.runs)
     except RecordError as error:
-        print(f"envgs-bench status: {error}", file=sys.stderr)
+        complain("status", error)
         return 1
     _print(states, options.runs)
     return 0

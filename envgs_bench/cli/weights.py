@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
+
+from .explained import complain
 
 if TYPE_CHECKING:
     from envgs_bench.metrics.weights import Weights
@@ -25,7 +26,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         weights = _weights()
     except (OSError, WeightsUnavailable) as error:
-        print(f"envgs-bench weights: {error}", file=sys.stderr)
+        complain("weights", error)
         return 1
     print(f"VGG-16 of {weights.source}: {weights.path}")
     return 0

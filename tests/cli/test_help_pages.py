@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 from fakes.runs import run_here
 
+from envgs_bench.cli import examination
 from envgs_bench.cli.main import main
 from envgs_bench.pages import FAILED, OF_ERRORS, page
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("name", sorted({FAILED, *OF_ERRORS.values()}))
@@ -43,6 +47,43 @@ def test_a_wrong_key_leads_to_settings(tmp_path: Path, capsys: pytest.CaptureFix
     assert led_to(capsys.readouterr().err) == [page("reference/settings")]
 
 
-def test_doctor_leads_to_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+def test_doctor_leads_to_what_to_do_about_what_is_missing(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(examination, "available_backends", lambda: {"cpu": None, "cuda": "no GPU"})
+    monkeypatch.setenv("ENVGS_BENCH_VGG16", "off")
     main(["doctor"])
-    assert led_to(capsys.readouterr().out) == [page(FAILED)]
+    assert led_to(capsys.readouterr().out) == [page(FAILED), page("explanation/core"), page("reference/measuring")]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        (["status", "nowhere"], "reference/records"),
+        (["list", "method", "nothing"], "reference/methods"),
+        (["list", "dataset", "nothing"], "reference/data_sets"),
+        (["export", "dataset.nothing=1", "--out", "out"], "reference/settings"),
+        (["diagnose", "--seeds", "x", "--out", "out.csv"], "reference/sampled_scenes"),
+        (["report", "nowhere", "--figure", "figure.png"], "reference/reports"),
+        (["report", "nowhere", "--fill", "page.md"], FAILED),
+    ],
+)
+def test_a_command_that_cannot_go_on_leads_to_a_page(
+    arguments: list[str],
+    found: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) != 0
+    assert led_to(capsys.readouterr().err) == [page(found)]
+
+
+def test_every_error_of_the_project_leads_somewhere() -> None:
+    classes = re.compile(r"^class (\w+(?:Error|Unavailable))\(", re.MULTILINE)
+    rooms = [ROOT / room for room in ("envgs_bench", "methods", "datasets", "metrics", "reports")]
+    files = {path.resolve() for room in rooms for path in room.rglob("*.py")}
+    assert {name for path in files for name in classes.findall(path.read_text(encoding="utf-8"))} - {
+        *OF_ERRORS
+    } == set()
