@@ -100,7 +100,7 @@ def test_views_are_turned_back(room: Scene) -> None:
             off[kind].append(float((each.normal - exact.normal).norm(dim=-1).mean()))
             torch.testing.assert_close(each.camera.center, exact.camera.center, atol=1e-5, rtol=0)
     assert np.mean(off["repaired"]) < np.mean(off["given"]) / 5
-    assert outcome.evidence["degrees"] == pytest.approx(2, abs=0.5)
+    assert outcome.measured["degrees"] == pytest.approx(2, abs=0.5)
 
 
 def test_points_that_are_missing_or_of_one_color_turn_no_view(room: Scene) -> None:
