@@ -46,9 +46,10 @@ demo: install weights
 	$(BIN)/envgs-bench run -m experiment=demo hydra/launcher=joblib runs_dir=out/demo/runs page=out/demo
 	@cat out/demo/table.md
 
-# A process a core, up to four; a file's tests stay together, since they share what is slow to make.
+# A process a core, up to four, of one thread each: more would take the others' cores. A file's tests stay together, since
+# they share what is slow to make.
 test: $(TOOLS) weights
-	$(BIN)/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist loadfile
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist loadfile
 
 test-slow: $(TOOLS)
 	$(BIN)/python -m pytest -m slow

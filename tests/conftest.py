@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
@@ -9,6 +10,16 @@ import pytest
 from backends import EMULATED, usable
 from core_scenes import Backend
 from cuda_emulator.emulator import emulated, find_compiler
+
+
+def pytest_collection() -> None:
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """What was imported and collected stays to the end: the garbage collector need not look through it each time."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture

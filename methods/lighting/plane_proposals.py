@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy import ndimage
 from torch import Tensor
 from torch.nn import functional
 
@@ -156,6 +155,8 @@ def _agreements(seen: Sequence[_Seen], members: Sequence[Tensor], direction: Ten
 
 def _bounds(seen: Sequence[_Seen], members: Sequence[Tensor], direction: Tensor, height: float) -> Rectangle | None:
     """The smallest rectangle in the plane around what most views that show it have in it."""
+    from scipy import ndimage  # takes half a second: where there are planes
+
     helper = torch.tensor([0.0, 0, 1]) if abs(direction[2]) < 0.9 else torch.tensor([1.0, 0, 0])
     along = unit(torch.linalg.cross(helper, direction))
     frame = torch.stack([along, torch.linalg.cross(direction, along), direction])

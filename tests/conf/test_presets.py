@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import os
 from functools import cache
@@ -13,7 +12,7 @@ import pytest
 import torch
 from fakes.runs import set_environment, without_processes
 from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 import envgs_bench
 from envgs_bench.cli import choices
@@ -33,17 +32,21 @@ SYNTHETIC = [name for name in config_names("dataset") if name.startswith("nerf_s
 RENDERED = [name for name in config_names("dataset") if name.startswith("rendered/")]
 
 
-def composed(*overrides: str) -> dict[str, Any]:
-    return copy.deepcopy(_composed(os.environ.get("ENVGS_BENCH_DATA_ROOT"), *overrides))
-
-
-@cache  # composing takes a while
-def _composed(_data_root: str | None, *overrides: str) -> dict[str, Any]:
-    register_choices()
-    with initialize_config_dir(str(Path(envgs_bench.__file__).parent / "conf"), version_base="1.3"):
-        content = OmegaConf.to_container(compose("config", list(overrides)), resolve=True)
+def composed(*overrides: str, data_root: Path | None = None) -> dict[str, Any]:
+    config = _composed(*overrides)
+    if data_root:
+        config = config.copy()
+        config.data_root = str(data_root)
+    content = OmegaConf.to_container(config, resolve=True)
     assert isinstance(content, dict)
     return {str(key): value for key, value in content.items()}
+
+
+@cache  # composing takes a while, and what a key is made of is looked up later
+def _composed(*overrides: str) -> DictConfig:
+    register_choices()
+    with initialize_config_dir(str(Path(envgs_bench.__file__).parent / "conf"), version_base="1.3"):
+        return compose("config", list(overrides))
 
 
 def test_every_scene_of_the_papers_tables_has_a_preset_of_its_name() -> None:
@@ -57,7 +60,7 @@ def test_every_scene_of_the_papers_tables_has_a_preset_of_its_name() -> None:
 
 @pytest.mark.parametrize("name", PRESETS + CAPTURES + SYNTHETIC + RENDERED)
 def test_a_preset_lies_below_data_root_and_is_refused_only_because_nothing_is_there(name: str, tmp_path: Path) -> None:
-    content = composed(f"dataset={name}", f"data_root={tmp_path}")
+    content = composed(f"dataset={name}", data_root=tmp_path)
     assert content["dataset"]["name"] == name
     assert Path(content["dataset"]["root"]).parent == tmp_path / name.split("/")[0].removesuffix("_8")
     with pytest.raises(DatasetError) as caught:
@@ -90,7 +93,7 @@ def test_a_known_capture_is_read_as_its_results_say(
     (tmp_path / "captures").symlink_to(os.environ["ENVGS_BENCH_DATA"])
     if not (tmp_path / "captures" / name).is_dir():
         pytest.skip(f"$ENVGS_BENCH_DATA/{name} is not there")
-    scene = load_scene(composed(f"dataset=captures/{name}", f"data_root={tmp_path}")["dataset"], tmp_path)
+    scene = load_scene(composed(f"dataset=captures/{name}", data_root=tmp_path)["dataset"], tmp_path)
     assert (len(scene.train), len(scene.test)) == views
     assert {(view.camera.width, view.camera.height) for view in [*scene.train, *scene.test]} == {size}
     assert len(scene.points) == points
@@ -105,7 +108,7 @@ def test_a_rendered_scene_scores_test_views_against_normals_that_training_views_
     (tmp_path / "rendered").symlink_to(os.environ["ENVGS_BENCH_DATA"])
     if not (tmp_path / name).is_dir():
         pytest.skip(f"$ENVGS_BENCH_DATA/{Path(name).name} is not there")
-    scene = load_scene(composed(f"dataset={name}", f"data_root={tmp_path}")["dataset"], tmp_path)
+    scene = load_scene(composed(f"dataset={name}", data_root=tmp_path)["dataset"], tmp_path)
     assert (len(scene.train), len(scene.test), len(scene.points)) == (49, 8, 6_600)
     assert {(view.camera.width, view.camera.height) for view in [*scene.train, *scene.test]} == {(200, 150)}
     for view in [*scene.train, *scene.test]:

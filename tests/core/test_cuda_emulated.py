@@ -77,9 +77,13 @@ def test_images_of_sites(backend):
 
 
 @pytest.mark.parametrize("backend", ["shuffled"], indirect=True)
-@SHARINGS
-@pytest.mark.parametrize("as_gaussians_3d", [False, True], ids=["surfels", "gaussians_3d"])
+@pytest.mark.parametrize(
+    ("as_gaussians_3d", "sharing"),
+    [(False, (2, False)), (False, (1, True)), (True, (1, False)), (True, (2, True))],
+    ids=["surfels-in pairs", "surfels-a block an area", "gaussians_3d-a warp an area", "gaussians_3d-both"],
+)
 def test_colors_of_images_alone(backend, as_gaussians_3d, sharing, monkeypatch):
+    """Each kind and each way to share; all of both are in `test_images`, of kernels of the same template."""
     monkeypatch.setattr(raster_pass, "_sharing", lambda *_: sharing)
     compare_image_color(backend, "many", as_gaussians_3d)
 

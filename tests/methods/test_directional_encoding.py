@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from finite_differences import assert_gradients_are_differences
 from scipy.special import sph_harm_y
 from torch import Tensor
 from torch.nn import functional
@@ -57,18 +58,7 @@ def test_gradients_are_those_of_finite_differences() -> None:
     spread = torch.tensor([[0.01], [0.1], [0.5]], dtype=torch.float64, requires_grad=True)
     weights = torch.rand(3, SIZE, generator=torch.Generator().manual_seed(1)).double()
 
-    def loss(towards: Tensor, spread: Tensor) -> Tensor:
+    def loss() -> Tensor:
         return (encoded(towards.float(), spread.float()).double() * weights).sum()
 
-    loss(towards, spread).backward()
-    for values in (towards, spread):
-        gradient = values.grad
-        assert gradient is not None
-        step = 1e-2 * gradient / gradient.norm()
-        with torch.no_grad():
-            values += step
-            above = loss(towards, spread)
-            values -= 2 * step
-            below = loss(towards, spread)
-            values += step
-        assert float(above - below) / 2e-2 == pytest.approx(float(gradient.norm()), rel=0.02)
+    assert_gradients_are_differences(loss, {"towards": towards, "spread": spread}, by=1e-2, rel=0.02)

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import torch
+from finite_differences import assert_gradients_are_differences
 from mirror_ball import gain_of_training
 from mirror_room import MIRROR, mirror_room, wall_color, walls
 
@@ -184,20 +185,11 @@ def test_gradients_of_a_plane_are_finite_differences() -> None:
     def loss() -> torch.Tensor:
         return (planes.over(picture, camera, 10_000).color * weights).mean()
 
-    loss().backward()
-    for name, size in {"plane_reflectances": 1e-2, "plane_centers": 2e-3, "plane_turns": 2e-3}.items():
-        values = planes.weights.tensors[name]
-        assert values.grad is not None
-        move = size * values.grad / values.grad.norm()
-        with torch.no_grad():
-            values += move
-            above = loss()
-            values -= 2 * move
-            below = loss()
-            values += move
-        assert float(above - below) / (2 * size) == pytest.approx(float(values.grad.norm()), rel=0.25), (
-            name
-        )  # of a picture with edges
+    weights_of = planes.weights.tensors
+    moved = {name: weights_of[name] for name in ("plane_centers", "plane_turns")}
+    of_edges = 0.25  # which a picture has
+    assert_gradients_are_differences(loss, {"reflectances": weights_of["plane_reflectances"]}, by=1e-2, rel=of_edges)
+    assert_gradients_are_differences(loss, moved, by=2e-3, rel=of_edges)
 
 
 def test_nothing_changes_where_there_are_none() -> None:

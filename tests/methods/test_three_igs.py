@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from finite_differences import assert_gradients_are_differences
+from finite_differences import assert_gradients_are_differences, mean_of_picture
 from mirror_ball import gain_of_training, mirror_ball
 from rules import with_rules
 from schedules import begin, optimizers_of
@@ -142,7 +142,7 @@ def test_a_field_needs_two_samples() -> None:
 def test_gradients_are_those_of_finite_differences() -> None:
     method = shining_at_random(tiny_scene())
     inputs = method.field.weights | {name: method.model.sets["base"].parameters.tensors[name] for name in MATERIALS}
-    assert_gradients_are_differences(method, CAMERA, inputs, step=2e-2)
+    assert_gradients_are_differences(mean_of_picture(method, CAMERA), inputs, by=2e-2)
 
 
 @pytest.mark.slow

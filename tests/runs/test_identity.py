@@ -46,6 +46,12 @@ def settings(**changes: Any) -> RunSettings:
     return parse_settings(content(**changes))
 
 
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """One folder for all that is remembered of files: a new one has to parse all code first, which takes a second."""
+    return str(tmp_path_factory.mktemp("cache"))
+
+
 @pytest.mark.parametrize(
     "changes",
     [
@@ -115,10 +121,10 @@ def test_what_does_not_determine_the_result_leaves_the_identity(
     assert run_id(settings(**changes), "cpu") == run_id(settings(), "cpu")
 
 
-def test_data_count_by_what_lies_there_and_not_by_where(tmp_path: Path) -> None:
+def test_data_count_by_what_lies_there_and_not_by_where(tmp_path: Path, cache: str) -> None:
     def identity_of(root: Path) -> str:
         data = {"kind": "colmap", "root": str(root)}
-        return run_id(settings(dataset=data, cache_dir=str(tmp_path / "cache")), "cpu")
+        return run_id(settings(dataset=data, cache_dir=cache), "cpu")
 
     for name in ("here", "there"):
         for folder in ("images", "normals"):
@@ -133,8 +139,8 @@ def test_data_count_by_what_lies_there_and_not_by_where(tmp_path: Path) -> None:
     assert identity_of(tmp_path / "there") != before
 
 
-def test_the_code_version_covers_methods_and_kernels(tmp_path: Path) -> None:
-    assert len(code_version(tmp_path)) == 64
+def test_the_code_version_covers_methods_and_kernels(cache: str) -> None:
+    assert len(code_version(Path(cache))) == 64
     folders = {part: identity._location(part) for part in identity.RESULT_CODE}
     assert all(path.exists() for path in folders.values())
     assert (folders["methods"] / "registry.py").is_file()
@@ -301,7 +307,7 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("source", WRITERS)
-def test_a_data_set_counts_by_the_files_that_are_read(tmp_path: Path, source: str) -> None:
+def test_a_data_set_counts_by_the_files_that_are_read(tmp_path: Path, source: str, cache: str) -> None:
     root = tmp_path / "capture"
     WRITERS[source](root, ["0.png", "1.png", "2.png", "3.png"])
     masks = root / "masks/images" if source == "blender" else root / "masks"
@@ -312,7 +318,7 @@ def test_a_data_set_counts_by_the_files_that_are_read(tmp_path: Path, source: st
 
     def identity_of(root: Path) -> str:
         given = {"kind": kind, "root": str(root)}
-        return run_id(settings(dataset=given, cache_dir=str(tmp_path / "cache")), "cpu")
+        return run_id(settings(dataset=given, cache_dir=cache), "cpu")
 
     before = identity_of(root)
     unrelated = [
@@ -347,10 +353,10 @@ def test_a_data_set_counts_by_the_files_that_are_read(tmp_path: Path, source: st
         assert identity_of(root) == before, path
 
 
-def test_a_folder_of_renders_counts_by_its_pictures(tmp_path: Path) -> None:
+def test_a_folder_of_renders_counts_by_its_pictures(tmp_path: Path, cache: str) -> None:
     def identity() -> str:
         method = {"name": "mine", "kind": "renders", "settings": {"path": str(tmp_path / "renders")}}
-        return run_id(settings(method=method, cache_dir=str(tmp_path / "cache")), "cpu")
+        return run_id(settings(method=method, cache_dir=cache), "cpu")
 
     (tmp_path / "renders").mkdir()
     (tmp_path / "renders/a.png").write_bytes(b"1234")
@@ -362,10 +368,10 @@ def test_a_folder_of_renders_counts_by_its_pictures(tmp_path: Path) -> None:
     assert identity() != before
 
 
-def test_a_damaged_capture_counts_by_all_that_lies_there(tmp_path: Path) -> None:
+def test_a_damaged_capture_counts_by_all_that_lies_there(tmp_path: Path, cache: str) -> None:
     root = write_capture(tmp_path / "capture", ["0.png", "1.png"])
     (root / "sparse/0/images.txt").write_text("no images\n")
-    given = settings(dataset={"kind": "colmap", "root": str(root)}, cache_dir=str(tmp_path / "cache"))
+    given = settings(dataset={"kind": "colmap", "root": str(root)}, cache_dir=cache)
     before = run_id(given, "cpu")
     (root / "README.md").write_text("why")
     assert run_id(given, "cpu") != before

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pycolmap
 from scipy import ndimage
@@ -10,6 +12,7 @@ WIDTH, HEIGHT, FOCAL = 240, 180, 220.0
 PINHOLE = pycolmap.Camera(model="PINHOLE", width=WIDTH, height=HEIGHT, params=[FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2])
 
 
+@cache
 def texture(seed: int) -> np.ndarray:
     """Blobs of several sizes, [512, 512, 3] bytes."""
     rng = np.random.default_rng(seed)
@@ -41,9 +44,9 @@ def photograph(index: int, camera: pycolmap.Camera = PINHOLE) -> np.ndarray:
     hit = center + distances.min(axis=-1)[..., None] * rays
     picture = np.zeros((*x.shape, 3), dtype=np.uint8)
     for axis in range(3):
-        u, v = (hit[..., other] for other in range(3) if other != axis)
-        rows, columns = np.mod(90 * np.where(wall == axis, u, 0), 512), np.mod(90 * np.where(wall == axis, v, 0), 512)
+        shown = wall == axis
+        at = [np.mod(90 * hit[shown][:, other], 512) for other in range(3) if other != axis]
         planes = texture(axis).astype(float).transpose(2, 0, 1)
-        drawn = [ndimage.map_coordinates(plane, [rows, columns], order=1, mode="grid-wrap") for plane in planes]
-        picture[wall == axis] = np.stack(drawn, axis=-1)[wall == axis].astype(np.uint8)
+        drawn = [ndimage.map_coordinates(plane, at, order=1, mode="grid-wrap") for plane in planes]
+        picture[shown] = np.stack(drawn, axis=-1).astype(np.uint8)
     return picture

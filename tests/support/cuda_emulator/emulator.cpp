@@ -3,6 +3,7 @@
 #include "emulator.h"
 
 #include <ucontext.h>
+#include <algorithm>
 #include <csetjmp>
 #include <csignal>
 #include <cstdarg>
