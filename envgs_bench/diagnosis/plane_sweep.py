@@ -51,13 +51,33 @@ class SweptView:
 
     def colors(self, points: Tensor) -> Tensor:
         """The picture's colors at the points [..., 3], NaN where it does not show them; [..., 3]."""
-        pixels, depths = self.camera.project(points.reshape(-1, 3))
-        at = pixels / pixels.new_tensor([self.camera.width, self.camera.height]) * 2 - 1
+        pixels, depths = self.camera.project(points)
+        colors, shown = self._at(*pixels.unbind(-1), depths)
+        return torch.where(shown, colors, torch.nan).movedim(0, -1)
+
+    def colors_along(self, center: Tensor, directions: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
+        """What the picture shows at depths along rays: colors [3, K, D, P], and whether it shows the point [K, D, P].
+
+        A homogeneous pixel is linear in the depth, so that no point in the world is made: half the work.
+
+        Args:
+            center: [3] where the rays begin, world frame.
+            directions: [K, P, 3] of the rays, world frame.
+            depths: [K, D] along each of the K × P rays.
+        """
+        to_pixels = self.camera.intrinsics @ self.camera.world_to_camera[:3]
+        along = directions @ to_pixels[:, :3].T
+        begin = to_pixels[:, :3] @ center + to_pixels[:, 3]
+        x, y, depth = (begin[row] + depths[..., None] * along[:, None, :, row] for row in range(3))
+        return self._at(x / depth, y / depth, depth)
+
+    def _at(self, x: Tensor, y: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
+        """Colors [3, ...] at pixel positions [...], and whether something at these depths is shown there [...]."""
+        at = torch.stack([x * (2 / self.camera.width) - 1, y * (2 / self.camera.height) - 1], dim=-1)
         sampled = functional.grid_sample(
-            self.picture, at[None, None].clamp(-2, 2), padding_mode="border", align_corners=False
+            self.picture, at.reshape(1, 1, -1, 2).clamp(-2, 2), padding_mode="border", align_corners=False
         )
-        shown = (depths > 0) & (at.abs() < 1).all(-1)
-        return torch.where(shown[:, None], sampled[0, :, 0].T, torch.nan).reshape(points.shape)
+        return sampled.reshape(3, *x.shape), (depths > 0) & (at.abs() < 1).all(-1)
 
 
 @dataclass(frozen=True)
@@ -136,11 +156,15 @@ def _differences(view: SweptView, others: list[SweptView], pixels: Tensor, depth
     scale = view.camera.width / view.picture.shape[3]
     around = torch.cartesian_prod(*2 * [torch.arange(-1, 2, device=pixels.device)]) * PATCH * scale
     patch = pixels[:, None] + around  # [K, 9, 2]
-    directions = _directions(view.camera, patch.reshape(-1, 2)).reshape(len(pixels), 1, len(around), 3)
-    points = view.camera.center + depths[:, :, None, None] * directions  # [K, D, 9, 3]
-    own = view.colors(view.camera.center + depths[:, :1, None, None] * directions)
-    each = torch.stack([(other.colors(points) - own).abs().mean(dim=(-1, -2)) for other in others])
+    directions = _directions(view.camera, patch.reshape(-1, 2)).reshape(len(pixels), len(around), 3)
+    own = view.colors(view.camera.center + depths[:, :1, None] * directions).movedim(-1, 0)[:, :, None]
+    each = torch.stack([_beside(own, *other.colors_along(view.camera.center, directions, depths)) for other in others])
     return each.nan_to_num(torch.inf).sort(dim=0).values[:AGREEING].mean(dim=0)
+
+
+def _beside(own: Tensor, colors: Tensor, shown: Tensor) -> Tensor:
+    """The mean difference [K, D] of patches [3, K, D, P] from [3, K, 1, P], NaN where not all of it is shown."""
+    return torch.where(shown.all(-1), (colors - own).abs().mean(dim=(0, -1)), torch.nan)
 
 
 def _directions(camera: Camera, pixels: Tensor) -> Tensor:

@@ -36,6 +36,7 @@ from oracle import (
     oracle_image,
     oracle_ray_batch,
     ray_batch,
+    threads_of,
 )
 from scipy.spatial.transform import Rotation
 
@@ -170,9 +171,10 @@ def test_two_ray_batches_are_bitwise_equal(tracer):
 def check_repeats(backend: Backend, scene: GaussianSet, draw) -> None:
     runs = []
     for _ in range(2):
-        leaves = backend.take(scene)
-        drawn = draw(leaves)
-        loss_of(drawn).backward()
+        with threads_of(backend):
+            leaves = backend.take(scene)
+            drawn = draw(leaves)
+            loss_of(drawn).backward()
         runs.append((drawn, gradients_of(leaves)))
     (one, gradients), (other, again) = runs
     for name in (*FIELDS, "hits"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import cache
 
@@ -22,6 +23,7 @@ from core_scenes import (
     traced,
 )
 from torch import Tensor
+from torch_threads import torch_threads
 
 from envgs_bench.core import GaussianSet, Rendering
 
@@ -62,11 +64,17 @@ def to_gaussians_3d(surfels: GaussianSet) -> GaussianSet:
     return replace(surfels, scales=torch.cat([surfels.scales, third], dim=1))
 
 
+def threads_of(backend: Backend) -> AbstractContextManager[None]:
+    """Two for the CPU's kernels, whose threads add up each other's gradients; `make test` gives a process one."""
+    return torch_threads(2) if backend.name == "cpu" else nullcontext()
+
+
 def drawn_with(backend: Backend, gaussians: GaussianSet, draw: Draw, keep: Tensor, rays: tuple[Tensor, ...]) -> Drawn:
     """What a backend draws, and the gradients of a loss over the kept pixels or rays."""
     leaves, own_rays = backend.take(gaussians), [backend.take(x) for x in rays]
-    drawn = draw(backend, leaves, own_rays)
-    loss_of(drawn, keep).backward()
+    with threads_of(backend):
+        drawn = draw(backend, leaves, own_rays)
+        loss_of(drawn, keep).backward()
     return drawn, gradients_of(leaves, **dict(zip(("origins", "directions"), own_rays, strict=False)))
 
 
