@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -91,9 +92,9 @@ def _seen(surface: Surface, points: Tensor) -> tuple[Tensor, Tensor]:
     pixels, depths = surface.camera.project(points)
     at = pixels / pixels.new_tensor([surface.camera.width, surface.camera.height]) * 2 - 1
     grid = at.nan_to_num(9.0).clamp(-2, 2)[None]
-    options = {"padding_mode": "border", "align_corners": False}
-    colors = functional.grid_sample(surface.picture[None], grid, **options)[0]
-    nearest = functional.grid_sample(surface.depth[None, None], grid, mode="nearest", **options)[0, 0]
+    sampled = partial(functional.grid_sample, grid=grid, padding_mode="border", align_corners=False)
+    colors = sampled(surface.picture[None])[0]
+    nearest = sampled(surface.depth[None, None], mode="nearest")[0, 0]
     there = (depths > 0) & (at.abs() < 1).all(-1)
     return colors, there & ((nearest - depths).abs() < SAME * depths)
 

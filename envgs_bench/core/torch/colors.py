@@ -24,4 +24,5 @@ def site_color(sites: Tensor, offsets: Tensor) -> Tensor:
     directions = torch.where(somewhere, offsets / torch.where(somewhere, squared, 1).sqrt(), 0)
     colors, vectors = sites.split(3, dim=-1)
     weights = (vectors * directions[..., None, :]).sum(-1).softmax(-1)
-    return (weights[..., None] * colors).sum(-2).clamp_min(0)
+    color: Tensor = (weights[..., None] * colors).sum(-2)
+    return color.clamp_min(0)
