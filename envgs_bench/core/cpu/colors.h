@@ -10,8 +10,8 @@ using Float4 = LaneTypes<4>::Float;  // red, green, blue, and a lane that nobody
 
 // Eight primitives' colors and where they are seen from.
 struct SeenColors {
-    Vec3<Float8> direction;  // unit, or zero
-    Float8 inverse_length;   // of what it was before
+    Vec3<Float8> direction;          // unit, or zero
+    Float8 inverse_length;           // of what it was before
     Float8 basis[kMaxCoefficients];  // SH, or sites' weights
     Float4 color[kGroup];
 };

@@ -1,5 +1,5 @@
-// What a thread reads of a GaussianSet. SH_COEFFICIENTS, HAS_SITES and EXTRAS are fixed when a module is compiled, so that a
-// primitive's values stay in registers.
+// What a thread reads of a GaussianSet. SH_COEFFICIENTS, HAS_SITES and EXTRAS are fixed when a module is compiled, so
+// that a primitive's values stay in registers.
 #pragma once
 #include "kernels/gaussian_3d_splat.h"
 #include "kernels/planes.h"

@@ -128,7 +128,7 @@ extern "C" __global__ void __launch_bounds__(128) finish_primitives(
             Kind::Input input = Kind::input(g, i);
             own = finish(camera, input, sum.geometry, sum.normal);
             own.mean = own.mean + seen_color_backward(sh + kShFloats * i, input.mean - camera.center,
-                                                               primitives[slot].color, sum.color, g_own_sh);
+                                                      primitives[slot].color, sum.color, g_own_sh);
         }
         store3(g_means + 3 * i, own.mean);
         store3(position_gradients + 3 * i, own.position_statistic);

@@ -1,12 +1,12 @@
-// Colors by sites on the sphere (spherical Voronoi, Di Sario et al. 2025): each site has a color, and a direction's color
-// is a softmax of how far it points toward each site.
+// Colors by sites on the sphere (spherical Voronoi, Di Sario et al. 2025): each site has a color, and a direction's
+// color is a softmax of how far it points toward each site.
 #pragma once
 #include "splat.h"
 
 namespace envgs {
 
-constexpr int kSites = SITES;      // of gaussians.py, which refuses another number
-constexpr int kSiteFloats = 6;     // a site's row: its color, and its direction × how sharply its cell ends
+constexpr int kSites = SITES;   // of gaussians.py, which refuses another number
+constexpr int kSiteFloats = 6;  // a site's row: its color, and its direction × how sharply its cell ends
 
 ENVGS_FN Vec3<float> site_vector(const float* sites, int k) { return load3(sites + kSiteFloats * k + 3); }
 
