@@ -93,6 +93,8 @@ class Planes(Part):
         strengths = self.weights.tensors["plane_reflectances"].sigmoid().mean(1).tolist()
         planes = [Aligned(*each) for each in zip(self.rectangles(), strengths, strict=True)]
         found = aligned(self._model.gaussians(BASE, step), planes, self._views, self._model, furthest)
+        if self.begun and self._settings.planes == "photographs":  # nobody has said that there is glass
+            found = [each for each in found if each.reflectance > MIRROR]
         self._become([each.rectangle for each in found], [each.reflectance for each in found])
         self.clear(step)
 
@@ -119,7 +121,7 @@ class Planes(Part):
             picture: of the base set, and whatever else is blended over it.
             step: the training's; None for an image.
         """
-        if not self.begun:
+        if not (self.begun and len(self.frames)):
             return picture
         base, planes = self._model.gaussians(BASE, step), self.rectangles()
         reach = REACH * base.scales.detach().amax(1)
@@ -216,7 +218,7 @@ class Planes(Part):
     # What is stored
 
     def optimizers(self) -> Sequence[torch.optim.Optimizer]:
-        return self.weights.optimizers() if self.begun else ()
+        return self.weights.optimizers() if self.begun and len(self.frames) else ()
 
     def model_bytes(self) -> dict[str, int]:
         return {ENV: self.weights.most_bytes()}

@@ -169,6 +169,30 @@ def test_a_plane_beside_its_place_is_moved_and_turned_to_what_photographs_show()
     assert abs(float((found.rectangle.center - MIRROR.center) @ MIRROR.axes[2])) < 0.03
 
 
+@pytest.mark.parametrize(("by", "kept"), [("masks", 2), ("photographs", 1)])
+def test_what_photographs_took_for_a_plane_and_nothing_mirrors_goes(by: str, kept: int) -> None:
+    """A wall, beside a mirror: masks may mean glass by it, photographs alone do not."""
+    scene, method = mirror_room(), made(planes=by)
+    method.initialize(scene, 30_000)
+    with_walls(method)
+    planes = planes_of(method)
+    wall = Rectangle(torch.tensor([0.0, 0, -1.9]), torch.eye(3), torch.ones(2))
+    planes._become([MIRROR, wall])
+    planes.begun = True
+    planes.begin_step(6_100)
+    assert planes.settled
+    assert len(planes.frames) == kept
+    if by == "photographs":
+        planes._become([wall])
+        planes.settled = False
+        planes.begin_step(6_200)
+        assert not len(planes.frames)
+        method.model.prepare()
+        drawn = method.model.rasterize(scene.test[0].camera, None)
+        assert planes.over(drawn, scene.test[0].camera, None) is drawn
+        assert planes.optimizers() == ()
+
+
 def test_gradients_of_a_plane_are_finite_differences() -> None:
     scene = mirror_room()
     method = made(warm_up=0, rules={"average_from": 0})
