@@ -55,5 +55,5 @@ def _diagnose(overrides: list[str], seeds: range, out: Path) -> int:
             return 2
         rows = pd.DataFrame(counted(load_scene(settings.dataset, settings.cache_dir), seed))
         rows.to_csv(out, mode="a", header=not out.is_file(), index=False)
-    print(rates(read_counts(out)).to_string(index=False))
+    print(pd.DataFrame([vars(rate) for rate in rates(read_counts(out))]).to_string(index=False))
     return 0

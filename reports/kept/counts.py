@@ -7,6 +7,7 @@ repairs that were right, each a list of words.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
@@ -15,7 +16,7 @@ import pandas as pd
 from envgs_bench.records import RepairKind, WarningKind
 
 from .runs_file import NoRunsError
-from .tables import as_markdown
+from .tables import NOTHING, as_markdown
 
 KINDS = get_args(WarningKind)
 OF_SCENES = KINDS[KINDS.index("views_sparse") :]  # the warnings of a scene that is trained on for long enough
@@ -54,23 +55,39 @@ def read_counts(path: Path) -> pd.DataFrame:
     return rows
 
 
-def rates(rows: pd.DataFrame) -> pd.DataFrame:
-    """A row a question: of how many scenes it was asked, of how many it found, and the share that this leaves possible.
+@dataclass(frozen=True)
+class Rate:
+    """A question, and of how many scenes the answer was yes.
 
-    `bound` is the end of the one-sided interval of Clopper and Pearson at 95 %: of scenes in order the largest share of
-    false alarms, of spoiled scenes the smallest share that is found.
+    Attributes:
+        spoiled, severity: what the scenes are; "" and 0 in order.
+        asked: "warning <kind>", "repair <kind>", or "any warning".
+        found, scenes: of how many, of all that were asked.
+        bound: what this leaves possible, the end of the one-sided interval of Clopper and Pearson at 95 %. Of scenes in
+            order it is the largest share of false alarms, of spoiled ones the smallest share that is found.
     """
+
+    spoiled: str
+    severity: int
+    asked: str
+    found: int
+    scenes: int
+    bound: float
+
+
+def rates(rows: pd.DataFrame) -> list[Rate]:
+    """Those of every question, scenes in order first."""
     from scipy.stats import binomtest  # takes a second to import
 
     found = []
-    for (spoiled, severity), group in rows.groupby(["spoiled", "severity"], sort=True):
-        for asked, answers in _answers(group, str(spoiled)):
+    for spoiled, severity in sorted(set(zip(rows["spoiled"], rows["severity"], strict=True))):
+        asked_of = rows[(rows["spoiled"] == spoiled) & (rows["severity"] == severity)]
+        for asked, answers in _answers(asked_of, spoiled):
             hits, scenes = int(answers.sum()), len(answers)
             tested = binomtest(hits, scenes, alternative="greater" if spoiled else "less").proportion_ci(CONFIDENCE)
-            bound = tested.low if spoiled else tested.high
-            about = {"spoiled": spoiled, "severity": severity, "asked": asked}
-            found.append({**about, "found": hits, "scenes": scenes, "share": hits / scenes, "bound": float(bound)})
-    return pd.DataFrame(found)
+            bound = float(tested.low if spoiled else tested.high)
+            found.append(Rate(spoiled, int(severity), asked, hits, scenes, bound))
+    return found
 
 
 def _answers(rows: pd.DataFrame, spoiled: str) -> Iterator[tuple[str, pd.Series[bool]]]:
@@ -97,24 +114,18 @@ def found(rows: pd.DataFrame, name: str) -> str:
 def _table(rows: pd.DataFrame, name: str, bound: str, which: str) -> str:
     sizes = sorted(set(zip(rows["width"], rows["height"], strict=True)))
     parts = [rates(rows[(rows["width"] == width) & (rows["height"] == height)]) for width, height in sizes]
-    total = rates(rows)
-    keys = ["spoiled", "severity", "asked"]
-    counts = [dict(zip(part[keys].itertuples(index=False, name=None), _of(part), strict=True)) for part in parts]
+    counts = [{_question(rate): f"{rate.found} of {rate.scenes}" for rate in part} for part in parts]
     lines = []
-    for row, whole in zip(total.itertuples(), _of(total), strict=True):
-        key = (row.spoiled, row.severity, row.asked)
-        what = f"`{row.spoiled}` {row.severity}: {_asked(row.asked)}" if row.spoiled else _asked(row.asked)
-        lines.append([what, *(part.get(key, "–") for part in counts), whole, f"{100 * row.bound:.1f} %"])
+    for rate in rates(rows):
+        cells = (part.get(_question(rate), NOTHING) for part in counts)
+        lines.append([_question(rate), *cells, f"{rate.found} of {rate.scenes}", f"{100 * rate.bound:.1f} %"])
     heads = [which, *(f"{width}×{height}" for width, height in sizes), "all", bound]
     scenes = rows.drop_duplicates(["seed", "width"])
     caption = f"*{len(scenes)} sampled scenes, one-sided bounds at 95 %. Source: `{name}`.*"
     return f"{as_markdown(heads, lines)}\n{caption}\n"
 
 
-def _of(part: pd.DataFrame) -> list[str]:
-    return [f"{row.found} of {row.scenes}" for row in part.itertuples()]
-
-
-def _asked(asked: str) -> str:
-    what, _, kind = asked.partition(" ")
-    return f"`{kind}`" if what == "warning" else f"`repair={kind}`" if what == "repair" else asked
+def _question(rate: Rate) -> str:
+    what, _, kind = rate.asked.partition(" ")
+    asked = {"warning": f"`{kind}`", "repair": f"`repair={kind}`"}.get(what, rate.asked)
+    return f"`{rate.spoiled}` {rate.severity}: {asked}" if rate.spoiled else asked

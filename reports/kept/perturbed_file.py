@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -66,6 +67,7 @@ def keep_perturbed(runs: Iterable[Run], path: Path, commit: str = "") -> int:
     Raises:
         RunsFileError: the file that is there is no CSV of perturbed runs.
     """
+    kept: dict[tuple[str, ...], Mapping[Any, Any]]
     kept = {} if not path.exists() else {_identity(row): row for row in read_perturbed(path).to_dict("records")}
     kept |= {_identity(row): row for row in (row_of(run, commit) for run in runs)}
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -98,5 +100,5 @@ def read_perturbed(path: Path) -> pd.DataFrame:
     return rows
 
 
-def _identity(row: dict[str, str]) -> tuple[str, ...]:
+def _identity(row: Mapping[Any, Any]) -> tuple[str, ...]:
     return tuple(str(row[name]) for name in IDENTITY)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import pandas as pd
 
@@ -38,7 +39,7 @@ def with_losses(rows: pd.DataFrame) -> pd.DataFrame:
     return paired
 
 
-def _new(run: dict[str, str], columns: Iterable[str]) -> bool:
+def _new(run: Mapping[Any, Any], columns: Iterable[str]) -> bool:
     columns = tuple(columns)
     own, theirs = ({word for name in columns for word in run[name + end].split()} for end in ("", "_partner"))
     return bool(own - theirs)

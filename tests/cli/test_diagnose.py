@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import math
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -47,16 +46,16 @@ def test_rates_are_shares_with_what_they_leave_possible() -> None:
     """The bounds are those of the binomial distribution: at them, the count or one further out has a chance of 5 %."""
     in_order = [("", "views_sparse poses_off" if seed < 2 else "", "") for seed in range(40)]
     spoiled = [("exposure", "poses_off", "exposures" if seed < 37 else "normals") for seed in range(40)]
-    table = rates(rows_of(*in_order, *spoiled)).set_index(["spoiled", "asked"])
-    false = table.loc["", "warning poses_off"]
-    assert (false["found"], false["scenes"], false["share"]) == (2, 40, 0.05)
-    assert binom.cdf(2, 40, false["bound"]) == pytest.approx(0.05)
-    assert table.loc[("", "any warning"), "found"] == 2
-    assert table.loc[("", "repair exposures"), "bound"] == pytest.approx(1 - 0.05 ** (1 / 40))
-    found = table.loc["exposure", "repair exposures"]
-    assert found["found"] == 37
-    assert binom.sf(36, 40, found["bound"]) == pytest.approx(0.05)
-    assert table.loc[("exposure", "warning exposures_differ"), "found"] == 0
+    table = {(rate.spoiled, rate.asked): rate for rate in rates(rows_of(*in_order, *spoiled))}
+    false = table["", "warning poses_off"]
+    assert (false.found, false.scenes) == (2, 40)
+    assert binom.cdf(2, 40, false.bound) == pytest.approx(0.05)
+    assert table["", "any warning"].found == 2
+    assert table["", "repair exposures"].bound == pytest.approx(1 - 0.05 ** (1 / 40))
+    found = table["exposure", "repair exposures"]
+    assert found.found == 37
+    assert binom.sf(36, 40, found.bound) == pytest.approx(0.05)
+    assert table["exposure", "warning exposures_differ"].found == 0
 
 
 def test_what_is_spoiled_is_a_perturbation_that_a_warning_and_a_repair_are_for() -> None:
@@ -90,12 +89,13 @@ def test_mirrored_normals_count_as_repaired_where_just_those_views_are_named(
     monkeypatch.setattr(diagnosis_counts, "scene_warnings", lambda *_: [SimpleNamespace(kind="poses_off")])
     kept = [SimpleNamespace(kind="normals", kept=True), SimpleNamespace(kind="exposures", kept=False)]
     monkeypatch.setattr(diagnosis_counts, "repaired", lambda given, kinds: (given, kept))
-    rows = pd.DataFrame(counted(room, 0)).set_index(["spoiled", "severity"])
-    assert rows.loc[("", 0), "repaired"] == "normals"  # a false alarm
-    assert rows.loc["normals_mirrored", "repaired"].tolist() == ["", "", "normals"]
-    assert set(rows["warned"]) == {"poses_off"}
-    assert rows["stops"].tolist() == pytest.approx([0.1235, 0.1235, 0.1235, *[math.nan] * 4], nan_ok=True)
-    assert (rows.loc[("", 0), "width"], rows.loc[("", 0), "views"]) == (16, len(room.train))
+    first, *spoiled = counted(room, 0)
+    assert (first["spoiled"], first["width"], first["views"]) == ("", 16, len(room.train))
+    assert first["repaired"] == "normals"  # a false alarm
+    assert [row["repaired"] for row in spoiled if row["spoiled"] == "normals_mirrored"] == ["", "", "normals"]
+    assert {row["warned"] for row in spoiled} == {"poses_off"}
+    measured = [row.get("stops") for row in (first, *spoiled)]
+    assert measured == [pytest.approx(0.1235)] * 3 + [None] * 4
 
 
 def test_what_was_counted_is_counted_by_these_thresholds() -> None:

@@ -65,7 +65,10 @@ def test_a_turned_view_has_its_old_center_and_normals_in_its_own_axes(room: Scen
     found = turned(view, turn)
     assert degrees_between([found], [view]) == pytest.approx(np.degrees(np.linalg.norm([0.02, -0.03, 0.05])), rel=1e-3)
     torch.testing.assert_close(found.camera.center, view.camera.center, atol=1e-5, rtol=0)
-    in_camera = [each.normal @ each.camera.world_to_camera[:3, :3].T for each in (view, found)]
+    assert view.normal is not None
+    assert found.normal is not None
+    pairs = ((view.normal, view.camera), (found.normal, found.camera))
+    in_camera = [normal @ camera.world_to_camera[:3, :3].T for normal, camera in pairs]
     torch.testing.assert_close(*in_camera, atol=1e-5, rtol=0)
     back = turned(found, turn.T)
     torch.testing.assert_close(back.camera.world_to_camera, view.camera.world_to_camera, atol=1e-5, rtol=0)
