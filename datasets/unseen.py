@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from envgs_bench.core import Camera
+
+if TYPE_CHECKING:
+    from .toy.world import World
 
 Array = NDArray[np.float64]
 Free = Callable[[Array, Array], float]  # from a place, along a unit direction: the length to the first surface, or inf
@@ -18,6 +22,24 @@ BETWEEN, BEYOND = PLACES = ("between", "beyond")
 STEP = 0.5  # of the training cameras' radius: how far those beyond step back
 NEARER = 0.5  # of the way to what it looks at: how far those beyond step forward
 CLEAR = 0.5  # of the free length: no camera goes further
+
+
+def unseen_cameras(cameras: Sequence[Camera], count: int, world: World) -> dict[str, list[Camera]]:
+    """`count` cameras each way, by PLACES; nothing where that is 0.
+
+    Args:
+        cameras: those that train, in the order in which they were taken.
+    """
+    if not count:
+        return {}
+
+    def free(place: Array, direction: Array) -> float:
+        length = float(world.cast(*(each[None].astype(np.float32) for each in (place, direction))).distance[0])
+        return length or np.inf
+
+    centers = np.stack([_center(camera) for camera in cameras])
+    radius = float(np.linalg.norm(centers - centers.mean(0), axis=1).max())
+    return {BETWEEN: between(cameras, count), BEYOND: beyond(cameras, count, radius, free)}
 
 
 def between(cameras: Sequence[Camera], count: int) -> list[Camera]:
@@ -41,7 +63,7 @@ def beyond(cameras: Sequence[Camera], count: int, radius: float, free: Free) -> 
 
     Args:
         cameras: upright, world z up.
-        radius: the scene's.
+        radius: of these cameras around their middle.
     """
     found = []
     for number, index in enumerate(_spread(len(cameras), count)):
@@ -53,7 +75,7 @@ def beyond(cameras: Sequence[Camera], count: int, radius: float, free: Free) -> 
             back = np.array([0.0, 0.0, 1.0]) - forward
             direction, length = back / np.linalg.norm(back), STEP * radius
         else:
-            direction, length = forward, NEARER * np.linalg.norm(target - center)
+            direction, length = forward, NEARER * float(np.linalg.norm(target - center))
         place = center + min(length, CLEAR * free(center, direction)) * direction
         found.append(_placed(camera, _looking(target - place), place))
     return found

@@ -30,9 +30,16 @@ BRIGHTEST = 2.5  # × what is white: so much a path counts at most
 
 
 def traced_pictures(
-    place: Place, cameras: Sequence[Camera], supersampling: int, rng: np.random.Generator, tracer: Tracer
+    place: Place,
+    cameras: Sequence[Camera],
+    others: Sequence[Camera],
+    supersampling: int,
+    rng: np.random.Generator,
+    tracer: Tracer,
 ) -> Pictures:
-    """All at one exposure; those that test have `FINER` as much supersampling, whose noise no method can meet.
+    """Those of the cameras, then of the others, all at one exposure, which the cameras alone decide.
+
+    Those that test, and the others, have `FINER` as much supersampling, whose noise no method can meet.
 
     Raises DatasetError where Mitsuba is not installed.
     """
@@ -45,7 +52,9 @@ def traced_pictures(
         lights = traced.clamped_lights([cameras[index] for index in some], factor, BRIGHTEST / gain, rng)
         for index, light in zip(some, lights, strict=True):
             pictures[index] = np.round(255 * to_srgb(gain * light)).astype(np.uint8)
-    return [pictures[index] for index in every]
+    finest = traced.clamped_lights(others, FINER * supersampling, BRIGHTEST / gain, rng) if others else []
+    unseen = [np.round(255 * to_srgb(gain * light)).astype(np.uint8) for light in finest]
+    return [*(pictures[index] for index in every), *unseen]
 
 
 def _gain(tracer: PathTracer, cameras: Sequence[Camera], rng: np.random.Generator) -> float:

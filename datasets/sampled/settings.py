@@ -17,5 +17,6 @@ class SampledSettings(SourceSettings):
     width: Annotated[int, Field(ge=16)] = 400  # pixels
     height: Annotated[int, Field(ge=16)] = 300
     views: Annotated[int, Field(ge=8)] = 60  # training and test views together; where few were taken, a share of them
+    unseen: Annotated[int, Field(ge=0)] = 0  # views between the training cameras, and as many beyond them
     tracer: Literal["cpu", "gpu"] = "cpu"  # where pictures are traced; but for noise they are the same
     supersampling: Annotated[int, Field(ge=1)] = 4  # its square are the paths a pixel; four times as many test

@@ -31,6 +31,8 @@ def load_sampled(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     choice = parse_dataset_settings(SampledSettings, settings)
     name = choice.name or f"sampled/{choice.seed}"
     own = {"source": "sampled", "version": VERSION, **choice.model_dump(exclude={"name"})}
+    if not choice.unseen:
+        del own["unseen"]  # pictures that are kept stay those of their scene
 
     def make() -> Scene:
         from .making import Drawn, make_scene, traced  # which take 1 s to import
@@ -40,7 +42,7 @@ def load_sampled(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         path = Path(cache_dir) / "pictures" / archive_name(own, digest)
 
         def pictures(scene: Drawn) -> Pictures:
-            return kept_pictures(path, len(scene.cameras), lambda: traced(choice, scene))
+            return kept_pictures(path, len(scene.cameras) + len(scene.unseen_views), lambda: traced(choice, scene))
 
         return make_scene(choice, name, pictures)
 

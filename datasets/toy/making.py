@@ -16,7 +16,7 @@ from envgs_bench.core import Camera, Scene, View
 from ..progress import streamed
 from ..split import split_views, taken_out, validation_of
 from ..store.scene_file import on_disk
-from ..unseen import BETWEEN, BEYOND, between, beyond
+from ..unseen import unseen_cameras
 from .cameras import cameras_around
 from .covisibility import covisible
 from .lighting import bake
@@ -66,21 +66,8 @@ def _unseen(
     world: World, paint: Painter, choice: ToySettings, train: list[View], sequence: np.random.SeedSequence
 ) -> dict[str, list[View]]:
     """What is to be seen from between the training cameras, and from beyond them."""
-    if not choice.unseen:
-        return {}
-
-    def free(place: NDArray[np.float64], direction: NDArray[np.float64]) -> float:
-        length = float(world.cast(np.float32(place[None]), np.float32(direction[None])).distance[0])
-        return length or np.inf
-
-    cameras = [view.camera for view in train]
-    radius = Scene("", train, [], torch.empty(0, 3), torch.empty(0, 3)).radius
-    places = {
-        BETWEEN: between(cameras, choice.unseen),
-        BEYOND: beyond(cameras, choice.unseen, radius, free),
-    }
     found = {}
-    for place, seen in places.items():
+    for place, seen in unseen_cameras([view.camera for view in train], choice.unseen, world).items():
         pixels = [np.random.default_rng(stream) for stream in sequence.spawn(len(seen))]
         views = [
             _view(world, camera, f"{place}-{index:04d}", paint(camera, choice.supersampling, rng))

@@ -147,6 +147,21 @@ def test_a_seed_is_a_scene_and_its_pictures_may_come_from_an_archive(
         load_scene({**TINY, "seed": 4}, tmp_path / "b")
 
 
+def test_views_where_nobody_stood_change_no_other(tmp_path: Path) -> None:
+    plain, more = (load_scene({**TINY, "seed": 3, **given}, tmp_path) for given in ({}, {"unseen": 2}))
+    archives = {path.stem.rpartition("-")[2]: path for path in (tmp_path / "pictures").iterdir()}
+    assert sorted(len(zipfile.ZipFile(path).namelist()) for path in archives.values()) == [10, 14]
+    assert not plain.unseen
+    assert {place: len(views) for place, views in more.unseen.items()} == {"between": 2, "beyond": 2}
+    for one, other in zip((*plain.train, *plain.test), (*more.train, *more.test), strict=True):
+        assert torch.equal(one.image, other.image)
+    for place, views in more.unseen.items():
+        for view in views:
+            assert view.name.startswith(place)
+            assert view.image.float().mean() > 1  # they are pictures of the place
+            assert "covisible" in view.masks
+
+
 def test_without_such_a_gpu_it_is_said_what_to_give(tmp_path: Path) -> None:
     pytest.importorskip("mitsuba")
     if torch.cuda.is_available():
