@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import signal
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -42,6 +43,8 @@ def _view(options: argparse.Namespace) -> int:
     server = None
     try:
         runs = open_runs(options.runs, options.device)
+        for text in dict.fromkeys(text for run in runs for text in run.method.notes):
+            print(text, file=sys.stderr)
         server = Viewer(runs, options.rows).serve(options.host, options.port)
         print(f"open http://{options.host}:{server.get_port()} in a browser; Ctrl-C ends this", flush=True)
         server.sleep_forever()

@@ -219,6 +219,27 @@ def test_a_program_that_draws_nothing_is_scored_by_what_the_core_draws_of_its_mo
     assert record.metrics.mean["psnr"] is not None
 
 
+def test_its_model_is_aligned_where_cameras_were_moved_and_its_pictures_cannot_be(tmp_path: Path) -> None:
+    model_and_pictures(tmp_path / "made", flip=False)
+    moved = ("perturb.kind=pose_rotation", "perturb.severity=2")
+    blind = {"layout": "colmap", "pictures": None, "sees_test_views": False}
+    found = {}
+    for name, others in (("drawn", {}), ("blind", blind)):
+        recipe = recipe_file(
+            tmp_path / name, "copies", str(tmp_path / "made"), model={"file": "{output}/model.ply"}, **others
+        )
+        assert run_here(tmp_path / name / "runs", *external(recipe), *moved) == 0
+        (record,) = records(tmp_path / name / "runs")
+        assert record.metrics is not None
+        found[name] = record.metrics
+    assert "psnr_aligned" not in found["drawn"].mean
+    assert "cannot be drawn from elsewhere" in found["drawn"].not_computed["psnr_aligned"]
+    plain, aligned = (found["blind"].mean[name] for name in ("psnr", "psnr_aligned"))
+    assert plain is not None
+    assert aligned is not None
+    assert aligned >= plain
+
+
 def test_a_report_prints_the_agreement(tmp_path: Path) -> None:
     model_and_pictures(tmp_path / "made", flip=False)
     with_model(tmp_path)
