@@ -13,7 +13,7 @@ WORDS = ("op", "direction", "backend")
 
 
 def table(rows: Sequence[Row]) -> Table:
-    """Rows as a table for the terminal, with µs a ray beside ms; columns that no row has anything for are left out."""
+    """Rows as a table for the terminal, with rays a second; columns that no row has anything for are left out."""
     cells = [_cells(row) for row in rows]
     names = [name for name in (cells[0] if cells else ()) if name in WORDS or any(row[name] for row in cells)]
     result = Table(title=", ".join(dict.fromkeys(row["scene"] for row in rows)))
@@ -32,7 +32,7 @@ def _cells(row: Row) -> dict[str, str]:
         "size": f"{row['width']}×{row['height']}" if drawn else "",
         "median ms": f"{row['median_ms']:.2f}",
         "spread ms": f"{row['spread_ms']:.2f}",
-        "µs a ray": f"{us_per_ray(row):.2f}" if drawn else "",
+        "M rays a s": f"{1 / us_per_ray(row):.3g}" if drawn else "",
         "hits a ray": f"{row['hits_per_ray']:.1f}" if row["hits_per_ray"] is not None else "",
         "p50/p99/max": _distribution(row, "hits"),
         "tile lists p50/p99/max": _distribution(row, "lists"),
