@@ -63,9 +63,14 @@ def _draw_map(found: Population, mapped: FailureMap, canvas: Canvas, folder: str
         values = found.attributes.loc[margins.index, name]
         for part, marker in (("choosing", "o"), ("judging", "s")):
             own = found.parts[margins.index] == part
-            axis.plot(values[own], margins[own], marker, color=INK, alpha=0.55, markersize=4, ls="")
+            axis.plot(
+                values[own], margins[own], marker, color=INK, alpha=0.55, markersize=4, ls="", label=f"for {part}"
+            )
         axis.axhline(0, color=GRAY, linewidth=0.8)
         axis.set_xlabel(f"{name.replace('_', ' ')}   (rank correlation {mapped.ranks[name]:+.2f})")
         axis.set_ylabel("dB")
         open_axes(axis)
+    if len(found.used_parts) > 1:
+        handles, labels = figure.axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize=8, labelcolor=SOFT)
     return canvas.write(figure, f"{folder}/failure-map", title)
