@@ -48,7 +48,7 @@ def write_colmap(scene: Scene, root: Path, text: bool) -> dict[str, Any]:
 
 
 def _with_normals_or_none(views: list[View]) -> list[View]:
-    """The views, all with normals or none, since a folder of siblings is complete: 0, unknown, where a view lacks them.
+    """The views, all with normals or none, since a folder of them is complete: 0, unknown, where a view lacks them.
 
     Test views lack them where the normals are a guess; a reader drops theirs again.
     """

@@ -15,7 +15,7 @@ from ..errors import DatasetError
 from ..formats.colmap_model import Model
 from ..formats.names import stem_of
 from ..photographs.fitting import fit_to_files
-from ..photographs.siblings import with_masks
+from ..photographs.sidecars import with_masks
 from ..photographs.undistortion import undistorted_camera
 from ..photographs.views import read_views
 from ..progress import report

@@ -12,7 +12,7 @@ from ..errors import DatasetError
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")  # extensions of photographs, in small letters
 EXTENSIONS = (*PICTURES, ".gif", ".ppm", ".pgm", ".pbm", ".npy")  # and of what lies beside them
 HIDDEN = ("__MACOSX", "Thumbs.db", "desktop.ini")
-LONGEST_NAME = 240  # bytes of a part: file systems end it at 255, and siblings' names add some
+LONGEST_NAME = 240  # bytes of a part: file systems end it at 255, and sidecar files' names add some
 LONGEST_PATH = 2000  # characters of the whole
 
 

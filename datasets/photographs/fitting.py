@@ -34,7 +34,7 @@ def fit_to_files(photographs: Sequence[Photograph]) -> list[Photograph]:
     _refuse_equal_names(photographs)
     fitted = [fit_to_file(photograph) for photograph in photographs]
     _refuse_mixed_sizes(fitted)
-    _check_siblings(fitted)
+    _check_sidecars(fitted)
     check_intrinsics(fitted)
     check_lenses(fitted)
     return fitted
@@ -93,7 +93,7 @@ def _same_shape(size: tuple[int, int], camera: pycolmap.Camera) -> bool:
     return abs(size[0] / camera.width - size[1] / camera.height) <= 1 / camera.width + 1 / camera.height
 
 
-def _check_siblings(photographs: Sequence[Photograph]) -> None:
+def _check_sidecars(photographs: Sequence[Photograph]) -> None:
     """Masks and normals have their picture's shape; where they have another size, that is noted."""
     others: dict[Path, list[str]] = defaultdict(list)
     for photograph in photographs:

@@ -19,7 +19,7 @@ from ..formats.transforms_json import read_frames
 from ..photographs.fitting import fit_to_files
 from ..photographs.normal_estimation import with_estimated_normals
 from ..photographs.placing import placed_cloud, placed_photographs, sights_of
-from ..photographs.siblings import with_masks
+from ..photographs.sidecars import with_masks
 from ..photographs.views import read_views
 from ..settings import parse_dataset_settings, require_folder
 from ..source import Source
@@ -55,7 +55,7 @@ def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     files = [read_frames(root / name) for name in TRANSFORMS]
     found = [file.photographs() for file in files]
     learned = found[0][0]
-    photographs = _with_siblings(choice, *(photographs for photographs, _ in found))
+    photographs = _with_sidecars(choice, *(photographs for photographs, _ in found))
 
     def make() -> Scene:
         for file, (_, missing) in zip(files, found, strict=True):
@@ -80,7 +80,7 @@ def files_read(settings: Mapping[str, Any]) -> list[Path]:
     """What `load_blender` makes the scene from."""
     choice = parse_dataset_settings(BlenderSettings, settings)
     return _files(
-        choice, _with_siblings(choice, *(read_frames(choice.root / name).photographs()[0] for name in TRANSFORMS))
+        choice, _with_sidecars(choice, *(read_frames(choice.root / name).photographs()[0] for name in TRANSFORMS))
     )
 
 
@@ -90,7 +90,7 @@ def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photogr
     return [photograph for name in TRANSFORMS for photograph in read_frames(root / name).photographs()[0]]
 
 
-def _with_siblings(
+def _with_sidecars(
     choice: BlenderSettings, learned: Sequence[Photograph], tested: Sequence[Photograph]
 ) -> list[Photograph]:
     """All photographs with their masks, and with normals where they are scored or learned from."""

@@ -17,7 +17,7 @@ from ..formats.names import PICTURES, visible_files
 from ..formats.photograph import Photograph
 from ..notes import note
 from ..photographs.exposure import with_equal_exposure
-from ..photographs.siblings import sibling_files, with_siblings
+from ..photographs.sidecars import sidecar_files, with_sidecars
 from ..settings import parse_dataset_settings, require_folder
 from ..source import Source
 from .capture import cached_capture, make_scene, refuse_missing
@@ -54,7 +54,7 @@ def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         _note_without_pose(images, found)
         if choice.equalize_exposure:
             found = with_equal_exposure(found, model.observations(), choice.background)
-        return make_scene(choice, with_siblings(found, root, choice.normals_frame), model.points(), images)
+        return make_scene(choice, with_sidecars(found, root, choice.normals_frame), model.points(), images)
 
     return cached_capture(choice, VERSION, _files(choice, model), cache_dir, make)
 
@@ -74,7 +74,7 @@ def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photogr
 def _files(choice: ColmapSettings, model: Model) -> list[Path]:
     names, images = model.listed_images(), _images(choice)
     files = ImageFiles(images, names, model.folder)
-    return [*model.files, *filter(None, map(files.find, names)), *sibling_files(names, choice.root)]
+    return [*model.files, *filter(None, map(files.find, names)), *sidecar_files(names, choice.root)]
 
 
 def _images(choice: ColmapSettings) -> Path:

@@ -16,7 +16,7 @@ from ..formats.pictures import read_picture
 from ..notes import note
 from ..photographs.exposure import with_equal_exposure
 from ..photographs.reconstruction import MIN_IMAGES, Reconstructor
-from ..photographs.siblings import sibling_files, with_siblings
+from ..photographs.sidecars import sidecar_files, with_sidecars
 from ..progress import mapped
 from ..settings import parse_dataset_settings, require_folder
 from ..source import Source
@@ -46,7 +46,7 @@ def load_photos(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         found, _ = model.photographs(images)
         if choice.equalize_exposure:
             found = with_equal_exposure(found, model.observations(), choice.background)
-        photographs = with_siblings(found, choice.root, choice.normals_frame)
+        photographs = with_sidecars(found, choice.root, choice.normals_frame)
         return make_scene(choice, photographs, model.points(), images)
 
     return cached_capture(choice, VERSION, files_read(settings), cache_dir, make)
@@ -56,7 +56,7 @@ def files_read(settings: Mapping[str, Any]) -> list[Path]:
     """What `load_photos` makes the scene from: the images, their masks and normals."""
     choice = parse_dataset_settings(PhotosSettings, settings)
     images, names = _images(choice)
-    return [*(images / name for name in names), *sibling_files(names, choice.root)]
+    return [*(images / name for name in names), *sidecar_files(names, choice.root)]
 
 
 def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photograph]:

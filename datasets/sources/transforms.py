@@ -17,7 +17,7 @@ from ..formats.point_clouds import RandomPoints, read_point_cloud
 from ..formats.transforms_json import FrameFile, read_frames, without_common_folder
 from ..photographs.fitting import fit_to_files
 from ..photographs.reconstruction import Reconstructor
-from ..photographs.siblings import with_siblings
+from ..photographs.sidecars import with_sidecars
 from ..settings import parse_dataset_settings, require_folder
 from ..source import Source
 from ..store.contents import digest_of
@@ -48,7 +48,7 @@ def load_transforms(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     require_folder(root)
     file = read_frames(path_below(root, choice.file, root))
     found, missing = _photographs(file, choice)
-    photographs = with_siblings(found, root, choice.normals_frame)
+    photographs = with_sidecars(found, root, choice.normals_frame)
     ply = _cloud_file(file)
 
     def make() -> Scene:
@@ -63,7 +63,7 @@ def files_read(settings: Mapping[str, Any]) -> list[Path]:
     """What `load_transforms` makes the scene from."""
     choice = parse_dataset_settings(TransformsSettings, settings)
     file = read_frames(path_below(choice.root, choice.file, choice.root))
-    return _files(file, with_siblings(_photographs(file, choice)[0], choice.root, choice.normals_frame))
+    return _files(file, with_sidecars(_photographs(file, choice)[0], choice.root, choice.normals_frame))
 
 
 def photographs_of(settings: Mapping[str, Any], cache_dir: Path) -> list[Photograph]:

@@ -8,18 +8,18 @@ from pathlib import Path
 
 from ..formats.normal_maps import NormalMap
 from ..formats.photograph import Photograph
-from ..formats.siblings import Siblings, region_folders
+from ..formats.sidecars import Sidecars, region_folders
 from ..settings import Frame
 
 
-def with_siblings(photographs: Sequence[Photograph], root: Path, frame: Frame) -> list[Photograph]:
+def with_sidecars(photographs: Sequence[Photograph], root: Path, frame: Frame) -> list[Photograph]:
     """The photographs with the masks and normals that lie in folders below `root`, where there are such folders.
 
     Raises as `with_masks`.
     """
     result = with_masks(photographs, root)
     if (root / "normals").is_dir():
-        paths = Siblings(root / "normals").find_all(photograph.name for photograph in photographs)
+        paths = Sidecars(root / "normals").find_all(photograph.name for photograph in photographs)
         result = [replace(p, normal=NormalMap(path, frame)) for p, path in zip(result, paths, strict=True)]
     return result
 
@@ -34,12 +34,12 @@ def with_masks(photographs: Sequence[Photograph], root: Path) -> list[Photograph
     for region, folder in region_folders(root).items():
         lacking = [photograph.name for photograph in result if region not in photograph.masks]
         if lacking:
-            paths = dict(zip(lacking, Siblings(folder).find_all(lacking), strict=True))
+            paths = dict(zip(lacking, Sidecars(folder).find_all(lacking), strict=True))
             result = [p if region in p.masks else replace(p, masks={**p.masks, region: paths[p.name]}) for p in result]
     return result
 
 
-def sibling_files(names: Sequence[str], root: Path) -> list[Path]:
+def sidecar_files(names: Sequence[str], root: Path) -> list[Path]:
     """The files of masks and normals below `root` that belong to the photographs of these names."""
-    folders = [Siblings(folder) for folder in (*region_folders(root).values(), root / "normals")]
+    folders = [Sidecars(folder) for folder in (*region_folders(root).values(), root / "normals")]
     return [path for folder in folders for name in names for path in folder.candidates(name)]

@@ -1,4 +1,4 @@
-"""Siblings: masks and normals in folders beside the images, found by the images' names."""
+"""Sidecars: masks and normals in folders beside the images, found by the images' names."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .mask_file import mask_size
 from .names import EXTENSIONS, composed, stem_of, visible_files
 
 
-class Siblings:
+class Sidecars:
     """Files of a folder, found by an image's name: the same path below the folder, with any extension of theirs."""
 
     def __init__(self, folder: Path) -> None:
@@ -75,8 +75,8 @@ def _is_reduced_copy(folder: Path) -> bool:
             f"{folder}: is called as a reduced copy of {whole.name}/, which is not there; rename it to masks/, or to "
             "masks_<region>/"
         )
-    copies = Siblings(folder)
-    pairs = [(path, found[0]) for path in Siblings(whole).files if (found := copies.candidates(path.name))]
+    copies = Sidecars(folder)
+    pairs = [(path, found[0]) for path in Sidecars(whole).files if (found := copies.candidates(path.name))]
     reduced = not pairs or mask_size(pairs[0][1]) < mask_size(pairs[0][0])
     if base == "masks" and not reduced:
         raise DatasetError(
