@@ -55,8 +55,8 @@ def main(arguments: Sequence[str]) -> int:
         "--figure",
         type=Path,
         metavar="FILE.webp",
-        help="write no report: one picture of two test views of a data set, as every method drew them, with a window "
-        "at the pixels' own size; .jpg too",
+        help="write no report: one picture of two test views of a data set, as every method drew them, with a crop "
+        "of each at the pixels' own size; .jpg too",
     )
     parser.add_argument(
         "--against",

@@ -1,4 +1,4 @@
-"""A figure for a page: two test views as every method drew them, and below each a window of them, pixel by pixel."""
+"""A figure for a page: two test views as every method drew them, and below each a crop of them, pixel by pixel."""
 
 from __future__ import annotations
 
