@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from reports_runs import record, sections_of, tables_of, write_record, write_runs
+from reports_runs import record, row_of, sections_of, tables_of, write_record, write_runs
 from scipy.stats import mannwhitneyu
 
 from envgs_bench.fixed_rays import FixedRaySamples, write_samples
@@ -100,6 +100,16 @@ def test_a_perturbed_run_is_compared_with_the_run_of_its_own_seed(tmp_path: Path
     assert values.values("psnr_median_view").strata == ((29.0, 17.5, 24.5),)
     assert values.values("psnr_worst_view").strata == ((27.0, 15.5, 22.5),)
     assert values.values("psnr_p5_view").strata[0][0] == pytest.approx(np.percentile([27, 28, 29, 30, 31], 5))
+
+
+def test_both_are_printed_where_views_were_aligned(tmp_path: Path) -> None:
+    write(tmp_path, "envgs", 0, 0, 25.0)
+    write(tmp_path, "envgs", 0, 1, 20.0, kind="pose_rotation", metrics__mean={"psnr": 20.0, "psnr_aligned": 24.0})
+    (table,) = stability_tables(stability_of(tmp_path))
+    perturbed = row_of(table, "envgs, severity 1")
+    assert (perturbed.cells["psnr"].mean, perturbed.cells["psnr_aligned"].mean) == (20.0, 24.0)
+    assert row_of(table, "envgs, unperturbed").cells["psnr_aligned"].mean is None
+    assert "PSNR aligned" in {column.title for column in table.columns}
 
 
 def test_the_partner_has_the_same_settings_and_steps(tmp_path: Path) -> None:
