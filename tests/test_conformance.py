@@ -30,7 +30,7 @@ def test_a_method_that_conforms_passes() -> None:
     ],
 )
 def test_the_built_in_methods_pass(kind: str, settings: dict[str, Any]) -> None:
-    check_method(kind, settings, steps=20)
+    check_method(kind, settings, steps=10)
 
 
 @pytest.mark.parametrize(

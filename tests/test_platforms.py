@@ -8,7 +8,7 @@ import sys
 # What Windows' Python lacks is taken away once the libraries are there that need it on this system.
 WITHOUT = """
 import importlib, os, signal, sys
-import hydra, kornia, matplotlib, pandas, psutil, pycolmap, rich.console, scipy.ndimage, torch, torchmetrics
+import hydra, pandas, psutil, rich.console, torch
 for name in ("fcntl", "resource", "pwd", "termios"):
     sys.modules[name] = None
 for owner, names in ((signal, ("SIGALRM", "ITIMER_REAL", "setitimer", "SIGKILL")),

@@ -76,8 +76,7 @@ def test_gradients_through_the_screen_space_filter_are_differences():
     check_against_differences(render, list(vars(tiny).values()))
 
 
-@pytest.mark.parametrize("sh_direction", ["center", "ray"])
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize(("degree", "sh_direction"), [(0, "center"), (1, "ray"), (2, "center"), (3, "ray")])
 def test_traced_gradients_are_differences(degree, sh_direction):
     rays = [x.to(torch.float64) for x in plain_camera(2, 2, focal=6.0).rays()]
     origins = rays[0] + torch.tensor([0.1, -0.1, 0.2], dtype=torch.float64)

@@ -233,7 +233,7 @@ def test_a_method_with_planes_conforms(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = mirror_room(views=8, size=32)
     monkeypatch.setattr("envgs_bench.testing.tiny_scene", lambda: scene)
     monkeypatch.setattr("envgs_bench.methods.lighting.planes.DETACHED", 0)
-    check_method("envgs", {**SMALL, "planes": "masks"}, steps=20)
+    check_method("envgs", {**SMALL, "planes": "masks"}, steps=10)
 
 
 def test_what_lies_behind_a_mirror_becomes_transparent() -> None:
