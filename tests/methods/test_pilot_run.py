@@ -1,4 +1,4 @@
-"""What all trials train on: the views made small."""
+"""What all pilot runs train on: the views made small."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def test_either_of_both_numbers_shows_a_reflection(weight: float, gain: float, r
 
 @pytest.fixture
 def short_runs(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
-    """Runs of any length begin with a trial, of few steps."""
+    """Runs of any length begin with a pilot run, of few steps."""
     monkeypatch.setattr(envgs, "SHORTEST_RUN", 0)
     monkeypatch.setattr(pilot_run, "SCHEDULE", 60)
     monkeypatch.setattr(pilot_run, "STEPS", 9)
@@ -83,7 +83,7 @@ def short_runs(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
 
 
 def finds_nothing(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
-    """Trials find from now on that nothing reflects; the scenes that they are made on."""
+    """Pilot runs find from now on that nothing reflects; the scenes that they are made on."""
     tried = []
 
     def found(scene: Scene, *_: Any) -> ReflectionOutcome:
