@@ -77,7 +77,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def _fill(page: Path, folder: Path) -> int:
     from envgs_bench.records import write_atomically
-    from envgs_bench.reports.kept.page import fill_page
+    from envgs_bench.reports.documentation import fill_page
 
     text, absent = fill_page(page, folder)
     write_atomically(page, text)

@@ -1,4 +1,4 @@
-"""Adaptive density control: clone, split, prune, limit (3D Gaussian Splatting Sec. 5.2, EnvGS paper Sec. 5.1, App. C)."""
+"""Adaptive density control: clone, split, prune, cap (3D Gaussian Splatting Sec. 5.2, EnvGS paper Sec. 5.1, App. C)."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class DensificationRule:
     max_primitives: int  # the least-weighted above this count are pruned; 0: as many as grow
     min_coverage: float = 0.0  # pixels that a primitive must fill, on average over its views, to be cloned or split
     min_views: float = 0.0  # steps that must have shown it for that: `DensificationRecord.effective_views`
-    max_growth: float = 0.1  # most that either way of growing adds at once, × the set; 0: no limit, at the size limit neither
+    max_growth: float = 0.1  # most that either way of growing adds at once, × the set; 0: no limit, at the cap neither
     clone_below: float = 0.01  # largest scale up to which a primitive is cloned; above it is split
     oversized_above: float = 0.1  # largest scale above which a primitive is split in five or pruned
     parts_weigh: PartsWeigh = "share"  # what new primitives inherit of a weight, where the least-weighted go
@@ -120,14 +120,14 @@ def densify(
     generator: torch.Generator,
     oversized: Oversized = "split",
 ) -> DensificationRecord:
-    """Clone, split, prune and limit the set; returns the empty record of the new set.
+    """Clone, split, prune and cap the set; returns the empty record of the new set.
 
     In this order: small primitives with a large gradient are cloned, large ones split in two (scales ÷ 1.6); those
     below `min_opacity` are pruned; what is `oversized` is treated as that says; and above `max_primitives` those with
     the least mean blending weight go. Parts share their parent's weight, or have it times the largest Σ of weights, so
     that no new one goes (EnvGS's code). With `max_growth`, either way of growing adds at most that share to the
-    set, where the gradients or the weights are largest; at the size limit a twentieth, which takes the place of the
-    least-weighted. The set changes once, from what it was to what is left: it is never above the limit.
+    set, where the gradients or the weights are largest; at the cap a twentieth, which takes the place of the
+    least-weighted. The set changes once, from what it was to what is left: it is never above the cap.
 
     Args:
         oversized: "split", in five, or pruned if among the least-weighted tenth (EnvGS); "prune", all of them (3DGS);

@@ -11,8 +11,8 @@ import pytest
 
 from envgs_bench.cli.composition import config_names
 from envgs_bench.methods.registry import BUILT_IN
+from envgs_bench.reports.documentation import fill_page
 from envgs_bench.reports.kept import originals
-from envgs_bench.reports.kept.page import fill_page
 from envgs_bench.reports.kept.runs_file import NoRunsError
 from envgs_bench.reports.kept.tables import TableError
 

@@ -11,7 +11,7 @@ import pytest
 from reports_runs import record, run_folder, write_failure, write_record
 
 from envgs_bench.cli.main import main
-from envgs_bench.reports.kept.page import fill_page
+from envgs_bench.reports.documentation import fill_page
 from envgs_bench.reports.kept.perturbed_file import COLUMNS, read_perturbed
 from envgs_bench.reports.kept.runs_file import RunsFileError
 

@@ -14,7 +14,7 @@ from scipy import stats
 
 from envgs_bench.cli.main import main
 from envgs_bench.records import find_runs, read_record
-from envgs_bench.reports.kept.page import fill_page
+from envgs_bench.reports.documentation import fill_page
 from envgs_bench.reports.kept.runs_file import FACTS, RunsFileError, read_kept
 from envgs_bench.reports.kept.tables import TableError
 

@@ -12,7 +12,7 @@ from scipy.stats import binomtest, bootstrap
 
 from envgs_bench.cli.main import main
 from envgs_bench.reports import build_report
-from envgs_bench.reports.kept.page import fill_page
+from envgs_bench.reports.documentation import fill_page
 from envgs_bench.reports.numbers.intervals import sample_interval, share_interval
 from envgs_bench.reports.studies.population.attribute_words import condition
 from envgs_bench.reports.studies.population.failure_map import Question, failure_map, sentences, signs_told

@@ -18,14 +18,14 @@ from pathlib import Path
 
 import pandas as pd
 
-from ..studies import STUDIES
-from .counts import false_alarms, found, read_counts
-from .originals import BESIDE_ORIGINALS, MarksError, read_marks, read_words
-from .over_scenes import differences, mean_over_scenes, over_scenes
-from .perturbed_file import read_perturbed
-from .perturbed_tables import lag, recall, stability
-from .runs_file import NoRunsError, read_kept
-from .tables import FULL, KeptRuns, PageTable, TableError, column_of, costs, difference, gains, programs, scores
+from .kept.counts import false_alarms, found, read_counts
+from .kept.originals import BESIDE_ORIGINALS, MarksError, read_marks, read_words
+from .kept.over_scenes import differences, mean_over_scenes, over_scenes
+from .kept.perturbed_file import read_perturbed
+from .kept.perturbed_tables import lag, recall, stability
+from .kept.runs_file import NoRunsError, read_kept
+from .kept.tables import FULL, KeptRuns, PageTable, TableError, column_of, costs, difference, gains, programs, scores
+from .studies import STUDIES
 
 TABLE = re.compile(r"(<!-- table: (\w+) (.*?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 NUMBER = re.compile(r"(<!-- number: (.*?) -->).*?(<!-- end -->)", re.DOTALL)
