@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +15,10 @@ from scipy import stats
 
 from envgs_bench.cli.main import main
 from envgs_bench.reports.kept.against import against, as_markdown
-from envgs_bench.reports.kept.runs_file import RunsFileError
+from envgs_bench.reports.kept.runs_file import RunsFileError, read_kept
 from envgs_bench.reports.numbers.runs import read_runs
 
+ROOT = Path(__file__).parents[2]
 SCENE = "toy/chrome_room"
 
 
@@ -123,3 +126,14 @@ def test_what_is_no_earlier_report_is_named(old: Path, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("a,b\n1,2\n")
     with pytest.raises(RunsFileError, match="expected a CSV of kept runs"):
         against(read_runs(old)[0], tmp_path / "a.csv")
+
+
+def test_what_the_workflow_holds_runs_against_can_be_read() -> None:
+    """And has every run of the command above it."""
+    recipe = (ROOT / "Makefile").read_text(encoding="utf-8").partition("\npublished:")[2].partition("\n\n")[0]
+    (path,) = re.findall(r"--against (\S+)", recipe)
+    (swept,) = re.findall(r"^TOYS := (.*)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    choices = dict(word.partition("=")[::2] for word in swept.split())
+    kept = read_kept(ROOT / path)
+    expected = product(*(choices[name].split(",") for name in ("dataset", "method", "seed")))
+    assert set(kept[["scene", "method", "seed"]].astype(str).itertuples(index=False, name=None)) == set(expected)
