@@ -102,7 +102,8 @@ def method_class(kind: str) -> type[Method]:
     try:
         found = load_import_path(path)
     except ImportError as error:
-        raise ValueError(f"method {kind!r} cannot be imported from {path}: {error}") from error
+        place = f" from {path}" if path != kind else ""
+        raise ValueError(f"method {kind!r} cannot be imported{place}: {error}") from error
     from .method import Method
 
     if not (isinstance(found, type) and issubclass(found, Method)):

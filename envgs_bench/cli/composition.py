@@ -119,7 +119,8 @@ def register_choices(overrides: Iterable[str] = ()) -> None:
         try:
             _offer(kind, settings_type(kind))
         except Exception as error:
-            print(f"method {kind}{f' of {path}' * (path != kind)} cannot be loaded: {error}", file=sys.stderr)
+            named = kind in str(error)
+            print(error if named else f"method {kind} of {path} cannot be loaded: {error}", file=sys.stderr)
 
 
 @cache  # as below

@@ -439,7 +439,7 @@ def test_an_installed_packages_method_is_offered_with_its_defaults(
     shown = capsys.readouterr()
     assert "rate: 0.75" in shown.out
     assert "crash_at: 0" in shown.out
-    assert "method broken of fakes.nowhere:Method cannot be loaded" in shown.err
+    assert "method 'broken' cannot be imported from fakes.nowhere:Method" in shown.err
     assert main(["list", "method", "mean"]) == 0
     assert "share of the way to each view's mean color" in capsys.readouterr().out
 
@@ -450,7 +450,7 @@ def test_a_method_is_chosen_by_its_import_path(capsys: pytest.CaptureFixture[str
     for line in ("name: MeanColor", "kind: fakes.methods:MeanColor", "rate: 1", "crash_at: 0"):
         assert line in shown
     assert main(["run", "method=fakes.nowhere:Method", "--cfg", "job"]) == 2
-    assert "method fakes.nowhere:Method of fakes.nowhere:Method cannot be loaded" in capsys.readouterr().err
+    assert "method 'fakes.nowhere:Method' cannot be imported: " in capsys.readouterr().err
 
 
 def test_a_stored_configuration_holds_every_setting(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def test_every_job_has_a_record_and_the_exit_status_says_that_some_failed(sweep:
         ("TakesMemory", "out_of_memory", "RuntimeError", "can't allocate memory"),
         ("IsSlow", "timeout", "TimeUp", "timeout_minutes=0.02"),
         ("Hangs", "timeout", "TimeUp", "timeout_minutes=0.02 and was killed"),
-        ("Nobody", "failed", "ValueError", "cannot be imported from fakes.methods:Nobody"),
+        ("Nobody", "failed", "ValueError", "'fakes.methods:Nobody' cannot be imported"),
         ("LosesItsLoss", "diverged", "Diverged", "not finite in 20 steps in a row, up to step 24"),
         ("RendersNaN", "diverged", "Diverged", "the render of view view0 is not finite"),
     ],
