@@ -60,7 +60,7 @@ DIFFERENCES = {
     "2dgs_lean": TUNED | BOUNDED | LEAN,
     "3dgs_lean": TUNED | BOUNDED | LEAN,
     **{
-        f"{kind}_mcmc": TUNED | BOUNDED | {"densify_until": 25_000, "rules": {"growth": "mcmc"}}
+        f"{kind}_mcmc": TUNED | BOUNDED | {"densify_until": 25_000, "densify_every": 300, "rules": {"growth": "mcmc"}}
         for kind in ("2dgs", "3dgs")
     },
     "envgs_lean": {"prune_error": 0.05, "reflection_pilot": True},
