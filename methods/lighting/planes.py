@@ -34,7 +34,7 @@ REACH = 3.0  # standard deviations that a surfel reaches
 DETACHED = 3_000  # steps of a run of 30,000 after the warm-up in which what planes show teaches the base nothing
 PANE = 0.1  # R₀ that planes begin with that are no mirrors
 CLEARED_EVERY, MIRROR = 1_500, 0.45  # steps between clearings behind what reflects as much
-RATES = {"plane_centers": 2e-4, "plane_turns": 1e-4, "plane_halves": 1e-3, "plane_reflectances": 1e-3}
+RATES = {"plane_centers": 2e-4, "plane_turns": 1e-4, "plane_halves": 1e-3, "plane_reflectances": 1e-2}
 
 
 class Planes(Part):
