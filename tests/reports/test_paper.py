@@ -277,7 +277,7 @@ def test_numbers_of_nerfbaselines_stand_beside_runs_of_its_protocol_alone(tmp_pa
         write_runs(tmp_path / protocol, ("mipnerf360/garden",), methods, seeds=(0,), pictures=False, protocol=own)
     found = {section.protocol.name: section for section in sections_of(tmp_path)}
     for name in ("nerfbaselines", "nerfbaselines-8bit"):
-        table = titled(found[name].tables, "mipnerf360/garden")
+        table = titled(found[name], "mipnerf360/garden")
         assert row_of(table, "3dgs").published["psnr"] == Decimal("27.34")
         assert not row_of(table, "3dgs_tuned").published
         assert row_of(table, "gsplat").runs_text == "published"
