@@ -40,7 +40,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # a run beside another (a parallel sweep, a shared machine) ten times its own time.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     given = list(sys.argv[1:] if arguments is None else arguments)
-    command = _parser().parse_args(given[:1]).command
+    parser = _parser()
+    if not given:  # whoever is new here sees what there is
+        parser.print_help(sys.stderr)
+        parser.exit(2)
+    command = parser.parse_args(given[:1]).command
     return importlib.import_module(f".{command}", __package__).main(given[1:])
 
 

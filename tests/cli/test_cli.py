@@ -72,7 +72,9 @@ def test_wrong_usage_ends_with_status_2(arguments: list[str], capsys: pytest.Cap
     with pytest.raises(SystemExit) as caught:
         main(arguments)
     assert caught.value.code == 2
-    assert "usage: envgs-bench" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "usage: envgs-bench" in err
+    assert ("\n    doctor " in err) is (not arguments)  # alone, it says what commands there are
 
 
 @pytest.mark.parametrize(
