@@ -56,7 +56,7 @@ class Rules:
     perceptual_from: Steps = 0  # step after which L_perc counts
 
     settling_interval: Count = 5  # × densify_every between warm_up and disturb_until; less in a short run
-    settling_pixels: Amount = 64.0  # but not before the base has a primitive for so many training pixels; 0: always
+    small_size: Amount = 0.75  # a base of fewer primitives a pixel of a training view grows as often as 2DGS's; 0: none
     beta_threshold: Share = 1 / 255  # what moves a pixel less is not traced: rays of an image, what others leave
     ray_offset: Amount = 1e-3  # a reflected ray starts this far above the surface, × scene radius
     reflect_alpha: Share = 0.0  # pixels whose alpha is not above do not reflect: in images, and late in training
@@ -85,7 +85,7 @@ PUBLISHED: dict[str, Any] = {  # the adaptive control of 3DGS, its colors and it
     "max_scale": 0.0,
     "normals": "as_given",
     "mono_loss": "cos",
-    "settling_pixels": 0.0,
+    "small_size": 0.0,
     "beta_threshold": 0.0,
 }
 OF_3DGS: dict[str, Any] = PUBLISHED | {

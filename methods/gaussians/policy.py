@@ -202,17 +202,12 @@ def regular(schedule: Schedule, interval: int) -> Callable[[int, int], Fraction]
     return lambda step, size: schedule.interval(interval, DENSIFY_FLOOR)
 
 
-def slowed(
-    usual: Callable[[int, int], Fraction], times: int, after: int, until: int, above: int
-) -> Callable[[int, int], Fraction]:
-    """An interval between densifications, `times` as long in a span of steps, or as leaves it ten of them.
-
-    A set of fewer primitives than `above` keeps the usual one.
-    """
+def slowed(usual: Callable[[int, int], Fraction], times: int, after: int, until: int) -> Callable[[int, int], Fraction]:
+    """An interval between densifications, `times` as long in a span of steps, or as leaves it ten of them."""
 
     def interval(step: int, size: int) -> Fraction:
         every = usual(step, size)
-        if every == 0 or not after < step <= until or size < above:
+        if every == 0 or not after < step <= until:
             return every
         longest = (until - after) // (SLOW_DENSIFICATIONS * every)
         return every * max(1, min(times, longest))

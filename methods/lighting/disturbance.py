@@ -14,7 +14,17 @@ from envgs_bench.parts import BASE
 
 from ..gaussians.model import GaussianModel
 from ..gaussians.parameters import inverse_sigmoid
-from ..gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, base_policy, initial_rates, slowed, training_pixels
+from ..gaussians.policy import (
+    INITIAL_OPACITY,
+    SetPolicy,
+    Start,
+    base_policy,
+    initial_rates,
+    regular,
+    slowed,
+    training_pixels,
+)
+from ..settings import GaussianSettings
 from ..training.schedule import DISTURB_FLOOR, RESET_FLOOR, Every, Part, Schedule
 from .settings import ReflectionSettings
 
@@ -107,14 +117,20 @@ class Disturbance(Part):
 
 
 def reflecting_policy(s: ReflectionSettings, schedule: Schedule, scene: Scene | None) -> SetPolicy:
-    """The policy of a base set with β, which grows more slowly while reflections settle, once it is large enough."""
+    """The policy of a base set with β: it grows as 2DGS's while it is small, and then more slowly.
+
+    Small is said in pixels of one view. What a scene needs follows the detail that a view shows, and not their number.
+    """
     start = Start(INITIAL_OPACITY, s.rule.initial_orientation, beta=s.initial_beta)
     rates = replace(initial_rates(s, schedule), beta=s.beta_lr * schedule.rate_scale)
     policy = base_policy(s, schedule, scene, start=start, rates=rates)
     span = schedule.at(s.warm_up), schedule.at(s.disturb_until)
-    pixels = s.rule.settling_pixels
-    above = int(training_pixels(scene) / pixels) if scene is not None and pixels else 0
-    return replace(policy, interval=slowed(policy.interval, s.rule.settling_interval, *span, above))
+    large = slowed(policy.interval, s.rule.settling_interval, *span)
+    if scene is None or s.rule.small_size == 0:
+        return replace(policy, interval=large)
+    small = regular(schedule, GaussianSettings.densify_every)
+    until = int(s.rule.small_size * training_pixels(scene) / len(scene.train))
+    return replace(policy, interval=lambda step, size: small(step, size) if size < until else large(step, size))
 
 
 def beta_of(model: GaussianModel) -> Tensor:

@@ -29,7 +29,6 @@ class ReflectionSettings(GaussianSettings):
 
     densify_until: Steps = 18_000
     densify_every: Steps = 300
-    min_coverage: Amount = 1.5
     pixels_per_primitive: Amount = 7.0
 
     warm_up: Steps = 3_000  # steps with the base set alone

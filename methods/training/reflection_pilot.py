@@ -26,7 +26,6 @@ PLAIN: dict[str, Any] = {  # of a base set that reflects nothing: what `2dgs_tun
     "warm_up": NEVER,
     "densify_every": 100,
     "densify_until": 15_000,
-    "min_coverage": 1.0,
     "pixels_per_primitive": 10.0,
     "normal_weight": 0.05,
     "mono_weight": 0.0,

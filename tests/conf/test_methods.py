@@ -36,7 +36,7 @@ BOUNDED = {"pixels_per_primitive": 10.0}
 LEAN = {"prune_error": 0.05, "prune_from": 14_000}
 MIRRORED = TUNED | {
     **{"rotation_lr_final": 1e-4, "normal_weight": 0.04, "normal_from": 7_000, "densify_until": 18_000},
-    **{"densify_every": 300, "min_coverage": 1.5, "pixels_per_primitive": 7.0, "mono_weight": 0.05, "map_levels": 7},
+    **{"densify_every": 300, "pixels_per_primitive": 7.0, "mono_weight": 0.05, "map_levels": 7},
 }
 DIFFERENCES = {
     **{kind: {} for kind in BUILT_IN},
@@ -44,7 +44,7 @@ DIFFERENCES = {
     "3dgs_tuned": TUNED | BOUNDED,
     "3igs_tuned": TUNED | {"sh_degree": 0},
     "gaussian_shader_tuned": TUNED
-    | {"rotation_lr_final": 1e-4, "densify_until": 18_000, "densify_every": 300, "min_coverage": 1.5}
+    | {"rotation_lr_final": 1e-4, "densify_until": 18_000, "densify_every": 300}
     | {"pixels_per_primitive": 7.0, "mono_weight": 0.05},
     "ref_dgs": {
         "near_count": 50_000,
@@ -270,7 +270,7 @@ def test_the_published_configurations_are_what_was_published() -> None:
 
 
 def test_the_tuned_baselines_have_the_growth_and_the_colors_of_the_other_methods() -> None:
-    shared = dataclasses.asdict(ReflectionSettings()) | {"min_coverage": 1.0, "rotation_lr_final": 1e-3}
+    shared = dataclasses.asdict(ReflectionSettings()) | {"rotation_lr_final": 1e-3}
     for kind in ("2dgs", "3dgs"):
         published, tuned = (composed(name)["settings"] for name in (kind, f"{kind}_tuned"))
         assert {key for key in published if published[key] != tuned[key]} == set(TUNED | BOUNDED)

@@ -109,15 +109,14 @@ def test_the_settling_interval_leaves_the_base_ten_densifications(steps, usual, 
     assert all(step % usual == 0 for step in grows if step > last)
 
 
-def test_a_base_too_small_for_what_the_views_show_grows_as_before_while_reflections_settle():
-    pixels = sum(view.camera.width * view.camera.height for view in SCENE.train)
-    enough, too_few = pixels / len(SCENE.points), 0.9 * pixels / len(SCENE.points)
-    steps = {
-        given: events("envgs", 3000, opacity_reset_every=0, settling_pixels=given)["densify_base"]
-        for given in (enough, too_few)
-    }
-    assert all(step % 150 == 0 for step in steps[enough] if 300 < step <= 1800)
-    assert [step for step in steps[too_few] if 300 < step <= 1800] == list(range(330, 1800, 30))
+def test_a_base_that_is_small_beside_a_view_grows_as_often_as_2dgs():
+    """The set has 20 primitives and a view 16 pixels."""
+    size = len(SCENE.points) / (VIEW.camera.width * VIEW.camera.height)
+    large, small = (events("envgs", 9000, opacity_reset_every=0, small_size=k * size)["densify_base"] for k in (1, 1.1))
+    baseline = events("2dgs", 9000, opacity_reset_every=0, recipe="ours", densify_until=18_000)["densify_base"]
+    assert small == baseline
+    assert all(step % 90 == 0 for step in large)
+    assert len(large) < len(small) / 3
 
 
 @pytest.mark.parametrize("steps", [3000, 4500, 10_000, 30_000, 60_000])
