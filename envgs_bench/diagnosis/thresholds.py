@@ -3,8 +3,7 @@
 They are frozen. Those of exposures, poses and mirrored normals were counted on 65 scenes that had no part in them
 (docs/notebook/2026-11-27-false-alarms.md): none of these warned of anything, and no repair changed any. Of what was
 spoiled on purpose, found were exposures by 0.5 stops 65 of 65, poses by 2° 64 of 65, mirrored normals 62 of 65, to the
-last view. On 20 sampled scenes (docs/notebook/2026-11-28-warnings-on-sampled-scenes.md) these three changed none in
-order either.
+last view. Of 202 sampled scenes (docs/notebook/2026-11-28-warnings-counted.md) they warned of none in order either.
 """
 
 from __future__ import annotations
