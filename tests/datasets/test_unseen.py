@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from fakes.runs import only_folder, records, run_here, set_environment
+from toy_scenes import rough_toys
 
 from envgs_bench.core import Camera
 from envgs_bench.datasets.registry import load_scene
@@ -27,6 +29,12 @@ ORBIT = Orbit(
     field_of_view_degrees=60.0,
 )
 TOY = {"kind": "toy", "scene": "sky_ball", "width": 32, "height": 24, "views": 9, "supersampling": 1}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _rough() -> Iterator[None]:
+    with rough_toys():
+        yield
 
 
 def cameras() -> list[Camera]:

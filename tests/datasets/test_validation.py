@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import pytest
 import torch
 from captures import NAMES_OF_TEN, gradient, write_capture
 from PIL import Image
+from toy_scenes import rough_toys
 
 from envgs_bench.core import Camera, Scene, View
 from envgs_bench.datasets import DatasetError, load_scene
@@ -28,6 +29,12 @@ TOY = {
     "normal_noise": 5,
     "supersampling": 1,
 }
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _rough() -> Iterator[None]:
+    with rough_toys():
+        yield
 
 
 @pytest.fixture(scope="module")
