@@ -85,7 +85,7 @@ def _lines(
         return [first, *(of.get(method, (None, "no picture")) for method in methods)]
 
     scores = {m: f"{shot.psnr[m]:.2f} dB" if m in shot.psnr else "" for m in drawn}
-    whole = {m: (framed(picture, *window), scores[m]) for m, picture in drawn.items()}
+    whole: dict[str, Panel] = {m: (framed(picture, *window), scores[m]) for m, picture in drawn.items()}
     crops: dict[str, Panel] = {m: (picture[window], "") for m, picture in drawn.items()}
     return [("", line((framed(target, *window), ""), whole)), ("", line((target[window], ""), crops))]
 

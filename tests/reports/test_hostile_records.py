@@ -89,7 +89,9 @@ def test_bad_records_are_named_and_the_others_reported(
     assert main(["report", str(runs), "--out", str(tmp_path / "out")]) == 1
     said = capsys.readouterr()
     assert f"4 runs, {len(BAD) + 1} unreadable" in said.out
-    lines = dict(line.split(": ", 1)[1].split(": ", 1) for line in said.err.splitlines())
+    *complaints, helps = said.err.splitlines()
+    assert helps.startswith("what helps: ")
+    lines = dict(line.split(": ", 1)[1].split(": ", 1) for line in complaints)
     for name, (_, why) in BAD.items():
         reason = lines[str(runs / "bad" / name)]
         assert str(runs / "bad" / name / "record.json") in reason

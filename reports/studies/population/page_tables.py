@@ -75,7 +75,7 @@ def population_in(runs: KeptRuns, of: str, ladder: tuple[str, ...] = ()) -> Popu
         if metric in done
     }
     parts = pd.Series({scene: part_of(int(scene.rpartition("/")[2])) for scene in attributes.index})
-    failures = {method: int((own["status"] != "ok").sum()) for method, own in rows.groupby("method")}
+    failures = {str(method): int((own["status"] != "ok").sum()) for method, own in rows.groupby("method")}
     found = Population(attributes, parts, scores, failures, of, ladder)
     if not scores or len(found.psnr) < FEWEST_SCENES:
         raise TableError(f"{runs.name} has fewer than {FEWEST_SCENES} scenes with attributes that all methods finished")
@@ -85,7 +85,7 @@ def population_in(runs: KeptRuns, of: str, ladder: tuple[str, ...] = ()) -> Popu
 def _ranks(found: Population, mapped: FailureMap) -> str:
     quartiles = found.attributes.loc[found.psnr.index].quantile([0.25, 0.5, 0.75])
     rows = [
-        [name.replace("_", " "), f"{rank:+.2f}", *(f"{value:.3g}" for value in quartiles[name])]
+        [str(name).replace("_", " "), f"{rank:+.2f}", *(f"{value:.3g}" for value in quartiles[name])]
         for name, rank in mapped.ranks.items()
     ]
     return as_markdown(["attribute", "rank correlation", "lower quartile", "median", "upper quartile"], rows)
