@@ -158,6 +158,16 @@ def test_pages_say_the_same_of_kept_runs(tmp_path: Path) -> None:
     assert "primitives are enough" in text
 
 
+def test_a_page_of_too_few_scenes_says_so(tmp_path: Path) -> None:
+    write_scenes(tmp_path / "runs", count=5)
+    main(["report", str(tmp_path / "runs"), "--keep", str(tmp_path / "records" / "runs.csv")])
+    page = tmp_path / "page.md"
+    page.write_text("<!-- table: goals of=envgs records=runs.csv -->\n<!-- end of table -->\n", encoding="utf-8")
+    text, absent = fill_page(page, tmp_path / "records")
+    assert "*Not measured: records/runs.csv has fewer than 8 scenes" in text
+    assert len(absent) == 1
+
+
 def test_what_is_missed_is_what_the_numbers_say(tmp_path: Path) -> None:
     """Of scenes whose differences are set: it is behind by 0.5 dB or ahead by 2, and no run failed."""
     write_scenes(tmp_path)

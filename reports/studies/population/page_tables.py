@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from ...kept.runs_file import ATTRIBUTE
+from ...kept.runs_file import ATTRIBUTE, NoRunsError
 from ...kept.tables import KeptRuns, TableError, as_markdown
 from .failure_map import FailureMap
 from .goals import goals, told
@@ -48,7 +48,7 @@ def gaps_told(runs: KeptRuns, of: str) -> str:
     found = population_in(runs, of)
     said = gaps(found)
     if not said:
-        raise TableError(f"{runs.name} has fewer than {FEWEST_SCENES} scenes of one part: expected both parts")
+        raise NoRunsError(f"{runs.name} has fewer than {FEWEST_SCENES} scenes of one part")
     return _list(said, runs)
 
 
@@ -56,7 +56,8 @@ def population_in(runs: KeptRuns, of: str, ladder: tuple[str, ...] = ()) -> Popu
     """The population of kept runs.
 
     Raises:
-        TableError: too few scenes with attributes that all methods finished, or a method that has no runs.
+        NoRunsError: too few scenes with attributes that all methods finished.
+        TableError: a method has no runs.
     """
     absent = [method for method in (of, *ladder) if method not in runs.methods]
     if absent:
@@ -78,7 +79,7 @@ def population_in(runs: KeptRuns, of: str, ladder: tuple[str, ...] = ()) -> Popu
     failures = {str(method): int((own["status"] != "ok").sum()) for method, own in rows.groupby("method")}
     found = Population(attributes, parts, scores, failures, of, ladder)
     if not scores or len(found.psnr) < FEWEST_SCENES:
-        raise TableError(f"{runs.name} has fewer than {FEWEST_SCENES} scenes with attributes that all methods finished")
+        raise NoRunsError(f"{runs.name} has fewer than {FEWEST_SCENES} scenes that all methods finished")
     return found
 
 
