@@ -74,7 +74,7 @@ class PathTracer:
         None counts for more than `most`: one that meets a lamp in a mirror by chance is a speckle otherwise, however
         many others there are.
         """
-        size = 1 if not self._on_gpu else self._views_at_once(cameras, supersampling)
+        size = self._views_at_once(cameras, supersampling)
         batches = [list(cameras[first : first + size]) for first in range(0, len(cameras), size)]
         seeds = rng.integers(2**31, size=len(cameras)).tolist()
 
@@ -90,7 +90,9 @@ class PathTracer:
             yield from views
 
     def _views_at_once(self, cameras: Sequence[Camera], supersampling: int) -> int:
-        """On a GPU: to prepare a picture takes it as long as to trace several."""
+        """Several on a GPU: to prepare a picture takes it as long as to trace some."""
+        if not self._on_gpu or not cameras:
+            return 1
         return max(1, MOST_PATHS // (supersampling**2 * cameras[0].width * cameras[0].height))
 
     def _side_by_side(self, cameras: Sequence[Camera]) -> Any:

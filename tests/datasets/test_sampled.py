@@ -125,6 +125,21 @@ def test_a_path_counts_for_no_more_than_it_may() -> None:
     assert view.shape == (30, 40, 3)
 
 
+def test_views_traced_at_once_are_those_traced_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a GPU traces them: a glowing floor from three sides, black around it, has no noise but along its edges."""
+    floor = Surface(flat((0.3, 0.1, 0), 1.5, 1), linear=np.full((2, 2, 3), 0.5), emission=1.0)
+    tracer = PathTracer([floor.traced()], np.zeros((4, 8, 3)))
+    cameras = [camera_at(center) for center in ((2.0, 0.0, 1.2), (0.0, 2.0, 1.0), (-1.5, -1.0, 0.8))]
+    alone = list(tracer.clamped_lights(cameras, 4, 1.0, np.random.default_rng(0)))
+    monkeypatch.setattr(tracer, "_views_at_once", lambda *_: 2)
+    together = list(tracer.clamped_lights(cameras, 4, 1.0, np.random.default_rng(1)))
+    assert len(together) == 3
+    for one, other in zip(alone, together, strict=True):
+        assert other.shape == (30, 40, 3)
+        assert np.abs(one - other).mean() < 0.003
+    assert np.abs(alone[0] - alone[1]).mean() > 0.03  # the views differ
+
+
 def test_a_seed_is_a_scene_and_its_pictures_may_come_from_an_archive(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
