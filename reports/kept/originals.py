@@ -16,8 +16,9 @@ import pandas as pd
 from .runs_file import NoRunsError
 
 CLOSE_DB, CLOSE_SHARE = 0.3, 0.1
-NOT_RUN = "not run"
-FACTS = ("method", "scene", "program", "commit", "seed", "steps", "psnr", "primitives", "seconds", "device")
+NOT_RUN, SO_FAR = "not run", "so far"
+SETTLED = 7_000  # steps from which on two curves that agree have a verdict
+FACTS = ("method", "scene", "program", "commit", "seed", "run", "steps", "psnr", "primitives", "seconds", "device")
 ALONE = ("step_ms", "frame_ms")  # timed while nothing else computed on the GPU
 WORDS = ("method", "repository", "commit", "page", "differs")
 ORIGINAL, OURS = "original", "ours"
@@ -29,7 +30,7 @@ class MarksError(ValueError):
 
 @dataclass(frozen=True)
 class Pair:
-    """Both programs' marks of a scene at the last step that both have; several rows are several seeds."""
+    """Both programs' marks of a scene at the last step that both have; several rows are several seeds or runs."""
 
     method: str
     scene: str
@@ -59,6 +60,12 @@ class Pair:
         found = {"dB": abs(self.gain) > near_db, "primitives": abs(self.share) > near_share}
         return [name for name, far in found.items() if far]
 
+    @property
+    def verdict(self) -> str:
+        if self.apart:
+            return f"no: {', '.join(self.apart)}"
+        return "yes" if self.steps >= SETTLED else SO_FAR
+
 
 def read_marks(path: Path) -> pd.DataFrame:
     """The marks, a row each. Raises MarksError where the file or a column is missing."""
@@ -82,21 +89,30 @@ def pairs_of(marks: pd.DataFrame) -> Iterator[Pair]:
 
 
 def verdicts(marks: pd.DataFrame, words: pd.DataFrame) -> str:
-    """A row a method: on how many scenes it is where its original is, how far apart they are at most, what differs."""
+    """A row a method: scenes, the fewest steps of one, the verdict, how far apart they are at most, what differs."""
     pairs = list(pairs_of(marks))
     rows = []
     for _, word in words.iterrows():
         own = [pair for pair in pairs if pair.method == word["method"]]
-        away = [pair for pair in own if pair.apart]
-        verdict = NOT_RUN if not own else "yes" if not away else f"on {len(own) - len(away)} of {len(own)}"
-        most = max((pair.gain for pair in own), key=abs, default=None)
-        share = max((pair.share for pair in own), key=abs, default=None)
         commit = f"[{word['repository']}](https://github.com/{word['repository']}) `{word['commit']}`"
-        far = "–" if most is None or share is None else f"{most:+.2f} dB, {share:+.0%}".replace("-", "−")
-        rows.append(
-            [_linked(word), commit if word["commit"] else "–", str(len(own)), verdict, far, word["differs"] or "–"]
-        )
-    return _table(["method", "original", "scenes", "faithful?", "farthest", "what differs, and why"], ":::::", rows)
+        cells = [_linked(word), commit if word["commit"] else "–", str(len(own))]
+        cells += [*_summary(own), word["differs"] or "–"]
+        rows.append(cells)
+    heads = ["method", "original", "scenes", "steps", "faithful?", "farthest", "what differs, and why"]
+    return _table(heads, "::--:::", rows)
+
+
+def _summary(pairs: list[Pair]) -> list[str]:
+    """Of a method's scenes: the fewest steps of one, the verdict, and the farthest difference of scores and sizes."""
+    if not pairs:
+        return ["–", NOT_RUN, "–"]
+    close = [pair for pair in pairs if not pair.apart]
+    verdict = "no" if not close else f"on {len(close)}" if len(close) < len(pairs) else "yes"
+    if verdict == "yes" and any(pair.steps < SETTLED for pair in pairs):
+        verdict = SO_FAR
+    gain, share = (max(values, key=abs) for values in zip(*((pair.gain, pair.share) for pair in pairs), strict=True))
+    farthest = f"{gain:+.2f} dB, {share:+.0%}".replace("-", "−")
+    return [f"{min(pair.steps for pair in pairs):,}", verdict, farthest]
 
 
 def comparisons(marks: pd.DataFrame, words: pd.DataFrame) -> str:
@@ -110,7 +126,7 @@ def comparisons(marks: pd.DataFrame, words: pd.DataFrame) -> str:
             *(_spread(side["psnr"], 2) for side in (pair.original, pair.ours)),
             *(f"{side['primitives'].mean():,.0f}" for side in (pair.original, pair.ours)),
             *(_seconds(side["seconds"].mean()) for side in (pair.original, pair.ours)),
-            f"no: {', '.join(pair.apart)}" if pair.apart else "yes",
+            pair.verdict,
         ]
         for pair in pairs_of(marks)
     ]

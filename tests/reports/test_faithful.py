@@ -24,7 +24,7 @@ OURS_ALONE = {"envgs", "envgs_single_set", "envmap"}  # kinds without a publishe
 def marks(*rows: tuple[str, int, int, float, int]) -> pd.DataFrame:
     """Program, seed, steps, PSNR and primitives of each mark of one method on one scene."""
     names = ("program", "seed", "steps", "psnr", "primitives")
-    shared = {"method": "2dgs", "scene": "toy/glass", "commit": "abc", "seconds": 8.0}
+    shared = {"method": "2dgs", "scene": "toy/glass", "commit": "abc", "run": 1, "seconds": 8.0}
     shared |= {"device": "X"} | dict.fromkeys(originals.ALONE)
     return pd.DataFrame([shared | dict(zip(names, row, strict=True)) for row in rows])
 
@@ -65,16 +65,25 @@ def test_seeds_are_averaged() -> None:
     pair = only(marks(("original", 0, 9, 24.0, 100), ("ours", 0, 9, 23.0, 90), ("ours", 1, 9, 25.0, 110)))
     assert (pair.gain, pair.share) == (0.0, 0.0)
     shown = originals.comparisons(pd.concat([pair.original, pair.ours]), WORDS)
-    assert "| 24.00 | 24.00 ± 1.41 | 100 | 100 | 8 | 8 | yes |" in shown
+    assert "| 24.00 | 24.00 ± 1.41 | 100 | 100 | 8 | 8 | so far |" in shown
     shown = originals.comparisons(pd.concat([pair.original.assign(seconds=math.nan), pair.ours]), WORDS)
-    assert "| – | 8 | yes |" in shown
+    assert "| – | 8 | so far |" in shown
 
 
 def test_a_method_without_marks_is_said_not_to_have_been_run() -> None:
     found = marks(("original", 0, 9, 24.0, 100), ("ours", 0, 9, 23.0, 90))
     first, second = originals.verdicts(found, WORDS).splitlines()[2:]
-    assert first.split(" | ")[2:] == ["1", "on 0 of 1", "−1.00 dB, −10%", "depth |"]
-    assert "| 0 | not run | – | – |" in second
+    assert first.split(" | ")[2:] == ["1", "9", "no", "−1.00 dB, −10%", "depth |"]
+    assert "| 0 | – | not run | – | – |" in second
+
+
+@pytest.mark.parametrize(("steps", "verdict"), [(6_999, "so far"), (7_000, "yes")])
+def test_agreement_is_no_verdict_before_enough_steps(steps: int, verdict: str) -> None:
+    found = marks(("original", 0, steps, 24.0, 100), ("ours", 0, steps, 24.1, 100))
+    assert originals.comparisons(found, WORDS).rstrip().endswith(f"| {verdict} |")
+    assert f"| 1 | {steps:,} | {verdict} | +0.10 dB, +0% |" in originals.verdicts(found, WORDS)
+    apart = found.assign(scene="toy/glass_2", psnr=[24.0, 20.0])
+    assert f"| 2 | {steps:,} | on 1 | −4.00 dB, +0% |" in originals.verdicts(pd.concat([found, apart]), WORDS)
 
 
 def test_what_was_timed_alone_is_the_last_that_both_have() -> None:
@@ -107,8 +116,8 @@ def test_every_published_method_has_a_row() -> None:
 
 def test_the_kept_marks_are_whole() -> None:
     kept = originals.read_marks(RECORDS / "originals.csv")
-    assert not kept.duplicated(["method", "scene", "program", "seed", "steps"]).any()
+    assert not kept.duplicated(["method", "scene", "program", "seed", "run", "steps"]).any()
     assert set(kept["program"]) == {originals.ORIGINAL, originals.OURS}
-    for (_, scene, _, _), run in kept.groupby(["method", "scene", "program", "seed"]):
+    for (_, scene, *_), run in kept.groupby(["method", "scene", "program", "seed", "run"]):
         assert run["steps"].is_monotonic_increasing, scene
         assert run["seconds"].dropna().is_monotonic_increasing, scene
