@@ -52,7 +52,7 @@ class SweptView:
     def colors(self, points: Tensor) -> Tensor:
         """The picture's colors at the points [..., 3], NaN where it does not show them; [..., 3]."""
         pixels, depths = self.camera.project(points)
-        colors, shown = self._at(*pixels.unbind(-1), depths)
+        colors, shown = self._at(pixels[..., 0], pixels[..., 1], depths)
         return torch.where(shown, colors, torch.nan).movedim(0, -1)
 
     def colors_along(self, center: Tensor, directions: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
