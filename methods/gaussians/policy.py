@@ -215,6 +215,13 @@ def slowed(usual: Callable[[int, int], Fraction], times: int, after: int, until:
     return interval
 
 
+def while_small(
+    small: Callable[[int, int], Fraction], large: Callable[[int, int], Fraction], until: int
+) -> Callable[[int, int], Fraction]:
+    """The one interval of a set of fewer primitives than `until`, the other of a larger one."""
+    return lambda step, size: small(step, size) if size < until else large(step, size)
+
+
 def densification_rule(s: GaussianSettings, most: int) -> DensificationRule:
     """When a primitive is cloned, split or removed, in a set of at most so many."""
     rule = s.rule

@@ -23,6 +23,7 @@ from ..gaussians.policy import (
     regular,
     slowed,
     training_pixels,
+    while_small,
 )
 from ..settings import GaussianSettings
 from ..training.schedule import DISTURB_FLOOR, RESET_FLOOR, Every, Part, Schedule
@@ -128,9 +129,8 @@ def reflecting_policy(s: ReflectionSettings, schedule: Schedule, scene: Scene | 
     large = slowed(policy.interval, s.rule.settling_interval, *span)
     if scene is None or s.rule.small_size == 0:
         return replace(policy, interval=large)
-    small = regular(schedule, GaussianSettings.densify_every)
     until = int(s.rule.small_size * training_pixels(scene) / len(scene.train))
-    return replace(policy, interval=lambda step, size: small(step, size) if size < until else large(step, size))
+    return replace(policy, interval=while_small(regular(schedule, GaussianSettings.densify_every), large, until))
 
 
 def beta_of(model: GaussianModel) -> Tensor:
