@@ -84,7 +84,7 @@ def test_equal_repairs_are_one_run_however_they_are_written() -> None:
     assert settings(repair=["normals", "exposures"]).repair == settings(repair=["exposures", "normals"]).repair
     assert settings(repair="normals").repair == settings(repair=["normals"]).repair == ("normals",)
     with pytest.raises(
-        SettingsError, match=r"repair=\['windows'\]: Input should be 'none', or a list of exposures, normals"
+        SettingsError, match=r"repair=\['windows'\]: Input should be 'none', or a list of exposures, poses, normals"
     ):
         settings(repair=["windows"])
 

@@ -74,6 +74,15 @@ CONTENT = {
         },
         "weights": None,
     },
+    "unseen": {
+        "between": {
+            "mean": SCORES,
+            "per_view": [{"view": "a", **SCORES}],
+            "not_computed": {},
+            "cards": {},
+            "weights": None,
+        }
+    },
     "masked": {"reflective": {**SCORES, "fraction": 0.25, "per_view": [{"view": "a", **SCORES}]}},
     "timing": {
         "frame_ms": 2.0,
