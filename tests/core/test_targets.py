@@ -55,3 +55,16 @@ def test_what_another_kind_of_cpu_compiled_for_itself_is_refused(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ImportError, match=r"another kind of CPU, this one runs .+: install it on this machine"):
         native.load()
+
+
+def test_sources_that_are_newer_than_what_was_compiled_are_told(monkeypatch, tmp_path):
+    for folder in native.FOLDERS:
+        (tmp_path / folder.name).mkdir()
+        for file in folder.iterdir():
+            if file.suffix in (".cpp", ".h"):
+                (tmp_path / folder.name / file.name).write_bytes(file.read_bytes())
+    (tmp_path / "cpu" / "bindings.cpp").touch()  # an installed package has no sources
+    monkeypatch.setattr(native, "FOLDERS", (tmp_path / "cpu", tmp_path / "kernels"))
+    (tmp_path / "kernels" / "sh.h").write_text("// another\n", encoding="utf-8")
+    with pytest.raises(ImportError, match="compiled from other sources than this checkout has: install the package"):
+        native.load()

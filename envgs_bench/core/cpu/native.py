@@ -9,9 +9,12 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import os
+from hashlib import sha256
+from pathlib import Path
 from types import ModuleType
 
 VARIABLE = "ENVGS_BENCH_CPU_TARGET"
+FOLDERS = (Path(__file__).parent, Path(__file__).parents[1] / "kernels")  # of the sources
 WAITING = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")  # how threads wait, where somebody has said so
 
 
@@ -19,12 +22,15 @@ def load() -> tuple[str, ModuleType]:
     """The target's name and its module, as described in _native.pyi.
 
     Raises:
-        ImportError: this CPU does not run the target asked for, or none, or a module is missing.
+        ImportError: this CPU does not run the target asked for, or none, a module is missing, or the sources beside
+            this file are others than those that were compiled.
     """
     try:
         from . import _targets
     except ImportError as error:
         raise ImportError(f"{error}; reinstall the package with a C++20 compiler present") from error
+    if (FOLDERS[0] / "bindings.cpp").is_file() and sources_digest() != _targets.SOURCES_DIGEST:
+        raise ImportError("it was compiled from other sources than this checkout has: install the package again")
     supported = _targets.supported()
     if not supported:
         raise ImportError("it needs a CPU of x86-64-v2, which has SSE4.2, or newer")
@@ -40,6 +46,12 @@ def load() -> tuple[str, ModuleType]:
     if not any(name in os.environ for name in WAITING):
         module.sleep_while_waiting()
     return target, module
+
+
+def sources_digest() -> str:
+    """Of the sources, as CMakeLists.txt computes it."""
+    files = [file for folder in FOLDERS for file in sorted(folder.iterdir()) if file.suffix in (".cpp", ".h")]
+    return sha256("".join(sha256(file.read_bytes()).hexdigest() for file in files).encode()).hexdigest()
 
 
 def _module_of(target: str) -> str:
