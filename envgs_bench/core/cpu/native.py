@@ -29,7 +29,7 @@ def load() -> tuple[str, ModuleType]:
         from . import _targets
     except ImportError as error:
         raise ImportError(f"{error}; reinstall the package with a C++20 compiler present") from error
-    if (FOLDERS[0] / "bindings.cpp").is_file() and sources_digest() != _targets.SOURCES_DIGEST:
+    if (FOLDERS[0] / "bindings.cpp").is_file() and sources_digest() != getattr(_targets, "SOURCES_DIGEST", ""):
         raise ImportError("it was compiled from other sources than this checkout has: install the package again")
     supported = _targets.supported()
     if not supported:
