@@ -104,7 +104,7 @@ def _number(asked: str, folder: Path) -> str:
     if missing := [key for key in ("of", "less") if key not in rest]:
         raise TableError(f"say {missing[0]}=<method>")
     if rest.get("over") == "scenes":
-        return mean_over_scenes(differences(runs, rest["of"], rest["less"], region))
+        return mean_over_scenes(differences(runs, rest["of"], rest["less"], column), column)
     found = runs.compared(column, rest["of"], rest["less"], runs.having(column))
     return difference(column, found).replace("*", "")
 

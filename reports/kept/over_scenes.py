@@ -4,34 +4,37 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..numbers.intervals import sample_interval, share_interval
+from ..numbers.intervals import mean_interval, sample_interval, share_interval
+from ..tables.columns import Column
 from .tables import FULL, NOTHING, KeptRuns, TableError, as_markdown, column_of
 
 LEVEL_DB = 0.1  # behind by no more is level
+MANY = 12  # scenes, of which a bootstrap holds what it says
 HEADS = ("scenes", "mean", "ahead on", f"behind by {LEVEL_DB} dB at most on", "worst", "failed runs")
 
 
 def over_scenes(runs: KeptRuns, of: str, region: str = FULL) -> str:
     """A row each other method: `of` less it in PSNR, dB. A scene counts once, as the mean of its seeds."""
-    axis = column_of("psnr", region).axis
+    column = column_of("psnr", region)
+    axis = column.axis
     rows = []
     for other in runs.methods:
         if other != of:
-            gained = differences(runs, of, other, region)
-            rows.append([f"`{other}`", str(len(gained)), *_cells(gained), str(_failed(runs, other))])
+            gained = differences(runs, of, other, column)
+            rows.append([f"`{other}`", str(len(gained)), *_cells(gained, column), str(_failed(runs, other))])
     what = f"{axis[:1].upper()}{axis[1:]}, of `{of}` less the row's method, a scene counting once"
     what += f"; brackets are 95 % intervals over scenes; failed runs of `{of}`: {_failed(runs, of)}"
     return f"{as_markdown([f'`{of}` less', *HEADS], rows)}\n{runs.caption(what)}\n"
 
 
-def differences(runs: KeptRuns, of: str, less: str, region: str = FULL) -> np.ndarray:
-    """[N] PSNR of a method less another's, dB, of the scenes that both finished.
+def differences(runs: KeptRuns, of: str, less: str, column: Column) -> np.ndarray:
+    """[N] scores of a method less another's, of the scenes that both finished.
 
     Raises:
         TableError: the runs have no such score, or not of one of the two.
     """
     done = runs.rows[runs.rows["status"] == "ok"]
-    name = "psnr" if region == FULL else f"psnr_{region}"
+    name = column.metric if column.region == FULL else f"{column.metric}_{column.region}"
     missing = [method for method in (of, less) if method not in runs.methods]
     if missing or name not in done:
         raise TableError(f"{runs.name} has no {name} of {(missing or [of])[0]!r} here; methods: {runs.methods}")
@@ -39,28 +42,29 @@ def differences(runs: KeptRuns, of: str, less: str, region: str = FULL) -> np.nd
     return (table[of] - table[less]).dropna().to_numpy() if {of, less} <= set(table) else np.zeros(0)
 
 
-def mean_over_scenes(gained: np.ndarray) -> str:
-    """The mean and its interval, as a table or a sentence has them."""
+def mean_over_scenes(gained: np.ndarray, column: Column) -> str:
+    """The mean and its interval over scenes, as pages have them: Student's of few scenes, by bootstrap of many."""
     if not len(gained):
         return NOTHING
-    interval = sample_interval(gained)
-    return _signed(gained.mean()) + (f" [{_signed(interval.low)}, {_signed(interval.high)}]" if interval else "")
+    interval = sample_interval(gained) if len(gained) >= MANY else mean_interval([gained])
+    mean, ends = _signed(gained.mean(), column), [_signed(end, column) for end in interval or ()]
+    return f"{mean} [{', '.join(ends)}]" if ends else mean
 
 
 def _failed(runs: KeptRuns, method: str) -> int:
     return int((runs.rows.loc[runs.rows["method"] == method, "status"] != "ok").sum())
 
 
-def _cells(gained: np.ndarray) -> list[str]:
+def _cells(gained: np.ndarray, column: Column) -> list[str]:
     """Of differences, dB: their mean, the share that is positive, the share that is level or positive, the worst."""
     if not len(gained):
         return [NOTHING] * 4
     shares = [_share(int((gained > least).sum()), len(gained)) for least in (0.0, -LEVEL_DB)]
-    return [mean_over_scenes(gained), *shares, _signed(gained.min())]
+    return [mean_over_scenes(gained, column), *shares, _signed(gained.min(), column)]
 
 
-def _signed(value: float) -> str:
-    return f"{value:+.2f}".replace("-", "−")
+def _signed(value: float, column: Column) -> str:
+    return f"{column.printed(value):+}".replace("-", "−")
 
 
 def _share(hits: int, count: int) -> str:

@@ -15,8 +15,9 @@ from scipy import stats
 from envgs_bench.cli.main import main
 from envgs_bench.records import find_runs, read_record
 from envgs_bench.reports.documentation import fill_page
+from envgs_bench.reports.kept.over_scenes import mean_over_scenes
 from envgs_bench.reports.kept.runs_file import FACTS, RunsFileError, read_kept
-from envgs_bench.reports.kept.tables import TableError
+from envgs_bench.reports.kept.tables import TableError, column_of
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "envgs_bench" / "docs"
@@ -190,6 +191,13 @@ def test_what_no_run_was_kept_of_stands_as_not_measured(kept: Path, capsys: pyte
     assert "there is no kept/other.csv" in told
 
 
+def test_few_scenes_have_students_interval() -> None:
+    gained = np.array([-0.37, 0.64, 0.09, -0.08, -0.61])
+    low, high = stats.t.interval(0.95, 4, gained.mean(), stats.sem(gained))
+    expected = f"{gained.mean():+.2f} [{low:+.2f}, {high:+.2f}]".replace("-", "−")
+    assert mean_over_scenes(gained, column_of("psnr")) == expected
+
+
 def test_over_many_scenes_each_counts_once(tmp_path: Path) -> None:
     scenes = tuple(f"sampled/{index}" for index in range(12))
     write_runs(tmp_path / "runs", scenes, ("2dgs", "envgs"), (0, 1), pictures=False)
@@ -206,6 +214,12 @@ def test_over_many_scenes_each_counts_once(tmp_path: Path) -> None:
     page = tmp_path / "kept" / "page.md"
     page.write_text("<!-- number: of=envgs less=2dgs records=runs.csv over=scenes -->?<!-- end -->", encoding="utf-8")
     assert f"-->{mean}<!-- end -->" in fill_page(page, tmp_path / "kept")[0]
+    page.write_text(
+        "<!-- number: of=envgs less=2dgs records=runs.csv over=scenes metric=ssim -->?<!-- end -->", encoding="utf-8"
+    )
+    of_ssim = frame[frame.status == "ok"].groupby(["scene", "method"]).ssim.mean().unstack()
+    expected = f"{(of_ssim['envgs'] - of_ssim['2dgs']).mean():+.3f}".replace("-", "−")
+    assert f"-->{expected} [" in fill_page(page, tmp_path / "kept")[0]
     low, high = stats.bootstrap((gained,), np.mean, method="percentile", rng=0).confidence_interval
     ends = re.fullmatch(re.escape(signed) + r" \[([+−][\d.]+), ([+−][\d.]+)\]", mean)
     assert ends is not None
