@@ -15,7 +15,7 @@ import pandas as pd
 
 from envgs_bench.records import RepairKind, WarningKind
 
-from .runs_file import NoRunsError
+from .csv_file import read_rows
 from .tables import NOTHING, as_markdown
 
 KINDS = get_args(WarningKind)
@@ -41,18 +41,8 @@ def read_counts(path: Path) -> pd.DataFrame:
         NoRunsError: there is no such file.
         CountsError: it is another.
     """
-    if not path.exists():
-        raise NoRunsError(f"there is no {path.parent.name}/{path.name}")
-    try:
-        rows = pd.read_csv(path, keep_default_na=False)
-    except (OSError, ValueError) as error:
-        raise CountsError(f"{path}: cannot be read: {error}") from error
-    if absent := [name for name in FACTS if name not in rows]:
-        raise CountsError(
-            f"{path}: expected columns {', '.join(FACTS)}; it has no {absent[0]}. "
-            f"Make one with `envgs-bench diagnose --seeds 1000-1063 --out {path}`"
-        )
-    return rows
+    command = f"envgs-bench diagnose --seeds 1000-1063 --out {path}"
+    return read_rows(path, FACTS, CountsError, "counts", command)
 
 
 @dataclass(frozen=True)

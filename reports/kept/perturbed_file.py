@@ -15,7 +15,8 @@ from envgs_bench.plain_text import no_formula
 from envgs_bench.records import Record, write_atomically
 
 from ..numbers.runs import Run
-from .runs_file import NoRunsError, RunsFileError, commit_of, method_of
+from .csv_file import read_rows
+from .runs_file import RunsFileError, commit_of, method_of
 
 IDENTITY = ("scene", "method", "steps", "seed", "perturbed", "severity", "repair")  # a run of the same replaces a row
 SAID = ("before", "during", "repaired")  # kinds: warned of before the first step, and after it; what a repair changed
@@ -86,18 +87,8 @@ def read_perturbed(path: Path) -> pd.DataFrame:
         NoRunsError: there is no such file.
         RunsFileError: it is another.
     """
-    if not path.exists():
-        raise NoRunsError(f"there is no {path.parent.name}/{path.name}")
-    try:
-        rows = pd.read_csv(path, dtype=str, keep_default_na=False)
-    except (OSError, ValueError) as error:
-        raise RunsFileError(f"{path}: cannot be read: {error}") from error
-    if absent := [name for name in COLUMNS if name not in rows]:
-        raise RunsFileError(
-            f"{path}: expected a CSV of perturbed runs with the columns {', '.join(COLUMNS)}; it has no {absent[0]}. "
-            f"Make one with `envgs-bench report RUNS --keep-perturbed {path}`"
-        )
-    return rows
+    command = f"envgs-bench report RUNS --keep-perturbed {path}"
+    return read_rows(path, COLUMNS, RunsFileError, "perturbed runs", command, as_text=True)
 
 
 def _identity(row: Mapping[Any, Any]) -> tuple[str, ...]:

@@ -1,0 +1,39 @@
+"""A CSV of kept rows is read: what is there, or a message that says what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from .runs_file import NoRunsError
+
+
+def read_rows(
+    path: Path, columns: Sequence[str], error: type[ValueError], what: str, made_by: str, *, as_text: bool = False
+) -> pd.DataFrame:
+    """The file's rows; an empty cell is an empty text.
+
+    Args:
+        columns: what it must have.
+        error: what is raised of another file.
+        what: the rows, in the plural.
+        made_by: the command that writes such a file.
+        as_text: whether no value is read as a number.
+
+    Raises:
+        NoRunsError: there is no such file.
+    """
+    if not path.exists():
+        raise NoRunsError(f"there is no {path.parent.name}/{path.name}")
+    try:
+        rows = pd.read_csv(path, dtype=str if as_text else None, keep_default_na=False)
+    except (OSError, ValueError) as wrong:
+        raise error(f"{path}: cannot be read: {wrong}") from wrong
+    if absent := [name for name in columns if name not in rows]:
+        raise error(
+            f"{path}: expected a CSV of {what} with the columns {', '.join(columns)}; it has no {absent[0]}. "
+            f"Make one with `{made_by}`"
+        )
+    return rows
