@@ -128,7 +128,7 @@ def environment_policy(s: EnvGSSettings, schedule: Schedule, base: SetPolicy) ->
         grows_from=s.warm_up,
         grows_until=s.env_densify_until,
         resets=Resets(schedule, s.env_opacity_reset_every, s.env_densify_until, ENV_RESET_FLOOR, start),
-        cap=s.env_max_primitives,
+        size_limit=s.env_max_primitives,
         oversized="split",
         growth="gradient",
         young_until=start + RECOVERY,

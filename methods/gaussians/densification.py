@@ -1,4 +1,4 @@
-"""Adaptive density control: clone, split, prune, cap (3D Gaussian Splatting Sec. 5.2, EnvGS paper Sec. 5.1, App. C)."""
+"""Adaptive density control: clone, split, prune (3D Gaussian Splatting Sec. 5.2, EnvGS paper Sec. 5.1, App. C)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PartsWeigh = Literal["share", "most"]
 SPLIT_PARTS = 2
 OVERSIZED_SPLIT_PARTS = 5
 SPLIT_DIVISOR = 1.6  # 3DGS's divisor of the scales in a split in two; in five it grows with the area to cover
-EXCHANGE_AT_CAP = 0.05  # share of a full set that may be replaced at once
+EXCHANGE_AT_LIMIT = 0.05  # share of a full set that may be replaced at once
 UNIMPORTANT_SHARE = 0.1  # an oversized primitive in this least-weighted share is removed, not split
 
 
@@ -35,7 +35,7 @@ class DensificationRule:
     max_primitives: int  # the least-weighted above this count are pruned; 0: as many as grow
     min_coverage: float = 0.0  # pixels that a primitive must fill, on average over its views, to be cloned or split
     min_views: float = 0.0  # steps that must have shown it for that: `DensificationRecord.effective_views`
-    max_growth: float = 0.1  # most that either way of growing adds at once, × the set; 0: no limit, at the cap neither
+    max_growth: float = 0.1  # most that either way of growing adds at once, × the set; 0: any, at the size limit too
     clone_below: float = 0.01  # largest scale up to which a primitive is cloned; above it is split
     oversized_above: float = 0.1  # largest scale above which a primitive is split in five or pruned
     parts_weigh: PartsWeigh = "share"  # what new primitives inherit of a weight, where the least-weighted go
@@ -120,14 +120,14 @@ def densify(
     generator: torch.Generator,
     oversized: Oversized = "split",
 ) -> DensificationRecord:
-    """Clone, split, prune and cap the set; returns the empty record of the new set.
+    """Clone, split and prune the set, to its size limit; returns the empty record of the new set.
 
     In this order: small primitives with a large gradient are cloned, large ones split in two (scales ÷ 1.6); those
     below `min_opacity` are pruned; what is `oversized` is treated as that says; and above `max_primitives` those with
     the least mean blending weight go. Parts share their parent's weight, or have it times the largest Σ of weights, so
     that no new one goes (EnvGS's code). With `max_growth`, either way of growing adds at most that share to the
-    set, where the gradients or the weights are largest; at the cap a twentieth, which takes the place of the
-    least-weighted. The set changes once, from what it was to what is left: it is never above the cap.
+    set, where the gradients or the weights are largest; at the size limit a twentieth, which takes the place of the
+    least-weighted. The set changes once, from what it was to what is left: it is never above its size limit.
 
     Args:
         oversized: "split", in five, or pruned if among the least-weighted tenth (EnvGS); "prune", all of them (3DGS);
@@ -181,7 +181,7 @@ def _growing(record: DensificationRecord, rule: DensificationRule) -> Tensor:
     count = len(gradients)
     room = math.ceil(rule.max_growth * count)
     if rule.max_primitives:
-        room = min(room, max(rule.max_primitives - count, math.ceil(EXCHANGE_AT_CAP * count)))
+        room = min(room, max(rule.max_primitives - count, math.ceil(EXCHANGE_AT_LIMIT * count)))
     return _largest(needed & known, gradients, room)
 
 

@@ -113,8 +113,8 @@ class GaussianModel:
 
     def at_size_limit(self) -> dict[str, int]:
         """The sets that are about as large as their settings let them be, and how large that is."""
-        caps = {name: self.policies[name].cap for name in self.sets}
-        return {name: cap for name, cap in caps.items() if 0 < FULL * cap <= len(self.sets[name].parameters)}
+        limits = {name: self.policies[name].size_limit for name in self.sets}
+        return {name: most for name, most in limits.items() if 0 < FULL * most <= len(self.sets[name].parameters)}
 
     # What sets start from, and become
 

@@ -85,13 +85,13 @@ class SetPolicy:
         rotation_lr: the rotations' rate, at the run's start and end.
         sh_degree, sh_every, sh_from: the color's SH degree, steps until another one is added, from which step on.
         criterion: by which its primitives are cloned or split, [N] of one step's pass.
-        rule: when they are; its cap is what the settings let the set have at most, 0: any number.
+        rule: when they are; its size limit is what the settings let the set have at most, 0: any number.
         interval: steps of this run between two densifications, as of a step and the set's size; 0: never.
         grows_from, grows_until: step after which, and before which it is densified.
         young_until: step of this run up to which the set is not there, or so new that nothing shows what is needed.
         oversized: what becomes of oversized primitives: split, or prune from the first opacity reset on.
         growth: by gradients, or by mcmc, which fills the size limit.
-        cap: the size limit that the settings name; 0: none.
+        size_limit: what the settings name; 0: none.
     """
 
     name: str
@@ -109,7 +109,7 @@ class SetPolicy:
     grows_from: int
     grows_until: int
     resets: Resets
-    cap: int
+    size_limit: int
     position_scale: float = 1.0
     radius_power: int = 1
     oversized: str = "split"
@@ -189,7 +189,7 @@ def base_policy(
         grows_from=s.rule.densify_from,
         grows_until=s.densify_until,
         resets=_base_resets(s, schedule, scene),
-        cap=s.max_primitives,
+        size_limit=s.max_primitives,
         oversized=s.rule.oversized,
         growth=s.rule.growth,
         position_scale=s.rule.position_radius or 1.0,

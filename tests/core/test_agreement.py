@@ -51,7 +51,7 @@ def single(request: pytest.FixtureRequest) -> Backend:
 
 @pytest.mark.parametrize(
     ("scene", "low_pass"),
-    [*((scene, True) for scene in SCENES), *((scene, False) for scene in ("many", "tiny", "needles"))],
+    [*((scene, True) for scene in SCENES), *((scene, False) for scene in ("many", "tiny", "elongated"))],
 )
 @pytest.mark.parametrize("as_gaussians_3d", [False, True], ids=["surfels", "gaussians_3d"])
 def test_images(single, scene, as_gaussians_3d, low_pass):

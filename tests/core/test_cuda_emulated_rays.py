@@ -139,7 +139,7 @@ def test_a_scene_of_any_size_is_drawn_alike(backend, exponent):
 
 @ONE_ORDER
 @pytest.mark.parametrize("scales", [(1e-6, 1e6), (1e6, 1e-6), (1e-6, 1.0), (1e6, 1.0)])
-def test_needles_are_hit_where_they_are(backend, scales):
+def test_elongated_surfels_are_hit_where_they_are(backend, scales):
     surfels = dressed(facing_surfels(torch.tensor([[0.0, 0.0, 3.0]])))
     surfels = replace(surfels, scales=torch.tensor([scales]))
     origins = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 6.0]])

@@ -24,7 +24,7 @@ from envgs_bench.core import Camera, GaussianSet, Rendering
 
 few = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
-ODD_SHAPES = ["plain", "coincident", "huge", "edge-on", "straddling", "points", "needles", "at the camera"]
+ODD_SHAPES = ["plain", "coincident", "huge", "edge-on", "straddling", "points", "elongated", "at the camera"]
 OPACITIES = [0.0, 1 / 256, 1 / 255, 1.001 / 255, 0.5, 0.99, 1.0]
 
 
@@ -47,7 +47,7 @@ def odd_sets(draw, columns: int) -> GaussianSet:
             return replace(scene, means=scene.means - torch.tensor([0.0, 0.0, 4.0]), scales=scene.scales + 1)
         case "points":
             return replace(scene, scales=torch.full_like(scene.scales, 1e-6))
-        case "needles":
+        case "elongated":
             scales = torch.full_like(scene.scales, 1e-5)
             scales[:, 0] = 2.0
             return replace(scene, scales=scales)

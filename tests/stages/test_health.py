@@ -61,7 +61,7 @@ class ScriptedMonitor(Monitor):
         return {name: torch.full((4, 4), now[name]) for name in ("alpha", "beta") if name in now}
 
     def degenerate(self) -> Mapping[str, float]:
-        return {"base": self.method.now.get("needles", 0.0)}
+        return {"base": self.method.now.get("degenerate", 0.0)}
 
     def at_size_limit(self) -> Mapping[str, int]:
         return self.method.now.get("capped", {})
@@ -193,13 +193,13 @@ def test_beta_is_held_against_what_reflects_where_that_is_known(
     assert [w.kind for w in watched.warnings] == ([kind] if kind else [])
 
 
-def test_needles_are_noticed_once_they_last(tmp_path: Path) -> None:
-    (warning,) = scripted(lambda step: {"needles": 0.12 if step > 500 or 100 < step < 300 else 0.0}, tmp_path, 1500)
+def test_degenerate_gaussians_are_noticed_once_they_last(tmp_path: Path) -> None:
+    (warning,) = scripted(lambda step: {"degenerate": 0.12 if step > 500 or 100 < step < 300 else 0.0}, tmp_path, 1500)
     assert (warning.kind, warning.part, warning.step) == ("degenerate", "base", 900)
     assert "12.0%" in warning.message
 
 
-def test_scales_that_run_away_make_needles(room: Scene, tmp_path: Path) -> None:
+def test_scales_that_run_away_make_degenerate_gaussians(room: Scene, tmp_path: Path) -> None:
     warned = warnings_of(create_method("2dgs", {"scale_lr": 0.3}), room, 200, tmp_path)
     assert [(warning.kind, warning.part) for warning in warned] == [("degenerate", "base")]
 

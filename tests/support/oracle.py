@@ -55,7 +55,7 @@ SCENES = {
     "opaque": replace(random_set(300, seed=6), opacities=torch.linspace(0.9, 1.0, 300)),
     "faint": replace(random_set(300, seed=7), opacities=torch.linspace(0.0, 0.05, 300)),
     "tiny": replace(random_set(300, seed=8), scales=torch.full((300, 2), 0.01)),
-    "needles": replace(random_set(200, seed=9), scales=torch.tensor([[0.5, 0.01]]).expand(200, 2)),
+    "elongated": replace(random_set(200, seed=9), scales=torch.tensor([[0.5, 0.01]]).expand(200, 2)),
 }
 
 
