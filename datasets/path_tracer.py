@@ -80,7 +80,7 @@ class PathTracer:
 
         def lights(index: int) -> list[Array]:
             batch = batches[index]
-            fine = [_enlarged(camera, supersampling) for camera in batch]
+            fine = [c.resized(supersampling * c.width, supersampling * c.height) for c in batch]
             light = torch.from_numpy(self._rendered(self._side_by_side(fine), 1, seeds[index]))
             shape = (batch[0].height, supersampling, len(batch) * batch[0].width, supersampling, 3)
             mean = light.nan_to_num_().clamp_(max=most).reshape(shape).mean((1, 3))
@@ -166,13 +166,6 @@ class PathTracer:
         bitmap = mi.Bitmap(np.ascontiguousarray(sky[:, ::-1], dtype=np.float32))
         upright = mi.ScalarTransform4f().rotate([0, 0, 1], -90).rotate([1, 0, 0], 90)
         return {"type": "envmap", "bitmap": bitmap, "to_world": upright}
-
-
-def _enlarged(camera: Camera, factor: int) -> Camera:
-    """With so many times as many pixels along either side."""
-    intrinsics = camera.intrinsics.clone()
-    intrinsics[:2] *= factor
-    return Camera(camera.world_to_camera, intrinsics, factor * camera.width, factor * camera.height)
 
 
 def _film(width: int, height: int) -> dict[str, Any]:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from envgs_bench.core import Camera
 
+from .toy.cameras import look_at
+
 if TYPE_CHECKING:
     from .toy.world import World
 
@@ -51,7 +53,10 @@ def between(cameras: Sequence[Camera], count: int) -> list[Camera]:
         first, second = cameras[index], cameras[index + 1]
         turns = Rotation.from_matrix(np.stack([_rotation(first), _rotation(second)]))
         center = (_center(first) + _center(second)) / 2
-        found.append(_placed(first, Slerp([0, 1], turns)(0.5).as_matrix(), center))
+        pose = np.eye(4)
+        pose[:3, :3] = Slerp([0, 1], turns)(0.5).as_matrix()
+        pose[:3, 3] = -pose[:3, :3] @ center
+        found.append(_posed(first, pose))
     return found
 
 
@@ -77,21 +82,13 @@ def beyond(cameras: Sequence[Camera], count: int, radius: float, free: Free) -> 
         else:
             direction, length = forward, NEARER * float(np.linalg.norm(target - center))
         place = center + min(length, CLEAR * free(center, direction)) * direction
-        found.append(_placed(camera, _looking(target - place), place))
+        found.append(_posed(camera, look_at(place, target)))
     return found
 
 
 def _spread(length: int, count: int) -> list[int]:
     """`count` indices below the length, evenly spread."""
     return [int((number + 0.5) * length / count) for number in range(count)]
-
-
-def _looking(toward: Array) -> Array:
-    """World to camera [3, 3] of an upright camera, OpenCV axes."""
-    forward = toward / np.linalg.norm(toward)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(forward, right), forward])
 
 
 def _rotation(camera: Camera) -> Array:
@@ -102,7 +99,6 @@ def _center(camera: Camera) -> Array:
     return camera.center.double().numpy()
 
 
-def _placed(camera: Camera, rotation: Array, center: Array) -> Camera:
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, -rotation @ center
+def _posed(camera: Camera, pose: Array) -> Camera:
+    """The camera at another pose, world to camera [4, 4]."""
     return replace(camera, world_to_camera=torch.from_numpy(pose).to(camera.world_to_camera.dtype))

@@ -47,7 +47,7 @@ def mean_over_scenes(gained: np.ndarray, column: Column) -> str:
     if not len(gained):
         return NOTHING
     interval = sample_interval(gained) if len(gained) >= MANY else mean_interval([gained])
-    mean, ends = _signed(gained.mean(), column), [_signed(end, column) for end in interval or ()]
+    mean, ends = column.signed(gained.mean()), [column.signed(end) for end in interval or ()]
     return f"{mean} [{', '.join(ends)}]" if ends else mean
 
 
@@ -60,11 +60,7 @@ def _cells(gained: np.ndarray, column: Column) -> list[str]:
     if not len(gained):
         return [NOTHING] * 4
     shares = [_share(int((gained > least).sum()), len(gained)) for least in (0.0, -LEVEL_DB)]
-    return [mean_over_scenes(gained, column), *shares, _signed(gained.min(), column)]
-
-
-def _signed(value: float, column: Column) -> str:
-    return f"{column.printed(value):+}".replace("-", "−")
+    return [mean_over_scenes(gained, column), *shares, column.signed(gained.min())]
 
 
 def _share(hits: int, count: int) -> str:

@@ -184,11 +184,11 @@ def difference(column: Column, found: Comparison) -> str:
     """A difference and its interval, bold where it is decided."""
     if found.difference.mean is None:
         return NOTHING
-    signed = f"{column.printed(found.difference.mean):+}".replace("-", "−")
+    mean = column.signed(found.difference.mean)
     if found.difference.interval is None:
-        return signed
-    ends = ", ".join(f"{column.printed(end):+}".replace("-", "−") for end in found.difference.interval)
-    return f"**{signed}** [{ends}]" if found.better() or found.worse() else f"{signed} [{ends}]"
+        return mean
+    ends = ", ".join(column.signed(end) for end in found.difference.interval)
+    return f"**{mean}** [{ends}]" if found.better() or found.worse() else f"{mean} [{ends}]"
 
 
 def costs(runs: KeptRuns) -> str:

@@ -47,15 +47,11 @@ def _line(one: Headline, section: Section) -> dict[str, str]:
         "baseline": one.baseline,
         "verb": "gains" if mean >= 0 else "loses",
         "gain": f"{PSNR.unsigned(abs(mean))} dB",
-        "interval": "" if interval is None else f"[{_signed(interval.low)}, {_signed(interval.high)}]",
+        "interval": "" if interval is None else f"[{PSNR.signed(interval.low)}, {PSNR.signed(interval.high)}]",
         "where": where,
         "costs": ", ".join(_cost(cost, *pair) for cost, pair in one.costs.items()),
         "basis": ", ".join([count, *(f"{count:,} steps" for count in steps[:1] if len(steps) == 1)]),
     }
-
-
-def _signed(value: float) -> str:
-    return f"{PSNR.printed(value):+}".replace("-", "−")
 
 
 def _cost(cost: str, ours: float, theirs: float) -> str:

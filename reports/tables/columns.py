@@ -46,6 +46,10 @@ class Column:
         """The stored value in the column's unit and decimals."""
         return rounded(decimal(value) * self.scale, self.places)
 
+    def signed(self, value: float | Decimal) -> str:
+        """The printed number of a difference, with its sign."""
+        return f"{self.printed(value):+}".replace("-", "−")
+
     def text(self, value: float | Decimal) -> str:
         """The printed number; a difference has its sign."""
         return f"{self.printed(value):+,}".replace("-", "−") if self.against else self.unsigned(value)
