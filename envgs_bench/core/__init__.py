@@ -8,6 +8,7 @@ from .normals import depth_normals
 from .placement import Placement
 from .rasterize import rasterize, rasterize_color
 from .reflect import reflect
+from .removals import removal_gradients
 from .rendering import Rendering, Statistics
 from .scene import Scene, View
 from .threads import torch_on_one_thread
@@ -28,6 +29,7 @@ __all__ = [
     "rasterize",
     "rasterize_color",
     "reflect",
+    "removal_gradients",
     "torch_on_one_thread",
     "trace",
     "trace_color",

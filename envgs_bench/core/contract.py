@@ -32,6 +32,7 @@ class RasterizeOptions:
     transmittance_min: float
     low_pass_statistics: bool = True
     color_statistics: bool = False
+    removals: bool = False  # see removals.py
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class TraceOptions:
     t_min: float
     transmittance_min: Tensor  # [R]
     sh_along_ray: bool  # else toward each primitive's center
+    removals: bool = False  # see removals.py
 
 
 class Backend(Protocol):

@@ -11,6 +11,7 @@ from .backends import load_backend
 from .camera import Camera
 from .contract import ColorKernels, RasterizeOptions, Rasterizer
 from .gaussians import GaussianSet
+from .removals import removals_wanted
 from .rendering import Rendering
 
 
@@ -55,7 +56,12 @@ def rasterize(
         RuntimeError: the backend does not work on this machine.
     """
     module, options = _checked(gaussians, camera, background, near, low_pass, transmittance_min, backend)
-    options = replace(options, low_pass_statistics=low_pass_statistics, color_statistics=color_statistics)
+    options = replace(
+        options,
+        low_pass_statistics=low_pass_statistics,
+        color_statistics=color_statistics,
+        removals=removals_wanted(),
+    )
     return module.rasterize(gaussians, camera, options)
 
 

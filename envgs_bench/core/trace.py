@@ -9,6 +9,7 @@ from .backends import load_backend
 from .contract import Backend, Bvh, ColorKernels, TraceOptions
 from .gaussians import GaussianSet
 from .rasterize import checked_background, refuse_gradients
+from .removals import removals_wanted
 from .rendering import Rendering
 
 SH_DIRECTIONS = ("center", "ray")
@@ -133,7 +134,7 @@ def _checked(
         )
     background = checked_background(background, gaussians)
     ends = _of_each_ray(transmittance_min, origins)
-    return module, TraceOptions(background, t_min, ends, sh_direction == "ray")
+    return module, TraceOptions(background, t_min, ends, sh_direction == "ray", removals_wanted())
 
 
 def _of_each_ray(transmittance_min: Tensor | float, origins: Tensor) -> Tensor:

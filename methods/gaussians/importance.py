@@ -8,9 +8,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, GaussianSet, Rendering, View
+from envgs_bench.core import Camera, GaussianSet, Rendering, View, removal_gradients
 
-PROBES = 1  # of each view: those of all views that show a primitive add up
 HALVINGS = 7  # of the number of primitives that may go, to find how many do
 
 
@@ -18,35 +17,30 @@ def removal_errors(
     sets: Mapping[str, GaussianSet],
     draw: Callable[[Mapping[str, GaussianSet], Camera], Rendering],
     views: Iterable[View],
-    generator: torch.Generator,
 ) -> dict[str, Tensor]:
     """How much the views would change without a primitive: squares' sum over pixels and channels, [N] of each set.
 
-    A blended color C is affine in each primitive's alpha, and alpha is its opacity o times what does not depend on o.
-    So without the primitive C changes by −o·∂C/∂o, whatever lies before and behind it; what reflected rays meet counts
-    by what its reflection adds to the picture, and what turns a reflection's normals to first order. The squares' sum
-    over pixels is the mean of (∂/∂o Σ zC)² over random signs z (Hutchinson 1990), here of PROBES draws of them a view.
-    In the very center of an opaque primitive, where alpha is clamped, there is no gradient to count.
+    Exact, whatever lies before and behind the primitive (`envgs_bench/core/removals.py`), where a set is drawn as it
+    is. What reflected rays meet counts by what its reflection adds to the picture. What a base primitive has to do with
+    a reflection counts to first order, through β and through the ray that its normal and depth turn.
 
     Args:
         sets: what is drawn, by name.
-        draw: the picture of such sets, differentiable in their opacities.
+        draw: the picture of such sets, by the core's `rasterize` and `trace`.
         views: on the sets' device.
-        generator: of the signs, on the CPU.
     """
     opacities = {name: gaussians.opacities.detach().requires_grad_() for name, gaussians in sets.items()}
     shown = {name: replace(gaussians, opacities=opacities[name]) for name, gaussians in sets.items()}
     errors = {name: torch.zeros_like(gaussians.opacities) for name, gaussians in sets.items()}
     for view in views:
-        with torch.enable_grad():
-            color = draw(shown, view.camera).color
-        for probe in range(PROBES):
-            signs = 2 * torch.randint(2, color.shape, generator=generator, dtype=torch.int8).to(color) - 1
-            more = probe < PROBES - 1
-            slopes = torch.autograd.grad(color, list(opacities.values()), signs, retain_graph=more, allow_unused=True)
-            for (name, values), slope in zip(opacities.items(), slopes, strict=True):
-                if slope is not None:
-                    errors[name] += (values.detach() * slope).square() / PROBES
+        with torch.enable_grad(), removal_gradients():
+            channels = [channel.sum() for channel in draw(shown, view.camera).color.unbind(-1)]
+        for channel in channels:  # one after the other: a pixel's changes are squared before they are summed
+            more = channel is not channels[-1]
+            sums = torch.autograd.grad(channel, list(opacities.values()), retain_graph=more, allow_unused=True)
+            for name, squares in zip(opacities, sums, strict=True):
+                if squares is not None:
+                    errors[name] += squares
     return errors
 
 

@@ -55,7 +55,7 @@ def prune(
         return float(error)
 
     prepare()
-    errors = removal_errors(model.prepared, draw_sets, views(), model.generator)
+    errors = removal_errors(model.prepared, draw_sets, views())
     most = (1 + rise) * squared_error({})
     for name, rows in without_least(errors, most, squared_error).items():
         model.sets[name].keep(rows)

@@ -55,6 +55,7 @@ class RasterPass:
     def __init__(self, gaussians: GaussianSet, camera: Camera, options: RasterizeOptions) -> None:
         self.tensors = SetTensors.of(gaussians)
         self.pixels = camera.width * camera.height
+        self.removals = options.removals
         self.native = _native.raster_pass(
             tuple(self.tensors),
             camera.world_to_camera.contiguous(),
@@ -80,7 +81,7 @@ class RasterPass:
 
     def backward(self, planes: Planes, gradients: tuple[Tensor | None, ...]) -> Gradients:
         result, position_gradients = _zero_gradients(self.tensors)
-        self.native.backward(tuple(planes), gradients, (*result, position_gradients))
+        self.native.backward(tuple(planes), gradients, (*result, position_gradients), self.removals)
         return Gradients(result, position_gradients)
 
     def list_lengths(self) -> Tensor:
@@ -94,6 +95,7 @@ class _TracePass:
     ) -> None:
         self.tensors = SetTensors.of(gaussians)
         self.origins, self.directions = origins.detach().contiguous(), directions.detach().contiguous()
+        self.removals = options.removals
         threads = workers()
         if bvh is not None and bvh.backend != "cpu":
             raise ValueError(
@@ -123,5 +125,6 @@ class _TracePass:
     def backward(self, planes: Planes, gradients: tuple[Tensor | None, ...]) -> Gradients:
         result, position_gradients = _zero_gradients(self.tensors)
         origins, directions = torch.empty_like(self.origins), torch.empty_like(self.directions)
-        self.native.backward(tuple(planes), gradients, (*result, position_gradients), origins, directions)
+        filled = (*result, position_gradients)
+        self.native.backward(tuple(planes), gradients, filled, origins, directions, self.removals)
         return Gradients(result, position_gradients, origins, directions)

@@ -18,6 +18,7 @@ class RasterPass:
         planes: tuple[Tensor, ...],  # as forward() filled them
         gradients: tuple[Tensor | None, ...],  # dL/d(planes), None for zero
         result: tuple[Tensor, ...],  # zeros, filled: dL/d(each field of the set), position gradients [N, 3]
+        removals: bool,  # Σ over hits of (α·dL/dα)² in place of dL/dopacity
     ) -> None: ...
     def list_lengths(self) -> list[int]: ...  # [tiles] primitives in each tile's list, as forward() drew them
 
@@ -74,4 +75,5 @@ class TracePass:
         result: tuple[Tensor, ...],  # zeros, filled: dL/d(each field of the set), position gradients [N, 3]
         origins: Tensor,  # [R, 3] filled: dL/dorigins
         directions: Tensor,  # [R, 3] filled: dL/ddirections
+        removals: bool,  # Σ over hits of (α·dL/dα)² in place of dL/dopacity
     ) -> None: ...

@@ -106,11 +106,12 @@ void envgs::bind(nb::module_& m) {
              [](RasterPass& self,
                 const InPlanes& out,             // as forward() filled them
                 const GradientPlanes& gradient,  // dL/d(out), None for zero
-                const OutSet& result             // zeros, to be filled
+                const OutSet& result,            // zeros, to be filled
+                bool removals                    // Σ removal_square in place of dL/dopacity
              ) {
                  nb::gil_scoped_release unlocked;
                  Planes<const float> drawn = planes_of(out);
-                 self.backward(drawn, planes_of(gradient, drawn.pixels), gradients_of(result));
+                 self.backward(drawn, planes_of(gradient, drawn.pixels), gradients_of(result), removals);
              })
         .def("list_lengths", &RasterPass::list_lengths);
     m.def("raster_pass", [](const InSet& set,          // surfels or 3D Gaussians, by the columns of scales
@@ -173,11 +174,12 @@ void envgs::bind(nb::module_& m) {
                             const GradientPlanes& gradient,  // dL/d(out), None for zero
                             const OutSet& result,            // zeros, to be filled
                             Out origins,                     // [R, 3] filled: dL/dorigins
-                            Out directions                   // [R, 3] filled: dL/ddirections
+                            Out directions,                  // [R, 3] filled: dL/ddirections
+                            bool removals                    // Σ removal_square in place of dL/dopacity
                          ) {
             nb::gil_scoped_release unlocked;
             Planes<const float> drawn = planes_of(out);
             self.backward(drawn, planes_of(gradient, drawn.pixels), gradients_of(result),
-                          {origins.data(), directions.data()});
+                          {origins.data(), directions.data()}, removals);
         });
 }

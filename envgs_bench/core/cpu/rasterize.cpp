@@ -118,7 +118,8 @@ public:
           tiles_y_((camera.height + kTile - 1) / kTile) {}
 
     void forward(Planes<float> out, int* hits, float* weights) override;
-    void backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result) override;
+    void backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result,
+                  bool removals) override;
     std::vector<int> list_lengths() const override;
 
 private:
@@ -149,7 +150,8 @@ private:
     void draw_tile(int tile, Planes<float> out, int* hits, float* weights);
     void load_gradients(const TileRect& rect, Planes<const float> out, Planes<const float> gradient,
                         TileGradientBuffers& t);
-    void differentiate_tile(int tile, Planes<const float> out, Planes<const float> gradient, FloatSums* sums);
+    void differentiate_tile(int tile, Planes<const float> out, Planes<const float> gradient, FloatSums* sums,
+                            bool removals);
     void finish_primitive(int visible_index, const std::vector<std::vector<FloatSums>>& sums, GaussianGradients result);
 
     // The runs that lie in the image.
@@ -342,7 +344,7 @@ void TileRasterizer<Kind>::load_gradients(const TileRect& rect, Planes<const flo
 
 template <class Kind>
 void TileRasterizer<Kind>::differentiate_tile(int tile_index, Planes<const float> out, Planes<const float> gradient,
-                                              FloatSums* sums) {
+                                              FloatSums* sums, bool removals) {
     TileRect rect = rect_of(tile_index);
     // Load: each pixel's gradient, and what of it lies behind the next primitive: at first all.
     TileGradientBuffers tile;
@@ -375,8 +377,9 @@ void TileRasterizer<Kind>::differentiate_tile(int tile_index, Planes<const float
             // Add, to the primitive's sums of its lanes.
             for (int e = 0; e < g_.extra_count; ++e)
                 sum.extras[e] += weight * load_lanes<F>(tile.extras[e].values + at);
-            AlphaGradient<F> g = alpha_backward(F{} + p.splat.opacity, alpha, select(hit, g_hit.alpha, F{}));
-            sum.opacity += g.opacity;
+            F g_alpha = select(hit, g_hit.alpha, F{});
+            AlphaGradient<F> g = alpha_backward(F{} + p.splat.opacity, alpha, g_alpha);
+            sum.opacity += removals ? removal_square(alpha, g_alpha) : g.opacity;
             sum.color = sum.color + weight * g_sum.color;
             sum.normal = sum.normal + (weight * pixel.side) * g_sum.normal;
             add_pixel(sum.geometry, pixel, hit, g.rho, weight * g_sum.depth);
@@ -416,11 +419,13 @@ void TileRasterizer<Kind>::finish_primitive(int visible_index, const std::vector
 }
 
 template <class Kind>
-void TileRasterizer<Kind>::backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result) {
+void TileRasterizer<Kind>::backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result,
+                                    bool removals) {
     std::vector<std::vector<FloatSums>> sums(threads_);
     parallel(threads_, [&](int worker) { sums[worker].assign(visible_.size(), FloatSums{}); });
-    parallel_interleaved(threads_, tiles_x_ * tiles_y_,
-                         [&](int tile, int worker) { differentiate_tile(tile, out, gradient, sums[worker].data()); });
+    parallel_interleaved(threads_, tiles_x_ * tiles_y_, [&](int tile, int worker) {
+        differentiate_tile(tile, out, gradient, sums[worker].data(), removals);
+    });
     parallel_ranges(threads_, int(visible_.size()), [&](int begin, int end, int) {
         for (int i = begin; i < end; ++i) finish_primitive(i, sums, result);
     });

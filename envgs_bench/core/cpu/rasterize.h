@@ -17,7 +17,8 @@ public:
                          ) = 0;
     virtual void backward(Planes<const float> out,       // as forward() filled them
                           Planes<const float> gradient,  // dL/d(out)
-                          GaussianGradients result       // filled
+                          GaussianGradients result,      // filled
+                          bool removals                  // Σ removal_square of each primitive, for dL/dopacity
                           ) = 0;
     // Primitives in the list of each tile, row by row of tiles, as forward() drew them.
     virtual std::vector<int> list_lengths() const = 0;

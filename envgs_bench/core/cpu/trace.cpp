@@ -107,7 +107,7 @@ SurfelValues<Float8> TracePass::gather(const int* hits, int count) const {
 
 void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<const float> out,
                                   Planes<const float> gradient, TracedSurfelSums* sums, float* g_sh, float* g_extras,
-                                  RayGradients rays) const {
+                                  RayGradients rays, bool removals) const {
     Vec3<float> origin = ray_at(rays_.origins, ray), direction = ray_at(rays_.directions, ray);
     auto [g, remaining] = read_gradient(out, gradient, ray, background_);
     float g_extra[kMaxExtras], transmittance = 1.0f;
@@ -160,6 +160,7 @@ void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<co
         Float8 weight = load_lanes<Float8>(weights);
         Vec3<Float8> g_v = see_colors_backward(g_, sh, group, seen, g_color, to_sh);
         AlphaGradient<Float8> ga = alpha_backward(surfels.opacity, alpha, load_lanes<Float8>(g_alpha));
+        if (removals) ga.opacity = removal_square(alpha, load_lanes<Float8>(g_alpha));
         Vec3<Float8> local = intersect_backward(hit, dot(frame.u, d), dot(frame.v, d), weight * g.depth,
                                                 2.0f * ga.rho * hit.u, 2.0f * ga.rho * hit.v);
         SurfelMoments<Float8> moments = {};
@@ -190,7 +191,7 @@ void TracePass::differentiate_ray(int ray, const int* hits, int count, Planes<co
 }
 
 void TracePass::backward(Planes<const float> out, Planes<const float> gradient, GaussianGradients result,
-                         RayGradients rays) {
+                         RayGradients rays, bool removals) {
     std::vector<Worker> workers(threads_);
     parallel(threads_, [&](int w) {
         Worker& worker = workers[w];
@@ -201,7 +202,7 @@ void TracePass::backward(Planes<const float> out, Planes<const float> gradient, 
             const int* hits = chunk_hits_[chunk].data();
             for (int ray = chunk * kChunk; ray < std::min((chunk + 1) * kChunk, rays_.count); ++ray) {
                 differentiate_ray(ray, hits, hit_counts_[ray], out, gradient, worker.sums.data(), worker.sh.data(),
-                                  worker.extras.data(), rays);
+                                  worker.extras.data(), rays, removals);
                 hits += hit_counts_[ray];
             }
         }

@@ -38,7 +38,8 @@ public:
     void backward(Planes<const float> out,       // as forward() filled them
                   Planes<const float> gradient,  // dL/d(out)
                   GaussianGradients result,      // filled
-                  RayGradients rays              // filled
+                  RayGradients rays,             // filled
+                  bool removals                  // Σ removal_square of each surfel, for dL/dopacity
     );
 
 private:
@@ -48,7 +49,8 @@ private:
     int chunks() const;
     SurfelValues<Float8> gather(const int* hits, int count) const;
     void differentiate_ray(int ray, const int* hits, int count, Planes<const float> out, Planes<const float> gradient,
-                           TracedSurfelSums* sums, float* g_sh, float* g_extras, RayGradients rays) const;
+                           TracedSurfelSums* sums, float* g_sh, float* g_extras, RayGradients rays,
+                           bool removals) const;
     void finish_surfels(int begin, int end, const std::vector<Worker>& workers, GaussianGradients result) const;
 
     std::shared_ptr<const Bvh> bvh_;

@@ -4,6 +4,8 @@
 
 using namespace envgs;
 
+constexpr bool kRemovals = REMOVALS;  // sums of removal_square in place of dL/dopacity
+
 ENVGS_FN void atomic_add4(float* to, float4 value4) {
 #if __CUDA_ARCH__ >= 900
     asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};" ::"l"(to), "f"(value4.x), "f"(value4.y), "f"(value4.z),
@@ -124,7 +126,7 @@ extern "C" __global__ void __launch_bounds__(128) differentiate_rays(
             store3(sum, moments.g), store3(sum + 3, moments.g_u), store3(sum + 6, moments.g_v);
             store3(sum + 9, moments.g_t);
             store3(sum + kNormalSum, (side * weight) * g.sum.normal);
-            sum[kOpacitySum] = own.opacity;
+            sum[kOpacitySum] = kRemovals ? removal_square(a, g_a) : own.opacity;
             Vec3<float> g_v = seen_color_backward(appearance.sh, v, c, weight * g.sum.color, sum + kShSums);
             if constexpr (!kShAlongRay) store3(sum + kDirectionSum, g_v);
 #pragma unroll

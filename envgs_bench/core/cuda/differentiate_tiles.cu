@@ -4,6 +4,8 @@
 
 using namespace envgs;
 
+constexpr bool kRemovals = REMOVALS;  // sums of removal_square in place of dL/dopacity
+
 extern "C" __global__ void __launch_bounds__(kThreads)
     differentiate_tiles(const uint2* ranges,        // [tiles] first and past-the-last instance
                         const u32* instance_slots,  // [instances] slot of the primitive, sorted by tile, then depth
@@ -47,7 +49,7 @@ extern "C" __global__ void __launch_bounds__(kThreads)
                 float a = response_alpha(p.splat.opacity, at[k].rho);
                 auto [weight, g_a] = g[k].hit(a, p.color, at[k].t, at[k].side, p.normal, p.extras);
                 AlphaGradient<float> through = alpha_backward(p.splat.opacity, a, g_a);
-                sum.opacity += through.opacity;
+                sum.opacity += kRemovals ? removal_square(a, g_a) : through.opacity;
                 sum.color = sum.color + weight * g[k].sum.color;
                 sum.normal = sum.normal + (weight * at[k].side) * g[k].sum.normal;
 #pragma unroll

@@ -48,12 +48,13 @@ class RasterPass:
         self.tile_blocks = areas if shares else 1
         self.threads = 32 * (CONSTANTS["SHARING_WARPS"] if shares else areas)
 
-    def _kernels(self, *sources: str) -> Kernels:
+    def _kernels(self, *sources: str, removals: bool = False) -> Kernels:
         kind = "SurfelKind" if self.tensors.scales.shape[1] == 2 else "Gaussian3dKind"
         sh, extras = self.tensors.sh_rows, self.tensors.extras.shape[1]
         return kernels(sources, self.device, KIND=kind, SH_COEFFICIENTS=sh, HAS_SITES=int(self.has_sites),
-                       EXTRAS=extras, COLOR_ALONE=int(self.color_alone), VISIBLE_FLOATS=self.visible_floats,
-                       TILE_BLOCKS=self.tile_blocks, THREAD_PIXELS=self.pixels)  # fmt: skip
+                       EXTRAS=extras, COLOR_ALONE=int(self.color_alone), REMOVALS=int(removals),
+                       VISIBLE_FLOATS=self.visible_floats, TILE_BLOCKS=self.tile_blocks,
+                       THREAD_PIXELS=self.pixels)  # fmt: skip
 
     def color(self) -> tuple[Tensor, Tensor]:
         """Color [P, 3] and alpha [P]."""
@@ -123,7 +124,7 @@ class RasterPass:
 
     def backward(self, planes: Planes, gradients: tuple[Tensor | None, ...]) -> Gradients:
         tensors, count = self.tensors, len(self.tensors.means)
-        launch = self._kernels("primitives.cu", "differentiate_tiles.cu")
+        launch = self._kernels("primitives.cu", "differentiate_tiles.cu", removals=self.options.removals)
         sums = tensors.means.new_zeros(count, CONSTANTS["PRIMITIVE_SUM_FLOATS"])
         blocks = self.tile_blocks * self.tiles_x * self.tiles_y
         launch("differentiate_tiles", blocks, self.threads, self.ranges, self.instance_slots, self.visible,

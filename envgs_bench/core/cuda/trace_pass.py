@@ -48,13 +48,12 @@ class TracePass:
         self.appearance_floats = color_floats(sh) if color_alone else appearance_floats(sh, extras)
         self.sum_floats = trace_sum_floats(sh, extras)
 
-    def _kernels(self, *sources: str) -> Kernels:
+    def _kernels(self, *sources: str, removals: bool = False) -> Kernels:
         sh, extras = self.tensors.sh_rows, self.tensors.extras.shape[1]
         along_ray = int(self.options.sh_along_ray)
         return kernels(sources, self.device, SH_COEFFICIENTS=sh, HAS_SITES=int(self.has_sites), EXTRAS=extras,
-                       SH_ALONG_RAY=along_ray,
-                       COLOR_ALONE=int(self.color_alone), APPEARANCE_FLOATS=self.appearance_floats,
-                       TRACE_SUM_FLOATS=self.sum_floats)  # fmt: skip
+                       SH_ALONG_RAY=along_ray, COLOR_ALONE=int(self.color_alone), REMOVALS=int(removals),
+                       APPEARANCE_FLOATS=self.appearance_floats, TRACE_SUM_FLOATS=self.sum_floats)  # fmt: skip
 
     def color(self) -> tuple[Tensor, Tensor]:
         """Color [R, 3] and alpha [R]."""
@@ -129,7 +128,7 @@ class TracePass:
         if not torch.cuda.is_current_stream_capturing():
             self._check_pages()
         tensors, tree, count = self.tensors, self.tree, self.tree.count
-        launch = self._kernels("surfels.cu", "differentiate_rays.cu")
+        launch = self._kernels("surfels.cu", "differentiate_rays.cu", removals=self.options.removals)
         sums = tensors.means.new_zeros(count, self.sum_floats)
         g_origins, g_directions = torch.empty_like(self.origins), torch.empty_like(self.directions)
         launch("differentiate_rays", blocks_for(self.rays, 128), 128, self.origins, self.directions, self.order,

@@ -32,7 +32,7 @@ def trace(
     rays, primitives = candidate_pairs(gaussians, origins, directions, options.t_min)
     intersector = TracedSurfels(gaussians, origins, directions, options.t_min, options.sh_along_ray)
     hits = blended_hits(intersector, rays, primitives, options.transmittance_min)
-    return blend_hits(intersector, hits, options.background)
+    return blend_hits(intersector, hits, options.background, removals=options.removals)
 
 
 def build_bvh(gaussians: GaussianSet) -> Bvh:

@@ -43,6 +43,13 @@ ENVGS_FN AlphaGradient<R> alpha_backward(R opacity, R alpha, R g_alpha) {
     return {g * alpha / opacity, -0.5f * alpha * g};
 }
 
+// (ΔL)² of a hit that is left out: the pixel's sums are affine in α, so that L, linear in them, changes by −α·dL/dα
+// exactly, also where α is clamped.
+template <class R>
+ENVGS_FN R removal_square(R alpha, R g_alpha) {
+    return (alpha * g_alpha) * (alpha * g_alpha);
+}
+
 // How a pixel's loss depends on its sums Σ wᵢcᵢ, one entry a channel. Autograd's gradients are
 // those of the outputs, which differ from the plain sums by the background and by the division of depth by alpha.
 template <class R>

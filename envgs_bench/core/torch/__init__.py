@@ -29,7 +29,14 @@ def rasterize(gaussians: GaussianSet, camera: Camera, options: RasterizeOptions)
     kind = RasterizedSurfels if gaussians.is_surfels else RasterizedGaussians3D
     intersector: Intersector = kind(gaussians, camera, near=options.near, low_pass=options.low_pass)
     hits = all_blended_hits(intersector, options.transmittance_min)
-    return blend_hits(intersector, hits, options.background, options.low_pass_statistics, options.color_statistics)
+    return blend_hits(
+        intersector,
+        hits,
+        options.background,
+        options.low_pass_statistics,
+        options.color_statistics,
+        options.removals,
+    )
 
 
 def trace(
@@ -41,7 +48,7 @@ def trace(
         )
     intersector = TracedSurfels(gaussians, origins, directions, options.t_min, options.sh_along_ray)
     hits = all_blended_hits(intersector, options.transmittance_min)
-    return blend_hits(intersector, hits, options.background)
+    return blend_hits(intersector, hits, options.background, removals=options.removals)
 
 
 def build_bvh(gaussians: GaussianSet) -> Bvh:

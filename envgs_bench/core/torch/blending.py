@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import prod
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -18,6 +19,7 @@ def blend_hits(
     background: Tensor,
     low_pass_statistics: bool = True,
     color_statistics: bool = False,
+    removals: bool = False,
 ) -> Rendering:
     """Blend the hits of each ray front to back; the rendering's fields have the shape of its rays."""
     gaussians, rays, primitives = intersector.gaussians, hits.rays, hits.primitives
@@ -26,7 +28,10 @@ def blend_hits(
         """A copy of the means for each hit, so that a backward pass leaves the gradient of each; hits and weights."""
         means = gaussians.means[primitives]
         intersections = intersector.intersect(rays, primitives, means)
-        alpha = alphas(gaussians.opacities[primitives], intersections.rho)
+        opacities = gaussians.opacities[primitives]
+        alpha = alphas(opacities.detach() if removals else opacities, intersections.rho)
+        if removals:
+            alpha = RemovalSquares.apply(alpha, opacities)
         return means, intersections, transmittances(rays, alpha) * alpha
 
     def blend(values: Tensor, weights: Tensor) -> Tensor:
@@ -72,3 +77,17 @@ def record_position_gradients(statistics: Statistics, means: Tensor, primitives:
         statistics.position_gradients = gradient.new_zeros(count, 3).index_add(0, primitives, weighted)
 
     means.register_hook(leave)
+
+
+class RemovalSquares(torch.autograd.Function):
+    """The alphas [P] of hits as they are; the gradient of their opacities [P] is (α·∂L/∂α)², see `removals.py`."""
+
+    @staticmethod
+    def forward(ctx: Any, alpha: Tensor, opacities: Tensor) -> Tensor:
+        ctx.save_for_backward(alpha)
+        return alpha.clone()
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor]:
+        (alpha,) = ctx.saved_tensors
+        return gradient, (alpha * gradient).square()
