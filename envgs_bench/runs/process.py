@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -22,7 +21,8 @@ from .draft import Draft
 from .gpus import Place, placed
 from .interruption import Interruption
 from .log import BoundedLog, log_tail
-from .processes import LOCK_VARIABLE, end_all_of, end_group, environment_of
+from .processes import end_all_of, end_group
+from .started_run import FreshRun, StartedRun, forks
 
 # How long a process may take to write its record once its time is up or it was interrupted.
 GRACE_SECONDS = 20.0
@@ -45,16 +45,7 @@ def _run_placed(
     folder: Path, settings: RunSettings, run_lock: RunLock, place: Place, display: Display, interruption: Interruption
 ) -> None:
     draft = Draft(folder, settings)
-    process = subprocess.Popen(
-        [sys.executable, "-P", "-u", "-m", f"{__package__}.worker", str(folder)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        env={**environment_of(folder), LOCK_VARIABLE: str(run_lock.handle), **place.environment},
-        start_new_session=True,  # Ctrl-C reaches this process, which passes it on
-        pass_fds=(run_lock.handle, *place.handles),  # the folder is the run's until both are gone, and so is the GPU
-    )
-    assert process.stderr is not None
+    process = (StartedRun if forks() else FreshRun)(folder, run_lock.handle, place.environment, place.handles)
     log = BoundedLog(process.stderr, folder)
     listener = _Listener(process, run_lock, display, draft)
     try:
@@ -65,13 +56,13 @@ def _run_placed(
         ending = _await(process, settings, interruption)
     finally:
         end_group(process.pid)
-        process.wait()
+        code = process.wait()
         end_all_of(folder)  # what left the group
         listener.join(DRAIN_SECONDS)
         log.finish(DRAIN_SECONDS)
         with suppress(Exception):
             display.stop()
-    _complete_record(draft, process.returncode, ending)
+    _complete_record(draft, code, ending)
 
 
 class _Listener(threading.Thread):
@@ -80,13 +71,12 @@ class _Listener(threading.Thread):
     What it trains without and warns of goes into the draft too, lest the process leave no record.
     """
 
-    def __init__(self, process: subprocess.Popen[bytes], run_lock: RunLock, display: Display, draft: Draft) -> None:
+    def __init__(self, process: StartedRun | FreshRun, run_lock: RunLock, display: Display, draft: Draft) -> None:
         super().__init__(daemon=True)
         self._process, self._run_lock, self._display, self._draft = process, run_lock, display, draft
         self.shows = True
 
     def run(self) -> None:
-        assert self._process.stdout is not None
         noted, began = 0.0, {"stage": "", "began": 0.0, "first": 0}
         for line in self._process.stdout:
             try:
@@ -119,7 +109,7 @@ def _started(display: Display, title: str) -> bool:
     return True
 
 
-def _await(process: subprocess.Popen[bytes], settings: RunSettings, interruption: Interruption) -> Ending:
+def _await(process: StartedRun | FreshRun, settings: RunSettings, interruption: Interruption) -> Ending:
     """Wait for the process's end, and pass on to it that the sweep is to end."""
     limit = None if settings.timeout_minutes is None else 60 * settings.timeout_minutes + GRACE_SECONDS
     deadline = None if limit is None else time.monotonic() + limit
@@ -140,7 +130,7 @@ def _await(process: subprocess.Popen[bytes], settings: RunSettings, interruption
             try:
                 process.wait(POLL_SECONDS)
                 return "by itself" if told is None else "interrupted"
-            except subprocess.TimeoutExpired:
+            except TimeoutError:
                 pass
             if told is not None and (interruption.insisted or time.monotonic() - told > GRACE_SECONDS):
                 return "interrupted"

@@ -17,11 +17,6 @@ LOCK_VARIABLE = "ENVGS_BENCH_RUN_LOCK"  # the lock's open file, which the run's 
 PR_SET_PDEATHSIG = 1  # of Linux's <sys/prctl.h>
 
 
-def environment_of(folder: Path) -> dict[str, str]:
-    """The environment of the process of the run in `folder`."""
-    return {**os.environ, RUN_VARIABLE: str(folder), JOB_VARIABLE: str(os.getpid())}
-
-
 def end_with(parent: int) -> None:
     """From now on this process gets SIGTERM when `parent`, the process that started it, ends in whatever way.
 

@@ -85,7 +85,7 @@ def _ignore_signals() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-def _leave(code: int, folder: Path) -> NoReturn:
+def leave(code: int, folder: Path) -> NoReturn:
     """End this process now: threads that a method left running, and what else would be waited for, end with it."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):
@@ -145,4 +145,4 @@ def _reporter(pipe: int) -> EventListener:
 
 
 if __name__ == "__main__":
-    _leave(main(sys.argv[1:]), Path(sys.argv[1]))
+    leave(main(sys.argv[1:]), Path(sys.argv[1]))

@@ -17,20 +17,35 @@ from unittest.mock import patch
 import torch
 
 from envgs_bench.runs import worker
-
-Popen = subprocess.Popen
+from envgs_bench.runs.processes import JOB_VARIABLE, LOCK_VARIABLE, RUN_VARIABLE
 
 
 def forked_processes() -> AbstractContextManager[object]:
-    """Within it, runs' processes are forked: with signals, pipes and ends of their own, and no import."""
-    return patch("envgs_bench.runs.process.subprocess.Popen", _forked)
+    """Within it, runs' processes are forked from this one: with signals, pipes and ends of their own."""
+    return patch.multiple("envgs_bench.runs.process", StartedRun=_Forked, FreshRun=_Forked)
 
 
-def _forked(command: Any, **options: Any) -> subprocess.Popen[Any]:
-    """What subprocess.Popen returns; the command of a run's process is never executed, its process does the work."""
-    if worker.__name__ in command:
-        options["preexec_fn"] = partial(_work, Path(command[-1]), options["env"], options["pass_fds"])
-    return Popen(command, **options)
+class _Forked(subprocess.Popen[bytes]):
+    """A `StartedRun` without a starter: its command is never executed, its process does the work."""
+
+    def __init__(self, folder: Path, lock: int, environment: Mapping[str, str], handles: tuple[int, ...]) -> None:
+        own = {RUN_VARIABLE: str(folder), JOB_VARIABLE: str(os.getpid()), LOCK_VARIABLE: str(lock)}
+        kept = (lock, *handles)
+        super().__init__(
+            [sys.executable],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+            pass_fds=kept,
+            preexec_fn=partial(_work, folder, {**os.environ, **own, **environment}, kept),
+        )
+
+    def wait(self, timeout: float | None = None) -> int:
+        try:
+            return super().wait(timeout)
+        except subprocess.TimeoutExpired:
+            raise TimeoutError from None
 
 
 def _work(folder: Path, env: Mapping[str, str], kept: Sequence[int]) -> None:
@@ -46,7 +61,7 @@ def _work(folder: Path, env: Mapping[str, str], kept: Sequence[int]) -> None:
         code = worker.main([str(folder)])
     except BaseException:
         traceback.print_exc()
-    worker._leave(code, folder)
+    worker.leave(code, folder)
 
 
 def _to_standard_error(*given: Any) -> None:
