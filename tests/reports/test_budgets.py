@@ -13,7 +13,7 @@ from reports_runs import record, sections_of, write_record, write_runs
 from envgs_bench.reports import build_report
 from envgs_bench.reports.numbers.intervals import mean_interval
 from envgs_bench.reports.studies.budgets.budgets import BudgetCurve
-from envgs_bench.reports.studies.budgets.sentences import curve_sentence, map_sentence
+from envgs_bench.reports.studies.budgets.sentences import curve_sentence, map_sentence, rate_sentence
 from envgs_bench.reports.studies.budgets.study import BudgetStudy
 
 ROOM = "toy/chrome_room"
@@ -171,3 +171,20 @@ def test_without_budgets_there_is_no_such_part(tmp_path: Path) -> None:
     write_runs(tmp_path, methods=("2dgs",), seeds=(0,), pictures=False)
     (section,) = sections_of(tmp_path)
     assert BudgetStudy.of(section) is None
+
+
+def test_curves_are_compared_by_their_rate(tmp_path: Path) -> None:
+    """A method that takes half the primitives for the same PSNR; each has 10 fewer than its budget."""
+    quality = [20.0, 21.0, 21.7, 22.0]
+    for method, limits in (("2dgs", (1010, 2010, 4010, 8010)), ("envgs", (510, 1010, 2010, 4010))):
+        write_curve(tmp_path, {at: [q] * 3 for at, q in zip(limits, quality, strict=True)}, method)
+    study = found(tmp_path)
+    first, second = study.curves
+    assert rate_sentence(first, study.curves) == ""
+    words = "50% fewer" if second.method == "envgs" else "100% more"
+    assert rate_sentence(second, study.curves) == (
+        f"{second.method}: {words} primitives than {first.method} at equal PSNR (BD-rate)."
+    )
+    table = study.csv()["budgets"]
+    rates = table[table.quantity.str.startswith("bd_rate")].set_index("method").value.to_dict()
+    assert rates == pytest.approx({"2dgs": 1.0, "envgs": -0.5}, abs=1e-3)

@@ -12,6 +12,7 @@ from ...numbers.comparison import FEWEST_SEEDS, Comparison
 from ...numbers.estimates import Estimate, Numbers
 from ...numbers.labels import Label
 from ...numbers.settings import LIMITS, as_number
+from .bd_rate import bd_rate
 
 KEYS = tuple(f"budget.{limit}" for limit in LIMITS)
 MAP_KEYS = ("settings.max_primitives", "settings.env_max_primitives")  # of base and environment, as labels have them
@@ -76,6 +77,14 @@ class BudgetCurve:
         """Over the finished runs, or, paired by seed, minus those of the row `against`."""
         other = against.method if against else ""
         return self.numbers.estimate((self.dataset,), row.method, quantity.region, quantity.metric, other)
+
+    def rate_against(self, anchor: BudgetCurve) -> float | None:
+        """The BD-rate of primitives at equal PSNR, of the means over seeds; see `bd_rate`."""
+        return bd_rate(self._points(), anchor._points())
+
+    def _points(self) -> list[tuple[float, float]]:
+        found = ((self.estimate(row, Quantity("primitives")).mean, self.estimate(row, PSNR).mean) for row in self.rows)
+        return [(float(count), float(psnr)) for count, psnr in found if count and psnr is not None]
 
     @property
     def knee(self) -> Knee:

@@ -18,9 +18,10 @@ def budgets_table(curves: Sequence[BudgetCurve], maps: Sequence[BudgetMap]) -> p
     """A row a number: every score and cost of every budget, with its change from the curve's best, paired by seed.
 
     `limit` is infinite without a budget; of a map it is the base's and `env_limit` the environment's. `knee` has the
-    knee's limit as its value, empty where there is none.
+    knee's limit as its value, empty where there is none, `bd_rate:<method>` a share without a limit.
     """
     rows = [row for curve in curves for row in _curve_rows(curve)]
+    rows += [row for curve in curves for row in _rate_rows(curve, curves)]
     rows += [row for found in maps for row in _map_rows(found)]
     return pd.DataFrame(rows, columns=COLUMNS).astype(dict.fromkeys(NUMBERS, "float64"))
 
@@ -45,6 +46,16 @@ def _curve_rows(curve: BudgetCurve) -> Iterator[tuple[object, ...]]:
             None,
             curve.estimate(knee.row, PSNR).done,
         )
+
+
+def _rate_rows(curve: BudgetCurve, curves: Sequence[BudgetCurve]) -> Iterator[tuple[object, ...]]:
+    """The BD-rate against every other curve of the data set and the kind of budget, `bd_rate:<method>`."""
+    for anchor in curves:
+        if anchor is not curve and (anchor.dataset, anchor.key) == (curve.dataset, curve.key):
+            rate = curve.rate_against(anchor)
+            if rate is not None:
+                place = (curve.dataset, curve.method, curve.key, None, None, f"bd_rate:{anchor.method}")
+                yield (*place, rate, None, None, None, None)
 
 
 def _map_rows(found: BudgetMap) -> Iterator[tuple[object, ...]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from .budgets import PSNR, TIED_DB, BudgetCurve, BudgetMap, BudgetRow
 
@@ -30,6 +31,16 @@ def curve_sentence(curve: BudgetCurve) -> str:
         f"{curve.method}: {limit_text(curve, knee.row)}, {-mean:.2f} dB below the best "
         f"({limit_text(curve, knee.best)}), by the interval at most {max(0.0, -interval.low):.2f}."
     )
+
+
+def rate_sentence(curve: BudgetCurve, curves: Sequence[BudgetCurve]) -> str:
+    """The BD-rate of primitives against the first curve within budgets of the same kind; "" where there is none."""
+    anchor = next(other for other in curves if other.key == curve.key)
+    rate = None if curve is anchor else curve.rate_against(anchor)
+    if rate is None:
+        return ""
+    more = "more" if rate >= 0 else "fewer"
+    return f"{curve.method}: {abs(rate):.0%} {more} primitives than {anchor.method} at equal PSNR (BD-rate)."
 
 
 def map_sentence(found: BudgetMap) -> str:

@@ -11,7 +11,7 @@ from ...numbers.comparison import FEWEST_SEEDS
 from ...tables.sections import Section
 from ..study import Drawn, Study
 from .budgets import TIED_DB, BudgetCurve, BudgetMap, budget_curves, budget_maps
-from .sentences import curve_sentence, map_sentence
+from .sentences import curve_sentence, map_sentence, rate_sentence
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,7 +49,9 @@ class BudgetStudy(Study):
     def page(self, drawn: Drawn) -> Mapping[str, Any]:
         datasets = []
         for dataset in self.section.datasets:
-            sentences = [curve_sentence(curve) for curve in self.curves if curve.dataset == dataset]
+            curves = [curve for curve in self.curves if curve.dataset == dataset]
+            sentences = [curve_sentence(curve) for curve in curves]
+            sentences += [words for curve in curves if (words := rate_sentence(curve, curves))]
             sentences += [map_sentence(found) for found in self.maps if found.dataset == dataset]
             if sentences:
                 datasets.append({"name": dataset, "sentences": sentences})
