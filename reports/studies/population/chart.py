@@ -10,8 +10,9 @@ from matplotlib.ticker import LogLocator
 from ...charts.drawn import Canvas, DrawnChart
 from ...charts.look import GRAY, INK, RC, SOFT, open_axes, panel_axes, plain_numbers
 from ...charts.palette import styles
+from ...numbers.intervals import sample_interval
 from ...tables.sections import Section
-from .failure_map import FailureMap
+from .failure_map import FailureMap, Question
 from .population import Population
 
 COLUMNS, SHOWN = 3, 6  # panels of the failure map
@@ -26,7 +27,10 @@ def draw_population(
 
 
 def _draw_cloud(section: Section, found: Population, canvas: Canvas, folder: str) -> DrawnChart:
-    """Accuracy beside the mean of all methods on the same scene: scenes differ by more than methods do."""
+    """Accuracy beside the mean of all methods on the same scene: scenes differ by more than methods do.
+
+    Bars are 95 % intervals of the mean over scenes, those of times of the mean logarithm.
+    """
     title = f"Speed against accuracy on {len(found.psnr)} scenes"
     style = styles(list(found.psnr.columns), section.cards)
     times = found.scores["frame_ms"].reindex(found.psnr.index)
@@ -39,8 +43,12 @@ def _draw_cloud(section: Section, found: Population, canvas: Canvas, folder: str
             continue
         own = style[method]
         axis.plot(times[method], ahead[method], ".", color=own.color, alpha=0.35, markersize=5)
-        middle = np.exp(np.log(times[method]).mean()), ahead[method].mean()
-        axis.plot(*middle, marker=own.marker, color=own.color, markersize=10, markeredgecolor=INK, label=method, ls="")
+        logs = np.log(times[method].dropna())
+        middle = np.exp(logs.mean()), ahead[method].mean()
+        if (across := sample_interval(logs.to_numpy())) and (up := sample_interval(ahead[method].to_numpy())):
+            axis.plot(np.exp(across), [middle[1]] * 2, color=INK, linewidth=1.2)
+            axis.plot([middle[0]] * 2, up, color=INK, linewidth=1.2)
+        axis.plot(*middle, marker=own.marker, color=own.color, markersize=8, markeredgecolor=INK, label=method, ls="")
     axis.set_xscale("log")
     plain_numbers(axis, LogLocator(subs=(1, 2, 5)))
     axis.axhline(0, color=GRAY, linewidth=0.8)
@@ -52,7 +60,7 @@ def _draw_cloud(section: Section, found: Population, canvas: Canvas, folder: str
 
 
 def _draw_map(found: Population, mapped: FailureMap, canvas: Canvas, folder: str) -> DrawnChart:
-    """The difference against the attributes that go with it most."""
+    """The difference against the attributes that go with it most; dotted is where the tree's first question parts."""
     title = f"{found.subject} less the best other method, by what scenes are like"
     margins = found.margins(found.subject)
     names = list(mapped.ranks.index[:SHOWN])
@@ -67,6 +75,8 @@ def _draw_map(found: Population, mapped: FailureMap, canvas: Canvas, folder: str
                 values[own], margins[own], marker, color=INK, alpha=0.55, markersize=4, ls="", label=f"for {part}"
             )
         axis.axhline(0, color=GRAY, linewidth=0.8)
+        if isinstance(mapped.tree, Question) and mapped.tree.attribute == name:
+            axis.axvline(mapped.tree.below, color=INK, linewidth=1, linestyle=":")
         axis.set_xlabel(f"{name.replace('_', ' ')}   (rank correlation {mapped.ranks[name]:+.2f})")
         axis.set_ylabel("dB")
         open_axes(axis)
