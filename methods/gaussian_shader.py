@@ -1,11 +1,13 @@
 """GaussianShader: 3D Gaussians shaded one by one, by normals of their own and a filtered cube map.
 
-A Gaussian's color is c(ω) + s·L(r, ρ): c its spherical harmonics, whose constant term is the diffuse color and whose
-others are the residual one, s its tint, and L the map filtered for its roughness ρ (GaussianShader, CVPR 2024, Eq. 3).
+A Gaussian's color is c_d + s·L(r, ρ) + c_r(ω): c_d its diffuse color, s its tint, L the map filtered for its roughness
+ρ, and c_r its residual color (GaussianShader, CVPR 2024, Eq. 3). Its spherical harmonics hold both: c_d is the sigmoid
+of b − log 3, where b is what other methods' constant term shows, and c_r are the other terms.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import ClassVar
 
@@ -13,12 +15,13 @@ import torch
 from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, View
-from envgs_bench.core.torch.sh import sh_color
+from envgs_bench.core.torch.sh import sh_basis
 from envgs_bench.core.vectors import unit
 from envgs_bench.parts import BASE, BETA, REFLECTION, MethodCard
 
 from .gaussian_method import GaussianMethod
 from .gaussians.model import GaussianModel
+from .gaussians.parameters import SH_DC
 from .gaussians.policy import SetPolicy
 from .lighting.brdf_table import specular_weight
 from .lighting.light_map import CubeMap, Filtered
@@ -28,6 +31,7 @@ from .training.schedule import Part, Schedule, set_rate
 
 INITIAL_TINT, INITIAL_ROUGHNESS = 0.0, 0.6  # logits
 INITIAL_LIGHT = 0.8
+DARKER = math.log(3)  # less than the points' colors, as logits: c_d begins at 1/4 where a point is black
 LEAST_ALPHA = 1e-3  # of the logarithms that make alpha 0 or 1
 INNER = "inner_residuals"
 MATERIALS = {"tint_logits": 3, "roughness_logits": 1, "outer_residuals": 3, INNER: 3}  # fields, columns
@@ -69,7 +73,7 @@ class GaussianShader(GaussianMethod):
     def initialize(self, scene: Scene, steps: int) -> None:
         super().initialize(scene, steps)
         size = self.settings.envmap_size
-        self.light.map.become(torch.logit(torch.full((6, size, size, 3), INITIAL_LIGHT)))
+        self.light.map.show(torch.full((6, size, size, 3), INITIAL_LIGHT))
 
     def _shaded(self, gaussians: GaussianSet, camera: Camera, step: int | None) -> GaussianSet:
         """The shaded Gaussians; their extras are tint, normal's residual, normal [3] and reflected color [3]."""
@@ -82,7 +86,7 @@ class GaussianShader(GaussianMethod):
         light = self.light.at(step)
         specular = light.specular(outgoing, roughness) * specular_weight(tint, cosine, roughness)
         reflected = specular + (1 - tint) * light.irradiance(normals)
-        colors = sh_color(gaussians.sh, directions) + reflected.clamp_min(0)
+        colors = own_color(gaussians.sh, directions) + reflected
         length = residual.square().sum(1, keepdim=True).clamp_min(1e-12).sqrt()
         extras = torch.cat([tint.mean(1, keepdim=True), length, normals, reflected], dim=1)
         return replace(colored(gaussians, colors), extras=extras)
@@ -103,15 +107,23 @@ class GaussianShader(GaussianMethod):
         return terms
 
 
+def own_color(sh: Tensor, directions: Tensor) -> Tensor:
+    """c_d + c_r [N, 3] of spherical harmonics [N, K, 3], seen along unit `directions` [N, 3]."""
+    degree = math.isqrt(sh.shape[1]) - 1
+    residual = (sh_basis(directions, degree)[:, 1:, None] * sh[:, 1:]).sum(1)
+    return (0.5 + SH_DC * sh[:, 0] - DARKER).sigmoid() + residual
+
+
 class DecayingRates(Part):
-    """The rates of the materials and of the map, which fall log-linearly over a run."""
+    """The rates of the colors, the materials and the map, which fall log-linearly over a run."""
 
     def __init__(self, model: GaussianModel, settings: GaussianShaderSettings, light: CubeMap) -> None:
         self._model, self._settings, self._light = model, settings, light
 
     def begin_step(self, step: int) -> None:
         s, schedule = self._settings, self._model.schedule
-        rate = schedule.rate(step, s.material_lr, s.material_lr_final)
+        rate, parameters = schedule.rate(step, s.material_lr, s.material_lr_final), self._model.sets[BASE].parameters
         for name in MATERIALS.keys() - {INNER}:
-            self._model.sets[BASE].parameters.set_learning_rate(name, rate * schedule.rate_scale)
+            parameters.set_learning_rate(name, rate * schedule.rate_scale)
+        parameters.set_learning_rate("sh_dc", rate / SH_DC * schedule.rate_scale)  # so that c_d's logits learn at it
         set_rate(self._light.optimizer.param_groups[0], schedule.rate(step, s.envmap_lr, s.material_lr_final))

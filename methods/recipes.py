@@ -51,7 +51,7 @@ class Rules:
     mono_rendered: Literal["blended", "unit"] = "blended"  # rendered normals in L_mono: as they are, or normalized
     mono_from: Steps = 0  # step after which L_mono counts
     mono_floor: Share = 0.1  # share of mono_weight where nothing reflects; all of it counts from β = initial_beta on
-    normal_weighting: Literal["none", "depth", "alpha"] = "none"  # weights of pixels in both normal losses
+    normal_weighting: Literal["none", "depth", "eroded"] = "none"  # weights of pixels in both normal losses
     perceptual_loss: Literal["features", "lpips"] = "features"  # L_perc: the L1 distance of VGG-16's features, or LPIPS
     perceptual_from: Steps = 0  # step after which L_perc counts
 
@@ -65,6 +65,7 @@ class Rules:
     beta_reset_from: Steps = 0  # step from which opacity resets also reset β; 0: never
     beta_reset: Literal["lower", "raise"] = "lower"  # that bounds β by its start from above, or from below
     map_start: Literal["gray", "random"] = "gray"  # texels of a cube map, at first
+    map_texels: Literal["logits", "colors"] = "logits"  # what a cube map's texels learn; colors are cut to [0, 1]
 
     traced_sh_direction: Literal["center", "ray"] = "center"  # along which a color is seen: to its center, or the ray
     traced_near: Length = 0.0  # hits nearer to a reflected ray's start are not drawn, world units
@@ -142,7 +143,11 @@ RECIPES: dict[RecipeName, Rules] = {
         | {"beta_starts_anew": True}
         | {"mean_gradient_of": "color", "map_start": "random"}
     ),
-    "gaussian_shader": Rules(**OF_3DGS | {"position_radius": 5.0}),  # GaussianShader's released code
+    "gaussian_shader": Rules(  # GaussianShader's released code
+        **OF_3DGS
+        | {"position_radius": 5.0, "map_texels": "colors"}
+        | {"normal_reference": "alpha", "normal_rendered": "blended", "normal_weighting": "eroded"}
+    ),
     "ref_gaussian": Rules(  # Ref-Gaussian's released code
         **OF_2DGS
         | {"stretches": False, "longest_run": 50_000, "sh_from": 5_000, "beta_reset_from": 1, "beta_reset": "raise"}

@@ -2,8 +2,9 @@
 
     ∫ f(l, v)·(n·l) dl = F₀·scale + bias
 
-for the microfacet BRDF f = D·F·G / (4·(n·l)·(n·v)) with GGX's D of α = roughness², Schlick's F and the
-Smith–Schlick G of k = α/2 (Karis, Real Shading in Unreal Engine 4, 2013).
+for the microfacet BRDF f = D·F·G / (4·(n·l)·(n·v)) with GGX's D of α = roughness², Schlick's F, and Smith's G of GGX
+for heights that are correlated (Karis, Real Shading in Unreal Engine 4, 2013; Heitz, Understanding the
+Masking-Shadowing Function in Microfacet-Based BRDFs, 2014, Eq. 99).
 """
 
 from __future__ import annotations
@@ -34,12 +35,18 @@ def brdf_table(device: torch.device | str = "cpu") -> Tensor:
     v_h = (1 - cosine.square()).sqrt() * (1 - n_h.square()).sqrt() * azimuth.cos() + cosine * n_h
     n_l = 2 * v_h * n_h - cosine
     lit = (n_l > 0) & (v_h > 0)
-    k = alpha / 2
-    geometry = n_l / (n_l * (1 - k) + k) / (cosine * (1 - k) + k)  # G / (n·v)
+    upward = n_l.clamp_min(0)
+    shadowed, masked = (cosine * _slanted(upward, alpha), upward * _slanted(cosine, alpha))
+    geometry = 2 * upward / (shadowed + masked)  # G / (n·v)
     weight = torch.where(lit, geometry * v_h / n_h, 0.0)
     fresnel = (1 - v_h.clamp(0, 1)) ** 5
     table = torch.stack([(weight * (1 - fresnel)).mean((2, 3)), (weight * fresnel).mean((2, 3))], dim=-1)
     return table.float().to(device)
+
+
+def _slanted(cosine: Tensor, alpha: Tensor) -> Tensor:
+    """√(α² + (1 − α²)·cos²), of which Smith's masking is made."""
+    return (alpha.square() + (1 - alpha.square()) * cosine.square()).sqrt()
 
 
 def specular_weight(reflectance: Tensor, cosine: Tensor, roughness: Tensor) -> Tensor:

@@ -24,26 +24,37 @@ DOUBLES_AT = (7_500, 13_500, 21_000)  # steps of a run of 30,000
 
 
 class CubeMap(Light):
-    """A cube map whose texels hold logits of colors in [0, 1].
+    """A cube map whose texels hold colors in [0, 1], or their logits (`map_texels`).
 
     It may begin with an eighth of its texels an edge and double three times: a texel that few pixels see begins as what
     its surroundings have learned, and the early map is smooth enough to turn normals by.
 
     Attributes:
-        texels: [6, S, S, 3] logits.
+        texels: [6, S, S, 3].
         optimizer: of the texels.
     """
 
     def __init__(self, model: GaussianModel, settings: MapSettings, doublings: int = 0) -> None:
         self._model, self._settings, self._doublings = model, settings, doublings
         self._begun = False
+        self._learns_colors = settings.rule.map_texels == "colors"
+        self._stored = "map_colors" if self._learns_colors else "texels"
         self.become(torch.zeros(6, settings.envmap_size, settings.envmap_size, 3))
+
+    @property
+    def colors(self) -> Tensor:
+        """[6, S, S, 3] in [0, 1], differentiable in the texels."""
+        return self.texels if self._learns_colors else self.texels.sigmoid()
 
     def become(self, texels: Tensor) -> None:
         """Take these texels [6, S, S, 3], of which nothing has been learned."""
         self.texels = texels.detach().to(self._model.device).requires_grad_()
         self._layout = layout_of(texels.shape[1], self._model.device)
         self.optimizer = adam([{"params": [self.texels], "lr": self._settings.envmap_lr, "name": "texels"}])
+
+    def show(self, colors: Tensor) -> None:
+        """Become a map of these colors [6, S, S, 3] in (0, 1), of which nothing has been learned."""
+        self.become(colors if self._learns_colors else colors.logit())
 
     def start(self, scene: Scene) -> None:
         self._begun = False
@@ -61,12 +72,16 @@ class CubeMap(Light):
         size = self._size_at(step)
         if self._begun and size != self.texels.shape[1]:
             self.become(resized_cubemap(self.texels.detach(), self._layout, size))
+        self._cut()
+
+    def prepare(self) -> None:
+        self._cut()
 
     def color(
         self, origins: Tensor, directions: Tensor, step: int | None, beta: Tensor | None = None
     ) -> tuple[Tensor, dict[str, Statistics]]:
-        color = sample_cubemap(self.texels, directions.reshape(-1, 3), self._layout).sigmoid()
-        return color.reshape(directions.shape), {}
+        color = sample_cubemap(self.texels, directions.reshape(-1, 3), self._layout)
+        return (color if self._learns_colors else color.sigmoid()).reshape(directions.shape), {}
 
     def optimizers(self) -> Sequence[torch.optim.Optimizer]:
         return (self.optimizer,)
@@ -87,10 +102,11 @@ class CubeMap(Light):
         restore_optimizer(self.optimizer, {"texels": self.texels}, state["moments"])
 
     def state(self) -> dict[str, Any]:
-        return {"texels": self.texels.detach()}
+        return {self._stored: self.texels.detach()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        size = state["texels"].shape[1]
+        texels = state[self._stored]
+        size = texels.shape[1]
         known = {self._size_before(doublings) for doublings in range(self._doublings + 1)}
         if size not in known:
             expected = " or ".join(map(str, sorted(known)))
@@ -99,7 +115,13 @@ class CubeMap(Light):
                 f"envmap_size is {self._settings.envmap_size}"
             )
         self._begun = True
-        self.become(state["texels"])
+        self.become(texels)
+
+    def _cut(self) -> None:
+        """Cut colors to [0, 1], which a step of Adam may leave; what was cut goes on learning from there."""
+        if self._learns_colors:
+            with torch.no_grad():
+                self.texels.clamp_(0, 1)
 
     def _size_at(self, step: int) -> int:
         """Texels along a face's edge at a step of the training."""
@@ -135,4 +157,4 @@ class Filtered(Part):
         return self._of_images
 
     def _filtered(self) -> RoughMap:
-        return rough_map(self.map.texels.sigmoid(), prefilter_of(self.map.texels.shape[1], self.map.texels.device))
+        return rough_map(self.map.colors, prefilter_of(self.map.texels.shape[1], self.map.texels.device))

@@ -48,7 +48,7 @@ class ReflectionSettings(GaussianSettings):
 class MapSettings(GaussianSettings):
     group: ClassVar[str] = "environment"
     envmap_size: Size = 128  # texels along a face's edge (EnvGS paper, App. B.1: 128 and 256)
-    envmap_lr: Rate = 1e-2  # learning rate of the texels' logits
+    envmap_lr: Rate = 1e-2  # learning rate of the texels
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class RefGaussianSettings(PublishedSettings, EnvMapSettings):
 @dataclass(frozen=True)
 class GaussianShaderSettings(PublishedSettings, MapSettings):
     recipe: RecipeName = "gaussian_shader"
-    rules: dict[str, Any] = field(default_factory=lambda: {"normal_weighting": "alpha"}, hash=False)
+    sh_degree: Degree = 0  # no residual color, as in the authors' code
     min_opacity: Amount = 0.005
 
     normal_weight: Amount = 0.2
@@ -140,7 +140,7 @@ class GaussianShaderSettings(PublishedSettings, MapSettings):
     sparse_weight: Amount = 1e-3  # weight of the loss that makes alpha 0 or 1
     residual_weight: Amount = 1e-3  # weight of the lengths of what normals differ from the shortest axes by
 
-    material_lr: Rate = 1.6e-2  # learning rate of tints, roughnesses and normals at the start; log-linear to the last
+    material_lr: Rate = 1.6e-2  # learning rate of colors, tints, roughnesses and normals, at first; log-linear to the last
     material_lr_final: Rate = 1.6e-3  # learning rate of those and of the map at the end
     inner_lr: Rate = 2e-4  # learning rate of normals' residuals on the side that faces inward
     envmap_size: Size = 64

@@ -36,6 +36,7 @@ HEADER = "header.json"
 LAYOUT = 1
 STEPS = {  # of tensors outside of sets
     "texels": 1 / 16,  # logits of a cube map's colors, which are then off by 1/128 at most
+    "map_colors": 1 / 128,  # of a cube map that learns them
     "planes": 1 / 32,  # of an illumination field; trained values are some tenths
     "lines": 1 / 32,
 }

@@ -74,8 +74,8 @@ class TrainingLoss:
         match self.settings.rule.normal_weighting:
             case "depth":
                 return nearness(rendering.depth)
-            case "alpha":
-                return rendering.alpha.detach()
+            case "eroded":
+                return eroded(rendering.alpha.detach())
         return None
 
     def _depth_error(self, rendering: Rendering, view: View, weight: Tensor | None) -> Tensor:
@@ -132,6 +132,12 @@ def photometric_loss(image: Tensor, target: Tensor, *, backend: str = "auto") ->
     """L_rgb = 0.8·mean |I − I_gt| + 0.2·(1 − SSIM), the SSIM by the core's `backend`."""
     difference = (image - target).abs().mean()
     return (1 - SSIM_SHARE) * difference + SSIM_SHARE * (1 - ssim(image, target, backend=backend))
+
+
+def eroded(alpha: Tensor) -> Tensor:
+    """The least alpha of the 4×4 pixels around each, [H, W]: two before it, itself, and one behind (GaussianShader)."""
+    around = functional.pad(1 - alpha[None], (2, 1, 2, 1))  # beyond the border nothing counts: 1 − α ≥ 0
+    return 1 - functional.max_pool2d(around, 4, stride=1)[0]
 
 
 def normal_loss(normal: Tensor, reference: Tensor, weight: Tensor | None = None) -> Tensor:

@@ -19,9 +19,9 @@ def reflected_share(cosine: float, roughness: float, reflectance: float) -> floa
     view = torch.tensor([math.sqrt(1 - cosine**2), 0.0, cosine], dtype=torch.float64)
     half = torch.nn.functional.normalize(light + view, dim=-1)
     n_h, n_l, v_h = half[..., 2], light[..., 2], half @ view
-    k = alpha / 2
     distribution = alpha**2 / (math.pi * (n_h.square() * (alpha**2 - 1) + 1).square())
-    geometry = n_l / (n_l * (1 - k) + k) * cosine / (cosine * (1 - k) + k)
+    masking, shadowing = (((1 + alpha**2 * (1 / c**2 - 1)) ** 0.5 - 1) / 2 for c in (cosine, n_l))  # Smith's Λ
+    geometry = 1 / (1 + masking + shadowing)
     fresnel = reflectance + (1 - reflectance) * (1 - v_h) ** 5
     integrand = distribution * geometry * fresnel / (4 * cosine) * elevation.sin()
     return float(integrand.mean()) * math.pi / 2 * 2 * math.pi

@@ -35,7 +35,7 @@ def drawn_at_random(scene: Scene, **settings) -> GaussianShader:
     parameters = method.model.sets["base"].parameters
     for name in MATERIALS:
         parameters.replace(name, 0.3 * torch.randn(parameters.tensors[name].shape, generator=generator))
-    method.light.map.become(torch.randn(6, 8, 8, 3, generator=generator))
+    method.light.map.become(torch.rand(6, 8, 8, 3, generator=generator))
     return method
 
 
@@ -52,11 +52,12 @@ def test_a_gaussian_is_shaded_by_the_residual_of_its_side(side: float, field: st
     tensors = parameters.detached()
     normal = functional.normalize(toward + tensors[field][0], dim=0)
     outgoing = 2 * (normal @ toward) * normal - toward
-    light = rough_map(method.light.map.texels.detach().sigmoid(), prefilter_of(8))
+    light = rough_map(method.light.map.texels.detach(), prefilter_of(8))
     tint, roughness = tensors["tint_logits"].sigmoid(), tensors["roughness_logits"][:, 0].sigmoid()
     weight = specular_weight(tint, (normal @ toward)[None], roughness)
     reflected = light.specular(outgoing[None], roughness) * weight + (1 - tint) * light.irradiance(normal[None])
-    expected = torch.tensor([0.3, 0.5, 0.7]) + reflected[0]
+    point = torch.tensor([0.3, 0.5, 0.7])
+    expected = point.exp() / (3 + point.exp()) + reflected[0]  # sigmoid(b − log 3)
 
     shown = method.render(CAMERA)
     row, column = divmod(int(shown.alpha.argmax()), CAMERA.width)
