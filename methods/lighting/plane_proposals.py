@@ -25,13 +25,16 @@ VIEWS, COLUMNS = 16, 64  # that are looked at, at most; pixels across, at least 
 PARTNERS = (1, 5)  # views further on that each is compared with
 MOST = 8  # planes
 ALIKE, APART = 0.94, 0.87  # cosines: of normals that count as one plane's, and of those of another
+FLAT = 0.2  # radians that normals of a plane may turn by, from its middle to its edges
 LEAST = 0.02  # share of the views' pixels that a plane must have
 CANDIDATES = 400  # directions that normals are counted around
 DISTANCES, FINER = 40, 17  # from the cameras to a plane: in geometric progression, and around the best
 NEAREST, FARTHEST = 0.02, 4.0  # of these, × scene radius
 AGREEMENT = 0.35  # of what either of two views has in the plane, the part that both must have
-CELLS = 32  # along each side of a plane's region
+CELLS, MOSTLY = 32, 0.7  # along each side of a plane's region; share of the views of a cell that have it in theirs
 PIXELS, FITTED, RATE = 40_000, 150, 5e-3  # of the fit to regions: pixels, steps, and × scene radius what moves in one
+TURN = 0.1  # what a radian away from the normals costs, squared, in shares of the pixels
+AROUND = 1.4  # × the rectangle's size, in which regions are the rectangle's
 SOFT = 0.02  # width of the fitted edge, × scene radius
 
 
@@ -116,24 +119,43 @@ def _commonest(normals: Sequence[Tensor]) -> tuple[Tensor, int]:
 
 def _rectangle(seen: Sequence[_Seen], members: Sequence[Tensor], direction: Tensor, radius: float) -> Rectangle | None:
     """Where a plane of that direction lies and how far it reaches; None where the views agree on none."""
-    centers = torch.stack([each.camera.center for each in seen])
-    front = float((centers @ direction).min())
+    ahead = [each.camera.center @ direction for each, own in zip(seen, members, strict=True) if own.any()]
+    front = float(max(ahead))  # a plane may stand between cameras: those behind it see another one
     distances = radius * torch.logspace(np.log10(NEAREST), np.log10(FARTHEST), DISTANCES)
     agreements = _agreements(seen, members, direction, front - distances)
     best = int(agreements.argmax())
-    if agreements[best] < AGREEMENT:
-        return None
     around = distances[max(0, best - 1)], distances[min(DISTANCES - 1, best + 1)]
     finer = torch.linspace(float(around[0]), float(around[1]), FINER)
-    best = int(_agreements(seen, members, direction, front - finer).argmax())
-    return _bounds(seen, members, direction, front - float(finer[best]))
+    height = front - finer[int(_agreements(seen, members, direction, front - finer).argmax())]
+    rectangle = _bounds(seen, members, direction, float(height))
+    if rectangle is None:
+        return None
+    # Views agree inside the rectangle: parallel planes, and what else is turned alike, are left to themselves.
+    own = [each & _inside(rectangle, view.camera) for view, each in zip(seen, members, strict=True)]
+    agrees = bool(_agreements(seen, own, direction, height[None]) > AGREEMENT)
+    return rectangle if agrees and _bend(rectangle, seen, own) < FLAT else None
+
+
+def _bend(rectangle: Rectangle, seen: Sequence[_Seen], members: Sequence[Tensor]) -> float:
+    """By how much normals turn between a rectangle's middle and its edges, radians: of a ball's part they do."""
+    places, turns = [], []
+    for each, own in zip(seen, members, strict=True):
+        origins, rays = each.camera.rays()
+        distance = inside_of(rectangle, origins, rays, 1e-6)[1][own]
+        points = origins.expand_as(rays)[own] + distance[:, None] * rays[own]
+        places.append((points - rectangle.center) @ rectangle.axes[:2].T / rectangle.half)
+        turns.append(each.normals[own] @ rectangle.axes[:2].T)
+    place, turn = torch.cat(places), torch.cat(turns)
+    place = place - place.mean(0)
+    return float((turn.T @ place / place.square().sum(0).clamp_min(1e-9)).norm())
 
 
 def _hits(camera: Camera, direction: Tensor, heights: Tensor) -> tuple[Tensor, Tensor]:
-    """Where the pixels' rays meet the planes x·direction = height, [D, h, w, 3], and whether they do."""
+    """Where the pixels' rays meet the planes x·direction = height from the front, [D, h, w, 3]; whether they do."""
     origins, rays = camera.rays()
-    along = (heights[:, None, None] - origins @ direction) / (rays @ direction)
-    return origins + along.clamp(0, 1e4)[..., None] * rays, (along > 0) & along.isfinite()
+    falls = rays @ direction
+    along = (heights[:, None, None] - origins @ direction) / falls
+    return origins + along.clamp(0, 1e4)[..., None] * rays, (along > 0) & along.isfinite() & (falls < 0)
 
 
 def _agreements(seen: Sequence[_Seen], members: Sequence[Tensor], direction: Tensor, heights: Tensor) -> Tensor:
@@ -146,7 +168,8 @@ def _agreements(seen: Sequence[_Seen], members: Sequence[Tensor], direction: Ten
             pixels, depth = seen[other].camera.project(points)
             column, row = pixels.nan_to_num(-1).clamp(-1, 1e6).floor().long().unbind(-1)
             rows, columns = members[other].shape
-            shown = met & (depth > 0) & (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
+            before = (seen[other].camera.center @ direction > heights)[:, None, None]  # else they see its back
+            shown = met & before & (depth > 0) & (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
             theirs = members[other][row.clamp(0, rows - 1), column.clamp(0, columns - 1)]
             both += (own & theirs & shown).sum((1, 2))
             either += ((own | theirs) & shown).sum((1, 2))
@@ -176,7 +199,7 @@ def _bounds(seen: Sequence[_Seen], members: Sequence[Tensor], direction: Tensor,
     number = (cell[:, 1] * CELLS + cell[:, 0])[within]
     counts = torch.bincount(number, minlength=CELLS**2), torch.bincount(number, member[within].double(), CELLS**2)
     shown, own = (ndimage.gaussian_filter(each.reshape(CELLS, CELLS).double().numpy(), 1.0) for each in counts)
-    labels, count = ndimage.label((own > 0.5 * shown) & (shown > 0))
+    labels, count = ndimage.label((own > MOSTLY * shown) & (shown > 0))
     if not count:
         return None
     largest = 1 + np.argmax(np.bincount(labels.ravel())[1:])
@@ -198,11 +221,16 @@ def _turned(inside: Tensor, frame: Tensor, height: float, angle: Tensor) -> Rect
 def _fitted(rectangle: Rectangle, seen: Sequence[_Seen], members: Sequence[Tensor], radius: float) -> Rectangle:
     """The rectangle moved, turned and resized until it shows as each view's region does.
 
-    What the region has and the rectangle has not counts fully, the other way half: something may stand before it.
+    What the region has and the rectangle has not counts fully, the other way half: something may stand before it. What
+    lies apart from the rectangle is another's, and views from behind do not count.
     """
     rays = [each.camera.rays() for each in seen]
     origins, directions = (torch.cat([ray[part].reshape(-1, 3) for ray in rays]) for part in (0, 1))
     own = torch.cat([each.flatten() for each in members])
+    around = Rectangle(rectangle.center, rectangle.axes, AROUND * rectangle.half)
+    near = inside_of(around, origins, directions, 1e-6)[0] > 0
+    counts = (directions @ rectangle.axes[2] < 0) & (near | ~own)
+    origins, directions, own = origins[counts], directions[counts], own[counts]
     some = torch.randperm(len(own), generator=torch.Generator().manual_seed(0))[:PIXELS]
     origins, directions, own = origins[some], directions[some], own[some]
     moved = torch.zeros(8, requires_grad=True)  # center, rotation vector, half sizes
@@ -211,7 +239,8 @@ def _fitted(rectangle: Rectangle, seen: Sequence[_Seen], members: Sequence[Tenso
         optimizer.param_groups[0]["lr"] = RATE * (1 - step / FITTED)
         shown = inside_of(_moved(rectangle, moved, radius), origins, directions, SOFT * radius)[0]
         optimizer.zero_grad()
-        torch.where(own, 1 - shown, 0.5 * shown).mean().backward()
+        error = torch.where(own, 1 - shown, 0.5 * shown).mean() + TURN * moved[3:6].square().sum()
+        error.backward()
         optimizer.step()
     return _moved(rectangle, moved.detach(), radius)
 

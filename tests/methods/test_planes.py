@@ -11,7 +11,7 @@ from finite_differences import assert_gradients_are_differences
 from mirror_ball import gain_of_training
 from mirror_room import MIRROR, mirror_room, wall_color, walls
 
-from envgs_bench.core import GaussianSet
+from envgs_bench.core import Camera, GaussianSet, Scene, View
 from envgs_bench.core.vectors import rotated, unit
 from envgs_bench.methods.envgs import PLANES, EnvGS
 from envgs_bench.methods.lighting.plane_alignment import Aligned, aligned
@@ -20,6 +20,11 @@ from envgs_bench.methods.lighting.planes import Planes, behind
 from envgs_bench.methods.registry import create_method
 from envgs_bench.stages.execution import given_of
 from envgs_bench.testing import check_method, tiny_scene
+
+PANE = Rectangle(
+    torch.tensor([0.0, 0, 0.1]), torch.tensor([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), torch.tensor([0.8, 0.5])
+)
+BALL = torch.tensor([0.6, 1.3, 0.2])  # of radius 0.5
 
 SMALL: dict[str, Any] = {"env_grid": 2, "env_far_count": 50}
 
@@ -72,6 +77,41 @@ def test_a_mirror_is_proposed_where_it_is() -> None:
     assert abs(float((found.center - MIRROR.center) @ MIRROR.axes[2])) < 0.05
     torch.testing.assert_close(found.center, MIRROR.center, atol=0.06, rtol=0)
     torch.testing.assert_close(found.half.sort().values, MIRROR.half.sort().values, atol=0.08, rtol=0)
+
+
+def panes(count: int = 24, size: int = 64) -> Scene:
+    """A pane upright at the origin, and a ball beside it, from cameras all around; marks and normals in closed form."""
+    views = []
+    for index in range(count):
+        angle = torch.tensor(2 * torch.pi * index / count)
+        center = torch.stack([3 * angle.cos(), 3 * angle.sin(), torch.tensor(0.4)])
+        forward = -unit(center)
+        right = unit(torch.linalg.cross(forward, torch.tensor([0.0, 0, 1])))
+        pose = torch.eye(4)
+        pose[:3, :3] = torch.stack([right, torch.linalg.cross(forward, right), forward])
+        pose[:3, 3] = -pose[:3, :3] @ center
+        camera = Camera(pose, torch.tensor([[60.0, 0, size / 2], [0, 60, size / 2], [0, 0, 1]]), size, size)
+        origins, rays = camera.rays()
+        rays = unit(rays)
+        within, far = inside_of(PANE, origins, rays, 1e-6)
+        away = center - BALL
+        middle = -(rays @ away)
+        half = middle.square() - away @ away + 0.25
+        near = middle - half.clamp_min(0).sqrt()
+        ball = (half > 0) & ~((within > 0) & (far < near))
+        normal = torch.where((within > 0)[..., None], -PANE.axes[2] * (rays @ PANE.axes[2]).sign()[..., None], 0.0)
+        normal = torch.where(ball[..., None], (away + near[..., None] * rays) / 0.5, normal)
+        image = torch.zeros(size, size, 3, dtype=torch.uint8)
+        views.append(View(f"view{index}", camera, image, {"transmissive": (within > 0) | ball}, normal))
+    return Scene("panes", views, views[:1], torch.zeros(1, 3), torch.zeros(1, 3))
+
+
+def test_a_pane_is_proposed_that_cameras_stand_around_and_a_ball_is_none() -> None:
+    """Once, though its two sides have opposite normals and are seen by other views."""
+    (found,) = proposed(panes(), "masks")
+    assert abs(float(found.axes[2] @ PANE.axes[2])) > 0.999
+    torch.testing.assert_close(found.center, PANE.center, atol=0.08, rtol=0)
+    torch.testing.assert_close(found.half.sort().values, PANE.half.sort().values, atol=0.1, rtol=0)
 
 
 def test_a_run_says_that_a_method_was_given_masks_where_there_are_any() -> None:
