@@ -13,6 +13,7 @@ ALPHA = "alpha"  # how much of a pixel's light the base set stops
 LAYERS = (BASE, REFLECTION, BETA)  # in the order of reports; a method without reflections draws none of them
 
 REFLECTIVE = "reflective"  # the region of what reflects, where a data set knows it
+TRANSMISSIVE = "transmissive"  # and of what light passes through
 
 MONO = "mono"  # the loss against the views' own normals
 PERCEPTUAL = "perceptual"  # the loss between VGG-16's features

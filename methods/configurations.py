@@ -47,6 +47,7 @@ CONFIGURED: Mapping[str, Mapping[str, Any]] = {
     "ref_gs_tuned": {"order": 101},
     "ref_dgs": {"label": "Ref-DGS", "order": 102},
     "ref_dgs_tuned": {"label": "Ref-DGS", "order": 103},
+    "rt_splatting_tuned": {"order": 105},
     "3dgs_dr": {"published": "3DGS-DR"},
     "3igs": {"published": "3iGS"},
     "gaussian_shader": {"published": "GaussianShader"},

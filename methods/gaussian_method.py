@@ -134,7 +134,8 @@ class GaussianMethod(Method):
     @property
     def needs(self) -> Needs:
         s = self.settings
-        masks, ball = getattr(s, "planes", "") == "masks", getattr(s, "scope_radius", 0) > 0
+        masks = getattr(s, "planes", "") == "masks" or getattr(s, "mask_weight", 0) > 0
+        ball = getattr(s, "scope_radius", 0) > 0
         given = (("normals", s.mono_weight > 0), ("masks", masks), ("ball", ball))
         return Needs(
             perceptual=s.rule.perceptual_loss if s.perceptual_weight > 0 else None,

@@ -16,7 +16,7 @@ from .validation import Amount, Count, Length, Power, Share, Steps, checked
 REFERENCE_STEPS = 30_000  # what 3DGS, 2DGS and EnvGS are tuned for
 
 RecipeName = Literal[
-    "ours", "2dgs", "3dgs", "paper", "released", "3dgs_dr", "gaussian_shader", "ref_gaussian", "ref_gs"
+    "ours", "2dgs", "3dgs", "paper", "released", "3dgs_dr", "gaussian_shader", "ref_gaussian", "ref_gs", "rt_splatting"
 ]
 
 
@@ -154,6 +154,9 @@ RECIPES: dict[RecipeName, Rules] = {
         | {"beta_starts_anew": True}
     ),
     "ref_gs": Rules(**OF_2DGS | {"stretches": False, "longest_run": 31_000}),  # Ref-GS's released code
+    "rt_splatting": Rules(  # RT-Splatting's released code
+        **OF_2DGS | {"stretches": False, "longest_run": 61_000, "perceptual_loss": "lpips", "perceptual_from": 15_000}
+    ),
 }
 
 

@@ -23,7 +23,7 @@ from .gaussian_method import GaussianMethod
 from .gaussians.model import GaussianModel
 from .gaussians.parameters import SH_DC
 from .gaussians.policy import INITIAL_OPACITY, SetPolicy, Start
-from .gaussians.regions import Ball, foreground_ball
+from .gaussians.regions import Scope
 from .lighting.feature_light import FEATURES, LEAST_ALPHA, FeatureLight
 from .lighting.settings import RefGSSettings
 from .lighting.shading import to_linear, to_srgb
@@ -46,7 +46,7 @@ class RefGS(GaussianMethod):
 
     def __init__(self, settings: RefGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        self.light = FeatureLight(self.model, settings)
+        self.light = FeatureLight(self.model, settings, crossed=settings.near_count == 0)
         self.surfaces = Surfaces(self.model, settings)
         self.model.shade = self.surfaces.shaded
         self.parts = {"light": self.light, "surfaces": self.surfaces}
@@ -88,7 +88,7 @@ class RefGS(GaussianMethod):
             mirrored = self.light.seen(base, camera, step, roughness, own[0])
         behind = (1 - alpha) * self.model.background
         shown = alpha * to_srgb(albedo + mirrored) + behind
-        inside = self.surfaces.inside(base, camera)
+        inside = self.surfaces.scope.inside(base, camera)
         plain = alpha * to_srgb(albedo) + behind
         layers = {BASE: torch.where(inside, plain, base.color), REFLECTION: to_srgb(mirrored) * inside * alpha}
         return replace(base, color=torch.where(inside, shown, base.color), layers=layers), statistics
@@ -99,7 +99,7 @@ class Surfaces(Part):
 
     def __init__(self, model: GaussianModel, settings: RefGSSettings) -> None:
         self._model, self._settings = model, settings
-        self._scope = Ball(torch.zeros(3, device=model.device), math.inf)
+        self.scope = Scope(settings.scope_radius, model.device)
 
     @torch.no_grad()
     def start(self, scene: Scene) -> None:
@@ -108,9 +108,7 @@ class Surfaces(Part):
         colors = 0.5 + SH_DC * parameters.tensors["sh_dc"].detach()[:, 0]
         logs = (ALBEDO_UNIT * to_linear(colors)).clamp_min(1e-3).log()
         parameters.replace("albedo_logs", logs)
-        if s.scope_radius:
-            around = foreground_ball([view.camera for view in scene.train])
-            self._scope = Ball(around.center.to(self._model.device), s.scope_radius * around.radius)
+        self.scope.start(scene)
         if s.near_count:
             low, high = environment_box(scene)
             points = low + torch.rand(s.near_count, 3, generator=self._model.generator) * (high - low)
@@ -132,17 +130,11 @@ class Surfaces(Part):
         features = self._model.sets[ENV].parameters.tensors["feature_logits"].tanh()
         return replace(self._model.gaussians(ENV, step), extras=features)
 
-    def inside(self, base: Rendering, camera: Camera) -> Tensor:
-        """Whether a pixel's surface lies in the ball that mirrors, [H, W, 1]."""
-        origins, directions = camera.rays()
-        points = origins + base.depth.detach()[..., None] * directions
-        return (points - self._scope.center).norm(dim=-1, keepdim=True) <= self._scope.radius
-
     def state(self) -> dict[str, Any]:
-        return {"scope": {"center": self._scope.center, "radius": self._scope.radius}}
+        return self.scope.state()
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        self._scope = Ball(state["scope"]["center"], state["scope"]["radius"])
+        self.scope.restore(state)
 
 
 def _rest(base: Rendering) -> list[int]:

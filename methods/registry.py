@@ -26,6 +26,7 @@ BUILT_IN = {
     "3igs": "envgs_bench.methods.three_igs:ThreeIGS",
     "ref_gaussian": "envgs_bench.methods.ref_gaussian:RefGaussian",
     "ref_gs": "envgs_bench.methods.ref_gs:RefGS",
+    "rt_splatting": "envgs_bench.methods.rt_splatting:RTSplatting",
     "envgs": "envgs_bench.methods.envgs:EnvGS",
     "envgs_single_set": "envgs_bench.methods.single_set:SingleSet",
 }
@@ -39,6 +40,7 @@ SETTINGS = {  # of the methods built in, where composing a run finds them withou
     "3igs": "envgs_bench.methods.lighting.settings:ThreeIGSSettings",
     "ref_gaussian": "envgs_bench.methods.lighting.settings:RefGaussianSettings",
     "ref_gs": "envgs_bench.methods.lighting.settings:RefGSSettings",
+    "rt_splatting": "envgs_bench.methods.lighting.settings:RTSplattingSettings",
     "envgs": "envgs_bench.methods.lighting.settings:EnvGSSettings",
     "envgs_single_set": "envgs_bench.methods.lighting.settings:ReflectionSettings",
 }

@@ -8,13 +8,15 @@ pixels whose reflected ray hits the base set.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Bvh, Camera, GaussianSet, rasterize, reflect, trace_color
+from envgs_bench.core import Bvh, Camera, GaussianSet, Rendering, Scene, rasterize, reflect, trace_color
 
 MIN_ALPHA = 0.5  # alpha above which a pixel or a ray counts as a hit
 OWN_SURFACE = 0.01  # hits nearer than this are of the reflecting surface itself, × scene radius
@@ -37,6 +39,34 @@ def foreground_ball(cameras: Sequence[Camera]) -> Ball:
     across = torch.eye(3, dtype=torch.float64) - axes[:, :, None] * axes[:, None, :]
     center = torch.linalg.lstsq(across.sum(0), (across @ centers[:, :, None]).sum(0)).solution[:, 0]
     return Ball(center.float(), float((centers - center).norm(dim=1).mean()))
+
+
+class Scope:
+    """The ball that may mirror, around what the cameras look at; everything, where its size is 0.
+
+    Args:
+        size: its radius, × the cameras' mean distance from its middle.
+    """
+
+    def __init__(self, size: float, device: torch.device) -> None:
+        self._size, self._ball = size, Ball(torch.zeros(3, device=device), math.inf)
+
+    def start(self, scene: Scene) -> None:
+        if self._size:
+            around = foreground_ball([view.camera for view in scene.train])
+            self._ball = Ball(around.center.to(self._ball.center), self._size * around.radius)
+
+    def inside(self, base: Rendering, camera: Camera) -> Tensor:
+        """Whether a pixel's surface lies in it, [H, W, 1]."""
+        origins, directions = camera.rays()
+        points = origins + base.depth.detach()[..., None] * directions
+        return (points - self._ball.center).norm(dim=-1, keepdim=True) <= self._ball.radius
+
+    def state(self) -> dict[str, Any]:
+        return {"scope": {"center": self._ball.center, "radius": self._ball.radius}}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self._ball = Ball(state["scope"]["center"], state["scope"]["radius"])
 
 
 def reflecting(base: GaussianSet, ball: Ball, beta_min: float) -> Tensor:

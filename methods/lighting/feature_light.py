@@ -15,10 +15,10 @@ from envgs_bench.core.vectors import unit
 from ..gaussians.model import GaussianModel
 from ..training.weights import Weights, layer_shapes, network, random_layers
 from .latlong import all_levels, looked_up, shape_of
-from .settings import RefGSSettings
+from .settings import FeatureMapSettings
 from .shading import mirrored
 
-START = 0.25  # linear light that the network shows at first, about
+START, BRIGHTER = 0.25, 0.5  # light that the network shows at first, about: linear; where it attenuates, as shown
 MOST_LOG = 5.0  # of its logarithm
 FEATURES = 4  # of a surface, and of the map where they stand side by side
 CROSSED = 16  # features of the map where each is multiplied by each of the surface
@@ -28,17 +28,23 @@ LEAST_ALPHA = 0.05  # below which a pixel's material counts as that of a fainter
 class FeatureLight(Weights):
     """The map, the network, and the color that they make.
 
+    Args:
+        crossed: whether features of map and surface are multiplied (Ref-GS), or stand side by side (Ref-DGS).
+        attenuates: whether it says of a surface how much of its own color is left, too (RT-Splatting).
+
     Attributes:
         begun: whether anything is mirrored; follows the first steps of a training.
     """
 
-    def __init__(self, model: GaussianModel, settings: RefGSSettings) -> None:
+    def __init__(
+        self, model: GaussianModel, settings: FeatureMapSettings, crossed: bool = True, attenuates: bool = False
+    ) -> None:
         self.begun = False
         self._model, self._settings = model, settings
         self._of_images: Tensor | None = None
-        self._crossed = settings.near_count == 0
-        channels = CROSSED if self._crossed else FEATURES
-        self._sizes = (80, 256, 256, 3) if self._crossed else (10, 64, 64, 3)
+        self._crossed, self._attenuates = crossed, attenuates
+        channels = CROSSED if crossed else FEATURES
+        self._sizes = (80, 256, 256, 3 + attenuates) if crossed else (10, 64, 64, 3 + attenuates)
         shapes = {"map": (*shape_of(settings.map_levels), channels), **layer_shapes(self._sizes)}
         rates = {name: settings.map_lr if name == "map" else settings.network_lr for name in shapes}
         super().__init__(shapes, rates, model.device)
@@ -46,8 +52,13 @@ class FeatureLight(Weights):
     def start(self, scene: Scene) -> None:
         self.begun = False
         values = random_layers(self._sizes, self._model.generator)
-        values[f"layer{len(self._sizes) - 2}_bias"] = torch.full((self._sizes[-1],), math.log(START))
+        values[f"layer{len(self._sizes) - 2}_bias"] = self._first_logs()
         self.become({"map": torch.zeros_like(self.tensors["map"]), **values})
+
+    def _first_logs(self) -> Tensor:
+        if not self._attenuates:
+            return torch.full((3,), math.log(START))
+        return torch.tensor([math.log(BRIGHTER)] * 3 + [0.0])
 
     def begin_step(self, step: int) -> None:
         self.begun = step > self._model.schedule.at(self._settings.warm_up)
@@ -59,7 +70,13 @@ class FeatureLight(Weights):
         self._of_images = all_levels(self.tensors["map"].detach())
 
     def seen(self, base: Rendering, camera: Camera, step: int | None, roughness: Tensor, features: Tensor) -> Tensor:
-        """Linear light [H, W, 3] that surfaces mirror; differentiable in all that it is made of.
+        """Light [H, W, 3] that surfaces mirror, with `told`'s arguments."""
+        return self.told(base, camera, step, roughness, features)[..., :3].clamp_max(MOST_LOG).exp()
+
+    def told(self, base: Rendering, camera: Camera, step: int | None, roughness: Tensor, features: Tensor) -> Tensor:
+        """What the network says of each pixel, [H, W, 3] or 4: logarithms of light, and a logit of what is left.
+
+        Differentiable in all that it is made of.
 
         Args:
             base: whose normals mirror.
@@ -78,8 +95,7 @@ class FeatureLight(Weights):
             known: Sequence[Tensor] = (crossed, far)
         else:
             known = (far, own, rough[:, None], cosine.reshape(-1, 1))
-        logs = network(self.tensors, torch.cat([*known], dim=1))
-        return logs.clamp_max(MOST_LOG).exp().reshape(*shape, -1)
+        return network(self.tensors, torch.cat([*known], dim=1)).reshape(*shape, -1)
 
     def training_state(self) -> dict[str, Any]:
         return super().training_state() | {"begun": self.begun}

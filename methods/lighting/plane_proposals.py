@@ -18,9 +18,9 @@ from envgs_bench.core import Camera, Scene, View
 from envgs_bench.core.normal_prior import pixels_in
 from envgs_bench.core.torch.rotation import rotation_matrices
 from envgs_bench.core.vectors import unit
-from envgs_bench.parts import REFLECTIVE
+from envgs_bench.parts import REFLECTIVE, TRANSMISSIVE
 
-REGIONS = (REFLECTIVE, "transmissive")  # masks of mirrors and glass
+REGIONS = (REFLECTIVE, TRANSMISSIVE)  # masks of mirrors and glass
 VIEWS, COLUMNS = 16, 64  # that are looked at, at most; pixels across, at least if there are so many
 PARTNERS = (1, 5)  # views further on that each is compared with
 MOST = 8  # planes

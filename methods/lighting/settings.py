@@ -163,20 +163,38 @@ class ThreeIGSSettings(ThreeDGSSettings):
 
 # PublishedSettings stands first, so that all that every Gaussian method has is as in 2DGS's released code.
 @dataclass(frozen=True)
-class RefGSSettings(PublishedSettings):
-    """Steps are those of the authors' code, whose runs have 31,000."""
-
-    recipe: RecipeName = "ref_gs"
+class FeatureMapSettings(PublishedSettings):
+    """What Ref-GS and RT-Splatting share: a map of features, a network, and surfaces of 2DGS."""
 
     normal_weight: Amount = 0.05
     mono_weight: Amount = 0.0
-    perceptual_weight: Amount = 0.0
 
-    warm_up: Steps = 700  # steps in which nothing is mirrored
+    warm_up: Steps = 0  # steps in which nothing is mirrored
     scope_radius: Amount = 0.0  # the ball that may mirror, × the cameras' mean distance from its middle; 0: everything
-    near_count: Limit = 0  # surfels at first of what is mirrored nearby (Ref-DGS); 0: surfaces have features
     map_levels: Count = 9  # of the map, whose first has 2^levels rows and twice as many columns
-    albedo_lr: Rate = 1e-3  # learning rate of the albedos' logarithms
     feature_lr: Rate = 2e-3  # learning rate of roughnesses and features
     map_lr: Rate = 2e-3  # learning rate of the map
     network_lr: Rate = 5e-4  # learning rate of the network
+
+
+@dataclass(frozen=True)
+class RefGSSettings(FeatureMapSettings):
+    """Steps are those of the authors' code, whose runs have 31,000."""
+
+    recipe: RecipeName = "ref_gs"
+    perceptual_weight: Amount = 0.0
+    warm_up: Steps = 700
+    near_count: Limit = 0  # surfels at first of what is mirrored nearby (Ref-DGS); 0: surfaces have features
+    albedo_lr: Rate = 1e-3  # learning rate of the albedos' logarithms
+
+
+@dataclass(frozen=True)
+class RTSplattingSettings(FeatureMapSettings):
+    """Steps are those of the authors' code, whose runs have 61,000, or 31,000 on Ref-Real."""
+
+    recipe: RecipeName = "rt_splatting"
+    perceptual_weight: Amount = 0.01
+    occupancy_weight: Amount = 1e-3  # weight of the mean occupancy, which is minimized
+    mask_weight: Amount = 0.01  # weight of what masks of the transparent say; 0: masks are not used
+    reflectance_lr: Rate = 5e-3  # learning rate of the reflectances' logits
+    transmission_lr: Rate = 1e-2  # learning rate of the transmissivities' logits

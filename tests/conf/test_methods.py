@@ -55,6 +55,7 @@ DIFFERENCES = {
     },
     "ref_gs_tuned": MIRRORED,
     "ref_dgs_tuned": MIRRORED | {"near_count": 20_000},
+    "rt_splatting_tuned": MIRRORED | {"perceptual_weight": 0.0},
     "envgs_no_joint": {"joint": False},
     "envgs_planes": {"planes": "photographs"},
     "2dgs_lean": TUNED | BOUNDED | LEAN,

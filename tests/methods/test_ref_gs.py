@@ -89,7 +89,7 @@ def test_it_mirrors_after_the_first_steps_and_in_the_ball_alone() -> None:
         method.light.tensors["layer2_bias"] += 3
     before = method.model.rasterize(CAMERA, 701).color
     shown, _ = method.draw(CAMERA, 701)
-    inside = method.surfaces.inside(shown, CAMERA)[..., 0]
+    inside = method.surfaces.scope.inside(shown, CAMERA)[..., 0]
     assert 0 < inside.float().mean() < 1
     assert torch.equal(shown.color[~inside], before[~inside])
     assert (shown.color[inside] > before[inside]).float().mean() > 0.9

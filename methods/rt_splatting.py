@@ -1,0 +1,199 @@
+"""RT-Splatting: surfels that stop light as a surface does, and hide what lies behind them as much as glass does.
+
+Each surfel has an occupancy σ, by which surfaces are drawn, and an opacity α, by which it hides what lies behind. A
+pixel is ρ·C_spec + a·(τ·C_tran + (1 − τ)·C_scat). C_tran are the colors blended by σ·α, C_scat those blended by σ. Its
+surface transmits τ and reflects ρ. C_spec and the attenuation a are what a network makes of Ref-GS's map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, View
+from envgs_bench.parts import BASE, REFLECTION, TRANSMISSIVE, MethodCard
+
+from .gaussian_method import GaussianMethod
+from .gaussians.policy import SetPolicy
+from .gaussians.regions import Scope
+from .gaussians.trained_set import RESET_OPACITY
+from .lighting.feature_light import FEATURES, MOST_LOG, FeatureLight
+from .lighting.settings import RTSplattingSettings
+from .training.schedule import RESET_FLOOR, Every, Part, Schedule, falls_on
+
+GATE = 4.0  # × how much what is mirrored varies around a pixel: how soon what lies behind learns nothing there
+SURFACE = {  # fields of a surfel, and their columns; logits, 0 at first
+    "roughness_logits": 1,
+    "feature_logits": FEATURES,
+    "reflectance_logits": 1,
+    "hiding_logits": 1,
+    "transmission_logits": 1,
+}
+LEARNED = ("surface_opacity", "transmission")  # what losses read of a picture, [H, W]
+
+
+class RTSplatting(GaussianMethod):
+    """RT-Splatting (CVPR 2026). Transparency masks are an input: the region `transmissive` of the training views."""
+
+    card = MethodCard("rt_splatting", "RT-Splatting", 104, "#AA7744")
+    Settings: ClassVar[type] = RTSplattingSettings
+    settings: RTSplattingSettings
+    axes = 2
+
+    def __init__(self, settings: RTSplattingSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
+        super().__init__(settings, device, seed)
+        self.light = FeatureLight(self.model, settings, attenuates=True)
+        self.panes = Panes(self, settings)
+        self.parts = {"light": self.light, "panes": self.panes}
+
+    def policies(self, schedule: Schedule, scene: Scene | None) -> dict[str, SetPolicy]:
+        s, scale = self.settings, schedule.rate_scale
+        rates = {
+            "roughness_logits": s.feature_lr * scale,
+            "feature_logits": s.feature_lr * scale,
+            "reflectance_logits": s.reflectance_lr * scale,
+            "hiding_logits": s.opacity_lr,
+            "transmission_logits": s.transmission_lr * scale,
+        }
+        base = super().policies(schedule, scene)[BASE]
+        start = replace(base.start, materials=self._zeros, material_columns=SURFACE)
+        return {BASE: replace(base, start=start, rates=replace(base.rates, materials=rates))}
+
+    def _zeros(self, count: int) -> dict[str, Tensor]:
+        return {name: torch.zeros(count, size, device=self.device) for name, size in SURFACE.items()}
+
+    def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
+        gaussians = self.model.gaussians(BASE, step)
+        base = self.model.rasterize(camera, step, self.panes.surface(gaussians))
+        behind = self.model.rasterize(camera, step, self.panes.volume(gaussians)).color
+        roughness, features, reflectance, opacity, transmission = base.extras.split([1, FEATURES, 1, 1, 1], dim=-1)
+        inside = self.panes.inside(base, camera)
+        reflectance, transmission = reflectance * inside, transmission * inside
+        told = self.light.told(base, camera, step, roughness, features)
+        specular = told[..., :3].clamp_max(MOST_LOG).exp() * reflectance
+        kept = 1 - told[..., 3:].neg().sigmoid() * inside * base.alpha[..., None].detach()
+        transmitted = kept * transmission * behind
+        if step is not None:
+            transmitted = gated(transmitted, specular, 1 - opacity)
+        diffuse = transmitted + kept * (1 - transmission) * base.color
+        layers = {BASE: diffuse, REFLECTION: specular}
+        if step is not None:
+            layers |= dict(zip(LEARNED, (opacity[..., 0], transmission[..., 0]), strict=True))
+        return replace(base, color=diffuse + specular, layers=layers), {BASE: base.statistics}
+
+    def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
+        terms = super().losses(rendering, target, view, step)
+        opacity, transmission = (rendering.layers[name] for name in LEARNED)
+        return terms | self.panes.losses(opacity, transmission, view)
+
+
+class Panes(Part):
+    """What surfels let through, and what masks of the transparent teach them."""
+
+    def __init__(self, method: GaussianMethod, settings: RTSplattingSettings) -> None:
+        self._model, self._settings = method.model, settings
+        self._scope = Scope(settings.scope_radius, method.device)
+        self._masks: dict[str, Tensor] = {}
+
+    @property
+    def _tensors(self) -> dict[str, Tensor]:
+        return self._model.sets[BASE].parameters.tensors
+
+    @torch.no_grad()
+    def start(self, scene: Scene) -> None:
+        self._scope.start(scene)
+        known = any(TRANSMISSIVE in view.masks for view in scene.train)
+        masks = {view.name: view.masks.get(TRANSMISSIVE, torch.zeros_like(view.image[..., 0])) for view in scene.train}
+        self._masks = {name: mask.to(self._model.device).float() for name, mask in masks.items()} if known else {}
+
+    def surface(self, gaussians: GaussianSet) -> GaussianSet:
+        """Drawn by occupancy, with roughness, features, ρ, α and τ as extras, [N, 8]."""
+        known = [self._tensors[name] for name in SURFACE]
+        values = [
+            each.tanh() if name == "feature_logits" else each.sigmoid()
+            for name, each in zip(SURFACE, known, strict=True)
+        ]
+        return replace(gaussians, extras=torch.cat(values, dim=1))
+
+    def volume(self, gaussians: GaussianSet) -> GaussianSet:
+        """Drawn by occupancy × opacity."""
+        return replace(gaussians, opacities=gaussians.opacities * self._tensors["hiding_logits"][:, 0].sigmoid())
+
+    def inside(self, base: Rendering, camera: Camera) -> Tensor:
+        return self._scope.inside(base, camera)
+
+    def losses(self, opacity: Tensor, transmission: Tensor, view: View) -> dict[str, Tensor]:
+        """Occupancy's decay; and by masks, that glass hides nothing and that nothing else transmits; weighted.
+
+        Args:
+            opacity: [H, W] α of the surfaces.
+            transmission: [H, W] τ.
+        """
+        s = self._settings
+        terms = {"occupancy": s.occupancy_weight * self._tensors["opacity_logits"].sigmoid().mean()}
+        if view.name in self._masks:
+            mask = self._masks[view.name]
+            terms["transparent"] = s.mask_weight * cross_entropy(1 - opacity, mask)
+            opaque = -(1 - transmission).clamp_min(1e-6).log() * (1 - mask)
+            terms["transmission"] = s.mask_weight * opaque.sum() / (1 - mask).sum().clamp_min(1)
+        return terms
+
+    # Its resets
+
+    def events(self) -> Sequence[Every]:
+        schedule, s = self._model.schedule, self._settings
+        every = schedule.interval(s.opacity_reset_every, RESET_FLOOR)
+        until = schedule.at(s.densify_until)
+        return [
+            Every(
+                "reset_hiding",
+                self.reset,
+                also=lambda step: every < step < until and falls_on(2 * step, every) and not falls_on(step, every),
+                recovery=RESET_FLOOR,
+            )
+        ]
+
+    @torch.no_grad()
+    def reset(self, step: int) -> None:
+        """Opacities fall half-way between two resets of occupancy."""
+        parameters = self._model.sets[BASE].parameters
+        lowest = torch.tensor(RESET_OPACITY).logit()
+        parameters.replace("hiding_logits", parameters.tensors["hiding_logits"].detach().clamp_max(float(lowest)))
+
+    def state(self) -> dict[str, Any]:
+        return self._scope.state()
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self._scope.restore(state)
+
+
+def gated(behind: Tensor, specular: Tensor, weights: Tensor) -> Tensor:
+    """`behind` [H, W, 3], with × exp(−GATE·s) its gradient, where s is how much what is mirrored varies around a pixel.
+
+    s² = mean(w·x²) − mean(w·x)² / mean(w) over 3×3 pixels of each color.
+
+    Args:
+        specular: x, [H, W, 3].
+        weights: w, [H, W, 1].
+    """
+    with torch.no_grad():
+        total = _around(weights).clamp_min(1e-12)
+        squares = _around(weights * specular.square()) - _around(weights * specular).square() / total
+        share = (-GATE * squares.clamp_min(0).sqrt()).exp()
+    return share * behind + (1 - share) * behind.detach()
+
+
+def cross_entropy(share: Tensor, truth: Tensor) -> Tensor:
+    """Mean −log of the probability that shares [H, W] give to truths [H, W] of 0 and 1."""
+    return functional.binary_cross_entropy(share.clamp(1e-6, 1 - 1e-6), truth)
+
+
+def _around(values: Tensor) -> Tensor:
+    """The mean over 3×3 pixels, mirrored at the edges, [H, W, C]."""
+    padded = functional.pad(values.movedim(-1, 0)[None], (1, 1, 1, 1), mode="reflect")
+    return functional.avg_pool2d(padded, 3, stride=1)[0].movedim(0, -1)
