@@ -20,12 +20,18 @@ MEASURED: dict[str, Callable[[Diagnosis], float]] = {  # what thresholds are com
     "pose_gain": lambda found: found.alignment.gain,
     "photo_consistency": lambda found: found.photo_consistency,
     "coverage": lambda found: found.coverage,
+    "mirror_gain": lambda found: found.mirrored.gain,
     "normal_disagreement": lambda found: found.disagreement,
     "noise": lambda found: found.photographs.noise,
     "detail": lambda found: found.photographs.detail,
     "blockiness": lambda found: found.photographs.blockiness,
 }
-COMPARED = {"": tuple(MEASURED), "exposure": ("stops",), "pose_rotation": ("pose_gain",), "normals_mirrored": ()}
+COMPARED = {
+    "": tuple(MEASURED),
+    "exposure": ("stops",),
+    "pose_rotation": ("pose_gain",),
+    "normals_mirrored": ("mirror_gain",),
+}
 SPOILED = (  # what, and how severely
     *(("exposure", severity) for severity in (2, 3)),
     ("pose_rotation", 3),
@@ -47,7 +53,7 @@ def counted(scene: Scene, seed: int, device: torch.device | str = "cpu") -> list
         diagnosis = Diagnosis(changed, device)
         right = {outcome.kind for outcome in repaired(diagnosis, list(REPAIRS))[1] if outcome.kept}
         turned = {a.name for a, b in zip(scene.train, changed.train, strict=True) if a is not b}
-        if spoiled == "normals_mirrored" and set(diagnosis.mirrored) != turned:
+        if spoiled == "normals_mirrored" and set(diagnosis.mirrored.views) != turned:
             right.discard("normals")
         warned = (warning.kind for warning in scene_warnings(diagnosis, PLENTY))
         measured = {name: round(MEASURED[name](diagnosis), DIGITS) for name in COMPARED[spoiled]}

@@ -11,12 +11,12 @@ from envgs_bench.core import Scene
 
 from .coverage import coverage
 from .exposures import Exposures, exposures
-from .mirrored_normals import mirrored_views, normals_unmirrored
+from .mirrored_normals import Mirrored, mirrored_views, normals_unmirrored
 from .normal_agreement import NormalAgreement, normal_agreement
 from .observations import Observations
 from .photographs import Photographs
 from .poses import Alignment, alignment
-from .thresholds import MISSING, UNSUPPORTED
+from .thresholds import MISSING, TELLING, UNSUPPORTED
 
 NEAR = 0.05  # × the scene radius: a point nearer to a camera is not where it should be
 
@@ -55,7 +55,7 @@ class Diagnosis:
     @property
     def points_in_order(self) -> bool:
         """Whether the points are enough, and where pictures show them: others say nothing of poses and exposures."""
-        return self.photo_consistency >= UNSUPPORTED and self.coverage >= MISSING
+        return self.photo_consistency >= UNSUPPORTED and self.coverage >= TELLING
 
     @cached_property
     def alignment(self) -> Alignment:
@@ -71,14 +71,16 @@ class Diagnosis:
         return exposures(self.observations, self.device)
 
     @cached_property
-    def mirrored(self) -> list[str]:
-        """Names of the training views whose normals are mirrored."""
+    def mirrored(self) -> Mirrored:
+        """The training views whose normals are mirrored; none where points are wrong, at which normals agree by chance."""
+        if self.photo_consistency < UNSUPPORTED or self.coverage < MISSING:
+            return Mirrored([], 0.0)
         return mirrored_views(self.observations)
 
     @cached_property
     def normals(self) -> Tensor:
         """The views' normals at the points [V, P, 3], those of mirrored views mirrored back."""
-        return normals_unmirrored(self.observations, self.mirrored)
+        return normals_unmirrored(self.observations, self.mirrored.views)
 
     @cached_property
     def disagreement(self) -> float:

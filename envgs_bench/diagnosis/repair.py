@@ -80,8 +80,8 @@ def _unknown(kind: RepairKind, diagnosis: Diagnosis) -> RepairOutcome:
 
 
 def _normals(diagnosis: Diagnosis) -> Repaired:
-    scene, mirrored = diagnosis.scene, frozenset(diagnosis.mirrored)
-    found = {"mirrored_views": float(len(mirrored))}
+    scene, mirrored = diagnosis.scene, frozenset(diagnosis.mirrored.views)
+    found = {"mirrored_views": float(len(mirrored)), "gain": diagnosis.mirrored.gain}
     if not mirrored:
         return scene, RepairOutcome(kind="normals", kept=False, message="no normals are mirrored", measured=found)
 

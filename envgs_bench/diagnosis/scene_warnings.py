@@ -42,7 +42,7 @@ def scene_warnings(
     support, covered = diagnosis.photo_consistency, diagnosis.coverage
     parallax, in_order = diagnosis.parallax, diagnosis.points_in_order
     aligned, bright = diagnosis.alignment, diagnosis.exposures
-    mirrored, disagreement = diagnosis.mirrored, diagnosis.disagreement
+    mirrored, disagreement = diagnosis.mirrored.views, diagnosis.disagreement
     hidden = diagnosis.observations.hidden_share(near)
     slowly = f", at {quickness:.2g} times the method's own learning rates" if quickness < 1 else ""
     found: list[tuple[WarningKind, bool, str]] = [

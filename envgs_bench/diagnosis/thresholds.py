@@ -12,7 +12,8 @@ from __future__ import annotations
 SPARSE = 12.0  # degrees between the two nearest views of a point from which views are too few to agree on its depth
 PASSES = 4  # times that each training view is learned from, below which a run is too short to judge a method by
 UNSUPPORTED = 0.04  # photo-consistency of points below which they are where chance put them
-MISSING = 0.7  # share of a view's textured cells with a point below which pictures show much that no point starts
+MISSING = 0.5  # share of a view's textured cells with a point below which pictures show much that no point starts
+TELLING = 0.7  # … from which on points say something of poses and exposures
 HIDDEN = 0.25  # share of the points in a view from which its near plane hides what the view shows
 
 # Photographs
@@ -27,9 +28,10 @@ POSES_OFF = 0.075  # said from here on: scenes in order have 0.062 at most, wher
 TURNED = 0.12  # repaired from here on: embossing that repeats itself drew views 2° off farther away at 0.08
 
 # Normals
-DISAGREEING = 18.0  # degrees between two views' normals of a point from which EnvGS lost its lead over 2DGS
+DISAGREEING = 22.0  # degrees between two views' normals of a point: each is then off by 15
 AGREEING = 14.0  # degrees up to which normals count in full: each is then off by 10
 MIRROR_PAIRS = 100  # points that a view must share with others, times these views, for its normals to be judged
-MIRROR_GAIN = 0.03  # by how much the mean cosine to others' normals must rise when views' normals are mirrored
+MIRROR_ALIKE = 0.6  # cosine of two views' normals from which on they may be of one surface
+MIRROR_GAIN = 0.005  # by how much views' normals must agree better, of 1, when some are mirrored: 0.002 in order
 SEEN_THROUGH = 0.05  # share of the views' cells that must surely be: fewer may be chance, and matter little
 MAYBE_SEEN_THROUGH = 0.1  # … that must be likely to

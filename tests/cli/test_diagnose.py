@@ -22,7 +22,16 @@ from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
 from envgs_bench.diagnosis.repair import REPAIRS
 from envgs_bench.diagnosis.scene_warnings import scene_warnings
-from envgs_bench.diagnosis.thresholds import BLOCKY, BLURRED, DISAGREEING, MISSING, NOISY, POSES_OFF, UNSUPPORTED
+from envgs_bench.diagnosis.thresholds import (
+    BLOCKY,
+    BLURRED,
+    DISAGREEING,
+    MISSING,
+    NOISY,
+    POSES_OFF,
+    TELLING,
+    UNSUPPORTED,
+)
 from envgs_bench.reports.kept.counts import ANSWERS, OF_SCENES, CountsError, rates, read_counts
 
 
@@ -83,7 +92,7 @@ def test_mirrored_normals_count_as_repaired_where_just_those_views_are_named(
     room: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A diagnosis that names all views is right where all of them are mirrored, and wrong where a quarter is."""
-    every = SimpleNamespace(mirrored=[view.name for view in room.train])
+    every = SimpleNamespace(mirrored=SimpleNamespace(views=[view.name for view in room.train]))
     monkeypatch.setattr(diagnosis_counts, "Diagnosis", lambda *_: every)
     monkeypatch.setattr(diagnosis_counts, "MEASURED", dict.fromkeys(diagnosis_counts.MEASURED, lambda _: 0.12345))
     monkeypatch.setattr(diagnosis_counts, "scene_warnings", lambda *_: [SimpleNamespace(kind="poses_off")])
@@ -102,8 +111,8 @@ def test_what_was_counted_is_counted_by_these_thresholds() -> None:
     """Of scenes in order each warning is given where its threshold says so, but for what rounding may turn over."""
     rows = read_counts(Path(envgs_bench.__file__).parent / "docs" / "records" / "warnings.csv")
     rows = rows[rows["spoiled"] == ""].set_index("seed")
-    measured = rows[list(diagnosis_counts.MEASURED)].astype(float)
-    told = (measured["photo_consistency"] >= UNSUPPORTED) & (measured["coverage"] >= MISSING)
+    measured = rows[[name for name in diagnosis_counts.MEASURED if name in rows]].astype(float)
+    told = (measured["photo_consistency"] >= UNSUPPORTED) & (measured["coverage"] >= TELLING)
     limits = {
         "views_noisy": measured["noise"] - NOISY,
         "views_blurred": BLURRED - measured["detail"],

@@ -55,7 +55,7 @@ def test_views_with_mirrored_normals_are_found_and_mirrored_back(room: Scene, sh
     broken = PERTURBATIONS["normals_mirrored"].applied(room, level, "normals_mirrored", seed=0)
     changed = [b.name for a, b in zip(room.train, broken.train, strict=True) if a is not b]
     assert len(changed) == round(share * len(room.train))
-    assert Diagnosis(broken).mirrored == changed
+    assert Diagnosis(broken).mirrored.views == changed
     found, outcome = after(broken, "normals")
     assert outcome.message == f"the normals of {len(changed)} of {len(room.train)} training views are mirrored back"
     for exact, view in zip(room.train, found.train, strict=True):
