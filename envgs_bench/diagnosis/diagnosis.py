@@ -72,7 +72,7 @@ class Diagnosis:
 
     @cached_property
     def mirrored(self) -> Mirrored:
-        """The training views whose normals are mirrored; none where points are wrong, at which normals agree by chance."""
+        """The views whose normals are mirrored; none where points are wrong, and normals at them agree by chance."""
         if self.photo_consistency < UNSUPPORTED or self.coverage < MISSING:
             return Mirrored([], 0.0)
         return mirrored_views(self.observations)
