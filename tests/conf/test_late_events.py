@@ -25,6 +25,7 @@ LEFT = {  # the fewest steps that a run has after each event
     "sabotage": 1_000,
     "propagate": 1_000,
     "clear": 600,
+    "reset_hiding": 600,
 }
 LENGTHS = (60, 700, 1_900, 10_000, 29_950, 50_000)
 METHODS = sorted({*BUILT_IN, *config_names("method")} - {"renders", "external"})

@@ -489,7 +489,7 @@ def test_recipes_are_listed_rule_by_rule(capsys: pytest.CaptureFixture[str]) -> 
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert lines[0] == ["rule", *RECIPES]
     rows = {line[0]: line[1 : 1 + len(RECIPES)] for line in lines[1:] if line}
-    assert rows["oversized"] == ["split", "prune", "prune", "split", "split", *["prune"] * 4]
+    assert rows["oversized"] == ["split", "prune", "prune", "split", "split", *["prune"] * 5]
     assert {field.name for field in dataclasses.fields(Rules)} <= set(rows)
 
 
