@@ -51,7 +51,7 @@ class Rules:
     mono_rendered: Literal["blended", "unit"] = "blended"  # rendered normals in L_mono: as they are, or normalized
     mono_from: Steps = 0  # step after which L_mono counts
     mono_floor: Share = 0.1  # share of mono_weight where nothing reflects; all of it counts from β = initial_beta on
-    normal_weighting: Literal["none", "depth", "eroded"] = "none"  # weights of pixels in both normal losses
+    normal_weighting: Literal["none", "depth", "alpha", "eroded"] = "none"  # weights of pixels in both normal losses
     perceptual_loss: Literal["features", "lpips"] = "features"  # L_perc: the L1 distance of VGG-16's features, or LPIPS
     perceptual_from: Steps = 0  # step after which L_perc counts
 

@@ -140,9 +140,7 @@ class GaussianShaderSettings(PublishedSettings, MapSettings):
     sparse_weight: Amount = 1e-3  # weight of the loss that makes alpha 0 or 1
     residual_weight: Amount = 1e-3  # weight of the lengths of what normals differ from the shortest axes by
 
-    material_lr: Rate = (
-        1.6e-2  # learning rate of colors, tints, roughnesses and normals, at first; log-linear to the last
-    )
+    material_lr: Rate = 1.6e-2  # learning rate of colors, tints, roughnesses and normals at the start; log-linear
     material_lr_final: Rate = 1.6e-3  # learning rate of those and of the map at the end
     inner_lr: Rate = 2e-4  # learning rate of normals' residuals on the side that faces inward
     envmap_size: Size = 64

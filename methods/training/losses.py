@@ -74,6 +74,8 @@ class TrainingLoss:
         match self.settings.rule.normal_weighting:
             case "depth":
                 return nearness(rendering.depth)
+            case "alpha":
+                return rendering.alpha.detach()
             case "eroded":
                 return eroded(rendering.alpha.detach())
         return None

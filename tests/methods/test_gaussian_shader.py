@@ -10,10 +10,12 @@ from finite_differences import assert_gradients_are_differences, mean_of_picture
 from mirror_ball import gain_of_training, mirror_ball
 from rules import with_rules
 from schedules import begin, optimizers_of
+from scipy import ndimage
 from torch.nn import functional
 
-from envgs_bench.core import Scene
-from envgs_bench.methods.gaussian_shader import MATERIALS, GaussianShader
+from envgs_bench.core import Scene, depth_normals
+from envgs_bench.methods.gaussian_shader import MATERIALS, GaussianShader, own_color
+from envgs_bench.methods.gaussians.parameters import SH_DC
 from envgs_bench.methods.lighting.brdf_table import specular_weight
 from envgs_bench.methods.lighting.prefiltered_cubemap import prefilter_of, rough_map
 from envgs_bench.methods.registry import create_method
@@ -77,8 +79,25 @@ def test_its_own_losses_are_those_of_the_paper() -> None:
     assert float(terms["sparse"].detach()) == pytest.approx(1e-3 * float((alpha.log() + (1 - alpha).log()).mean()))
     length = drawn.extras[..., 1].detach()
     assert float(terms["residual"].detach()) == pytest.approx(1e-3 * float((drawn.alpha.detach() * length).mean()))
+    reference = depth_normals(drawn.depth.detach(), CAMERA) * drawn.alpha.detach()[..., None]
+    least = torch.from_numpy(ndimage.minimum_filter(drawn.alpha.detach().numpy(), size=4, mode="constant", cval=1.0))
+    known = reference.any(-1).float()
+    held = 0.2 * (least * (known - (drawn.normal * reference).sum(-1))).mean()
+    torch.testing.assert_close(terms["normal"], held)
     terms["normal"].backward()  # normals follow the depth map, which stays: no center moves through its depth
     assert method.model.sets["base"].parameters.tensors["outer_residuals"].grad.abs().max() > 0
+
+
+def test_a_map_is_cut_to_colors_and_learns_on_from_there() -> None:
+    method = initialized(tiny_scene())
+    light = method.light.map
+    assert light.texels.detach().unique().tolist() == [pytest.approx(0.8)]
+    light.become(torch.linspace(-0.5, 1.5, 6 * 8 * 8 * 3).reshape(6, 8, 8, 3))
+    begin(method, 1)
+    assert (light.texels.detach().min(), light.texels.detach().max()) == (0, 1)
+    method.draw(CAMERA, 1)[0].color.sum().backward()
+    assert light.texels.grad is not None
+    assert light.texels.grad[light.texels == 0].any()
 
 
 def test_materials_and_map_slow_down_to_a_tenth() -> None:
@@ -90,6 +109,7 @@ def test_materials_and_map_slow_down_to_a_tenth() -> None:
         slowing = [name for name in (*MATERIALS, "texels") if name != "inner_residuals"]
         assert [rates[name] for name in slowing] == pytest.approx([rate] * 4)
         assert rates["inner_residuals"] == pytest.approx(2e-4)
+        assert rates["sh_dc"] * SH_DC == pytest.approx(rate)  # c_d's logits are ½ + Y₀ × this
 
 
 def test_positions_learn_as_in_a_scene_of_radius_5() -> None:
@@ -99,6 +119,16 @@ def test_positions_learn_as_in_a_scene_of_radius_5() -> None:
     groups = {group["name"]: group["lr"] for optimizer in optimizers_of(method) for group in optimizer.param_groups}
     assert method.model.radius != pytest.approx(5, rel=1e-2)
     assert float(groups["means"]) == pytest.approx(5 * 1.6e-5)
+
+
+def test_residual_color_is_that_of_the_other_harmonics() -> None:
+    """Against the public formula of the first three linear terms, over c_d."""
+    sh = torch.zeros(1, 4, 3)
+    sh[0, 1:] = torch.arange(9.0).reshape(3, 3) / 10
+    x, y, z = 0.48, -0.6, 0.64
+    residual = 0.4886025 * (-y * sh[0, 1] + z * sh[0, 2] - x * sh[0, 3])
+    found = own_color(sh, torch.tensor([[x, y, z]]))[0]
+    torch.testing.assert_close(found, math.exp(0.5) / (3 + math.exp(0.5)) + residual)
 
 
 def test_gradients_are_those_of_finite_differences() -> None:

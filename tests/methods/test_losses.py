@@ -5,9 +5,17 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy import ndimage
 
 from envgs_bench.core.ssim import ssim
-from envgs_bench.methods.training.losses import nearness, normal_distance, normal_loss, photometric_loss, training_psnr
+from envgs_bench.methods.training.losses import (
+    eroded,
+    nearness,
+    normal_distance,
+    normal_loss,
+    photometric_loss,
+    training_psnr,
+)
 
 
 def test_normal_loss_is_one_minus_cosine_and_spares_unknown_pixels():
@@ -45,6 +53,13 @@ def test_nearness():
     assert nearness(depth).tolist() == [[1.0, 0.0], [0.5, 1.0]]
     assert nearness(torch.full((2, 2), 3.0)).tolist() == [[1.0, 1.0], [1.0, 1.0]]
     assert nearness(torch.zeros(2, 2)).tolist() == [[1.0, 1.0], [1.0, 1.0]]
+
+
+@pytest.mark.parametrize("shape", [(2, 3), (9, 7)])
+def test_eroded_alpha_is_a_minimum_filter(shape: tuple[int, int]) -> None:
+    alpha = torch.rand(shape, generator=torch.Generator().manual_seed(0))
+    expected = ndimage.minimum_filter(alpha.numpy(), size=4, mode="constant", cval=1.0)
+    np.testing.assert_allclose(eroded(alpha).numpy(), expected, atol=1e-6)
 
 
 def test_nearness_leaves_out_a_hundredth_at_either_end():
