@@ -23,6 +23,7 @@ from .thresholds import (
     PASSES,
     POSES_OFF,
     SPARSE,
+    TELLING,
     UNSUPPORTED,
 )
 
@@ -123,3 +124,13 @@ def scene_warnings(
         ),
     ]
     return [TrainingWarning(kind=kind, step=0, part="", message=text) for kind, wrong, text in found if wrong]
+
+
+def scene_notes(diagnosis: Diagnosis) -> list[str]:
+    """What is measured of the scene and is no fault by itself: scenes in order that shine have few points too."""
+    if MISSING <= diagnosis.coverage < TELLING:
+        return [
+            f"points lie in {diagnosis.coverage:.0%} of the parts of a training view that show something, too few to "
+            "tell by them whether poses and exposures are right"
+        ]
+    return []

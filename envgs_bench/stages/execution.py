@@ -14,7 +14,7 @@ from envgs_bench.core.cuda.compiler import keep_kernels_in
 from envgs_bench.diagnosis.agreed_normals import with_agreed_normals
 from envgs_bench.diagnosis.diagnosis import Diagnosis
 from envgs_bench.diagnosis.repair import repaired
-from envgs_bench.diagnosis.scene_warnings import scene_warnings
+from envgs_bench.diagnosis.scene_warnings import scene_notes, scene_warnings
 from envgs_bench.fixed_rays import write_samples
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.settings import quickness
@@ -77,15 +77,16 @@ def execute(
     scene = load_for_run(settings, results, report)
     check_scene(scene)
     results.steps = method.training_steps(actual.steps)
-    diagnosis = Diagnosis(scene, method.device)
+    diagnosis, told = Diagnosis(scene, method.device), []
     if len(scene.points):  # a method refuses others
         results.warnings = scene_warnings(diagnosis, results.steps, quickness(method.settings), near_of(method, scene))
+        told = scene_notes(diagnosis)
         diagnosis, results.repairs = repaired(diagnosis, settings.repair)
+        told += [f"repair of {outcome.kind}: {outcome.message}" for outcome in results.repairs]
         scene = scene_for(method, diagnosis)
     for warning in results.warnings:
         report({"stage": "training", "step": 0, "steps": results.steps, "warning": warning.model_dump()})
-    if results.repairs:
-        told = [f"repair of {outcome.kind}: {outcome.message}" for outcome in results.repairs]
+    if told:
         results.notes = [*results.notes, *told]
         report({"stage": "training", "step": 0, "steps": results.steps, "notes": told})
     log = None

@@ -15,7 +15,7 @@ from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
 from envgs_bench.diagnosis.diagnosis import Diagnosis
-from envgs_bench.diagnosis.scene_warnings import scene_warnings
+from envgs_bench.diagnosis.scene_warnings import scene_notes, scene_warnings
 
 SAYS = {  # kind of data -> what is said from which severity on
     "exposure": (2, ["exposures_differ"]),
@@ -145,3 +145,17 @@ def test_what_is_concluded_names_what_else_looks_like_it(support: float) -> None
     found = {warning.kind: warning.message for warning in scene_warnings(cast(Diagnosis, wrong), 1)}
     assert len(found) == (11 if support else 10)
     assert {kind for kind, text in found.items() if "; or " not in text and ", or the " not in text} <= FACTS
+
+
+def test_few_points_are_noted_before_they_are_warned_of(room: Scene) -> None:
+    """By eighths of the points: of all nothing is said, of some a number, and of hardly any that they are missing."""
+    assert scene_notes(Diagnosis(room)) == []
+    some = perturbed(room, "points_fewer", 2)
+    assert [said(some), scene_notes(Diagnosis(some))] == [
+        [],
+        [
+            "points lie in 64% of the parts of a training view that show something, too few to tell by them whether "
+            "poses and exposures are right"
+        ],
+    ]
+    assert scene_notes(Diagnosis(perturbed(room, "points_fewer", 3))) == []
