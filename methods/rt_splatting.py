@@ -70,26 +70,43 @@ class RTSplatting(GaussianMethod):
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
         gaussians = self.model.gaussians(BASE, step)
         base = self.model.rasterize(camera, step, self.panes.surface(gaussians))
-        behind = self.model.rasterize(camera, step, self.panes.volume(gaussians)).color
+        volume = self.model.rasterize(camera, step, self.panes.volume(gaussians))
         roughness, features, reflectance, opacity, transmission = base.extras.split([1, FEATURES, 1, 1, 1], dim=-1)
         inside = self.panes.inside(base, camera)
         reflectance, transmission = reflectance * inside, transmission * inside
         told = self.light.told(base, camera, step, roughness, features)
         specular = told[..., :3].clamp_max(MOST_LOG).exp() * reflectance
         kept = 1 - told[..., 3:].neg().sigmoid() * inside * base.alpha[..., None].detach()
-        transmitted = kept * transmission * behind
+        transmitted = kept * transmission * volume.color
         if step is not None:
             transmitted = gated(transmitted, specular, 1 - opacity)
         diffuse = transmitted + kept * (1 - transmission) * base.color
         layers = {BASE: diffuse, REFLECTION: specular}
         if step is not None:
             layers |= dict(zip(LEARNED, (opacity[..., 0], transmission[..., 0]), strict=True))
-        return replace(base, color=diffuse + specular, layers=layers), {BASE: base.statistics}
+        return replace(base, color=diffuse + specular, layers=layers), {
+            BASE: BothPasses(base.statistics, volume.statistics)
+        }
 
     def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
         terms = super().losses(rendering, target, view, step)
         opacity, transmission = (rendering.layers[name] for name in LEARNED)
         return terms | self.panes.losses(opacity, transmission, view)
+
+
+class BothPasses(Statistics):
+    """What two passes over the same primitives learned: gradients of both, and the larger weight."""
+
+    def __init__(self, surface: Statistics, volume: Statistics) -> None:
+        self.weights = torch.maximum(surface.weights, volume.weights)
+        self._passes = surface, volume
+
+    @property
+    def position_gradients(self) -> Tensor | None:  # type: ignore[override]
+        surface, volume = (each.position_gradients for each in self._passes)
+        if surface is None or volume is None:
+            return volume if surface is None else surface
+        return surface + volume
 
 
 class Panes(Part):

@@ -104,6 +104,12 @@ def test_glass_shows_what_lies_behind_and_has_its_own_normal() -> None:
     middle = shown.color[camera.height // 2, camera.width // 2]
     torch.testing.assert_close(middle, torch.tensor([1.0, 0, 0]), atol=0.02, rtol=0)
     assert float(shown.depth[camera.height // 2, camera.width // 2]) == pytest.approx(1.0, abs=0.02)
+    picture, statistics = method.draw(camera, 1)
+    picture.color.square().mean().backward()
+    moved = statistics["base"].position_gradients
+    assert moved is not None
+    assert moved[1].norm() > 0  # what lies behind glass grows by the light that glass lets through
+    assert (statistics["base"].weights > 0).all()
 
 
 def _quaternion(rotation: torch.Tensor) -> torch.Tensor:
