@@ -165,6 +165,8 @@ class GaussianMethod(Method):
         schedule = Schedule(steps, s.rule.stretches, s.rule.reference_steps)
         pilot = partial(fresh, self, s.ruled(normals="as_given"))  # whose views agree already
         learned = learned_normals(scene, steps, self.needs.agreed_normals, self.found, pilot)
+        if getattr(s, "planes", "") == "masks":
+            learned = learned.outside_glass(scene)
         self.notes = list(learned.notes)
         self.runner.loss = TrainingLoss(s, schedule, learned.weight)
         self.model.start(scene, schedule, self.policies(schedule, scene))

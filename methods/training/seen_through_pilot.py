@@ -16,6 +16,7 @@ from torch import Tensor
 
 from envgs_bench.core import Scene, View
 from envgs_bench.core.normal_prior import NormalPrior, normals_outside, pixels_in, share_of
+from envgs_bench.parts import TRANSMISSIVE
 
 from ..method import Method
 from .pilot_run import SHORTEST_RUN, smaller, train_briefly
@@ -58,11 +59,13 @@ class LearnedNormals:
         prior: whose normals in agreement they are; None: as they are given.
         left_out: by views' names the cells without normals.
         notes: what is learned otherwise than given, a sentence each.
+        glass: by views' names the pixels [H, W] without normals, where masks are given.
     """
 
     prior: NormalPrior | None = None
     left_out: Mapping[str, Tensor] = field(default_factory=dict)
     notes: Sequence[str] = ()
+    glass: Mapping[str, Tensor] = field(default_factory=dict)
 
     @classmethod
     def of(cls, prior: NormalPrior, views: int) -> LearnedNormals:
@@ -82,6 +85,14 @@ class LearnedNormals:
         cells = prior.maybe_seen_through if outcome.lies_behind else {}
         return cls(prior, cells, [*prior.notes, outcome.sentence])
 
+    def outside_glass(self, scene: Scene) -> LearnedNormals:
+        """Without those of what the training views' masks call transmissive: what shows there lies behind them."""
+        glass = {view.name: mask for view in scene.train if (mask := view.masks.get(TRANSMISSIVE)) is not None}
+        if not any(mask.any() for mask in glass.values()):
+            return self
+        said = "learns no normals of what masks call transmissive: what shows there lies behind them"
+        return replace(self, glass=glass, notes=[*self.notes, said])
+
     @property
     def weight(self) -> float:
         return self.prior.weight if self.prior is not None else 1.0
@@ -91,6 +102,9 @@ class LearnedNormals:
             view = self.prior.agreed(view)
         if view.normal is not None and view.name in self.left_out:
             view = replace(view, normal=normals_outside(view.normal, self.left_out[view.name]))
+        if view.normal is not None and view.name in self.glass:
+            glass = self.glass[view.name].to(view.normal.device)[..., None]
+            view = replace(view, normal=torch.where(glass, 0.0, view.normal))
         return view
 
 

@@ -301,3 +301,17 @@ def test_a_mirror_is_learned_better_with_its_plane() -> None:
         method.initialize(scene, 150)
         gains.append(gain_of_training(method, scene, 150))
     assert gains[1] > gains[0] + 1
+
+
+def test_no_normals_are_learned_of_glass_that_masks_name() -> None:
+    """What shows there lies behind them; by photographs nobody has said so."""
+    scene = mirror_room()
+    glass = [replace(view, masks={"transmissive": view.masks["reflective"]}) for view in scene.train]
+    for by, left in (("masks", 0.0), ("photographs", 1.0)):
+        method = made(planes=by)
+        method.initialize(replace(scene, train=glass), 30)
+        learned = method.runner.views.on_device(glass[3])
+        mask = glass[3].masks["transmissive"]
+        assert learned.normal is not None
+        torch.testing.assert_close(learned.normal.norm(dim=-1), torch.where(mask, left, 1.0), atol=1e-3, rtol=0)
+        assert any("transmissive" in note for note in method.notes) == (by == "masks")
