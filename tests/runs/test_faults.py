@@ -15,6 +15,7 @@ from fakes.runs import CONF, QUICK, environment, only_folder, records, run, run_
 from envgs_bench.cli.main import main
 from envgs_bench.records import read_record
 from envgs_bench.run_folder import LOG_NAME, RECORD_NAME
+from envgs_bench.run_lock import holder_of
 
 
 @pytest.fixture(autouse=True)
@@ -153,9 +154,12 @@ def test_names_are_shown_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixtu
 def test_a_run_under_way_is_no_unreadable_one(tmp_path: Path, start, capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[no-untyped-def]
     from fakes.whole_sweeps import training, until
 
+    def stepped() -> bool:
+        return any((at := holder_of(folder)) and at.progress.get("step") for folder in training(tmp_path))
+
     assert run(tmp_path / "runs") == 0
     start("method.kind=fakes.methods:Waits", "steps=1000")
-    until(lambda: training(tmp_path))
+    until(stepped)
     capsys.readouterr()
     assert main(["report", str(tmp_path / "runs"), "--out", str(tmp_path / "report")]) == 0
     assert "unreadable" not in capsys.readouterr().out
@@ -192,4 +196,4 @@ def test_a_sweep_says_which_job_it_is_at(tmp_path: Path) -> None:
         check=True,
     )
     assert "[3/4] tiny · fake · seed 1: starting" in result.stderr
-    assert "2 of 4 jobs done, " in result.stderr
+    assert "2 of 4 jobs done in " in result.stderr
