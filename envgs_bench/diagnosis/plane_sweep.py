@@ -51,33 +51,42 @@ class SweptView:
 
     def colors(self, points: Tensor) -> Tensor:
         """The picture's colors at the points [..., 3], NaN where it does not show them; [..., 3]."""
-        pixels, depths = self.camera.project(points)
-        colors, shown = self._at(pixels[..., 0], pixels[..., 1], depths)
-        return torch.where(shown, colors, torch.nan).movedim(0, -1)
+        to_picture = self._to_picture
+        colors, inside = self._at((points @ to_picture[:, :3].T + to_picture[:, 3]).movedim(-1, 0))
+        return torch.where(inside > 0, colors, torch.nan).movedim(0, -1)
 
     def colors_along(self, center: Tensor, directions: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
-        """What the picture shows at depths along rays: colors [3, K, D, P], and whether it shows the point [K, D, P].
+        """What the picture shows at depths along rays.
 
-        A homogeneous pixel is linear in the depth, so that no point in the world is made: half the work.
+        A homogeneous position is linear in the depth, so that no point in the world is made: half the work. Depths are
+        the last dimension, where work on neighboring values is quickest.
 
         Args:
             center: [3] where the rays begin, world frame.
-            directions: [K, P, 3] of the rays, world frame.
-            depths: [K, D] along each of the K × P rays.
-        """
-        to_pixels = self.camera.intrinsics @ self.camera.world_to_camera[:3]
-        along = directions @ to_pixels[:, :3].T
-        begin = to_pixels[:, :3] @ center + to_pixels[:, 3]
-        x, y, depth = (begin[row] + depths[..., None] * along[:, None, :, row] for row in range(3))
-        return self._at(x / depth, y / depth, depth)
+            directions: [P, K, 3] of the rays, world frame.
+            depths: [K, D] along each of the P × K rays.
 
-    def _at(self, x: Tensor, y: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
-        """Colors [3, ...] at pixel positions [...], and whether something at these depths is shown there [...]."""
-        at = torch.stack([x * (2 / self.camera.width) - 1, y * (2 / self.camera.height) - 1], dim=-1)
+        Returns:
+            Colors [3, P, K, D], and [P, K, D] more than 0 where the picture shows the point.
+        """
+        to_picture = self._to_picture
+        along = (directions @ to_picture[:, :3].T).movedim(-1, 0)[..., None]
+        begin = to_picture[:, :3] @ center + to_picture[:, 3]
+        return self._at((along * depths).add_(begin.view(3, 1, 1, 1)))
+
+    @property
+    def _to_picture(self) -> Tensor:
+        """[3, 4] from world points to homogeneous positions, −1 to 1 along both sides of the picture."""
+        x, y, depth = self.camera.intrinsics @ self.camera.world_to_camera[:3]
+        return torch.stack([x * (2 / self.camera.width) - depth, y * (2 / self.camera.height) - depth, depth])
+
+    def _at(self, positions: Tensor) -> tuple[Tensor, Tensor]:
+        """Colors [3, ...] at homogeneous positions [3, ...], and what is more than 0 of points in the picture [...]."""
+        at = positions[:2] / positions[2]
         sampled = functional.grid_sample(
-            self.picture, at.reshape(1, 1, -1, 2).clamp(-2, 2), padding_mode="border", align_corners=False
+            self.picture, at.flatten(1).T[None, None], padding_mode="border", align_corners=False
         )
-        return sampled.reshape(3, *x.shape), (depths > 0) & (at.abs() < 1).all(-1)
+        return sampled.reshape(3, *at.shape[1:]), torch.minimum(1 - at.abs().amax(dim=0), positions[2])
 
 
 @dataclass(frozen=True)
@@ -155,16 +164,16 @@ def _differences(view: SweptView, others: list[SweptView], pixels: Tensor, depth
     """
     scale = view.camera.width / view.picture.shape[3]
     around = torch.cartesian_prod(*2 * [torch.arange(-1, 2, device=pixels.device)]) * PATCH * scale
-    patch = pixels[:, None] + around  # [K, 9, 2]
-    directions = _directions(view.camera, patch.reshape(-1, 2)).reshape(len(pixels), len(around), 3)
-    own = view.colors(view.camera.center + depths[:, :1, None] * directions).movedim(-1, 0)[:, :, None]
+    patch = pixels + around[:, None]  # [9, K, 2]
+    directions = _directions(view.camera, patch.reshape(-1, 2)).reshape(len(around), len(pixels), 3)
+    own = view.colors(view.camera.center + depths[:, :1] * directions).movedim(-1, 0)[..., None]
     each = torch.stack([_beside(own, *other.colors_along(view.camera.center, directions, depths)) for other in others])
     return each.nan_to_num(torch.inf).sort(dim=0).values[:AGREEING].mean(dim=0)
 
 
-def _beside(own: Tensor, colors: Tensor, shown: Tensor) -> Tensor:
-    """The mean difference [K, D] of patches [3, K, D, P] from [3, K, 1, P], NaN where not all of it is shown."""
-    return torch.where(shown.all(-1), (colors - own).abs().mean(dim=(0, -1)), torch.nan)
+def _beside(own: Tensor, colors: Tensor, inside: Tensor) -> Tensor:
+    """The mean difference [K, D] of patches [3, P, K, D] from [3, P, K, 1], NaN where not all of it is `inside`."""
+    return torch.where(inside.amin(dim=0) > 0, (colors - own).abs_().mean(dim=(0, 1)), torch.nan)
 
 
 def _directions(camera: Camera, pixels: Tensor) -> Tensor:
