@@ -94,7 +94,7 @@ def fingerprint(convolutions: Mapping[str, Tensor]) -> str:
     digest = hashlib.sha256()
     for name, value in sorted(convolutions.items()):
         digest.update(f"{name} {tuple(value.shape)} {value.dtype}\0".encode())
-        digest.update(memoryview(value.contiguous().numpy()))
+        digest.update(value.contiguous().numpy().data)
     return digest.hexdigest()
 
 
