@@ -7,7 +7,7 @@ import difflib
 import shlex
 import sys
 from collections.abc import Collection, Iterable, Mapping
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -107,12 +107,15 @@ def register_choices(overrides: Iterable[str] = ()) -> None:
     The methods are the ones built in, those of installed packages, and whatever `overrides` choose by import path, as
     method=package.module:Class.
     """
+    store = ConfigStore.instance()
+    # Each composition copies the whole store, and again what it takes of that: the second copy is enough.
+    store.__deepcopy__ = partial(_uncopied, store)  # type: ignore[attr-defined]
     for kind in DATASET_KINDS:
         _offer_dataset(kind)
     for preset in _presets():
         _offer_preset(preset)
     for kind in LOGGERS:
-        ConfigStore.instance().store(group="logger", name=kind, node=LoggerChoice(kind=kind).model_dump())
+        store.store(group="logger", name=kind, node=LoggerChoice(kind=kind).model_dump())
     chosen = [override.partition("=")[2].split(",") for override in overrides if override.startswith("method=")]
     by_path = {path: path for paths in chosen for path in paths if ":" in path}
     for kind, path in {**by_path, **method_paths()}.items():
@@ -121,6 +124,10 @@ def register_choices(overrides: Iterable[str] = ()) -> None:
         except Exception as error:
             named = kind in str(error)
             print(error if named else f"method {kind} of {path} cannot be loaded: {error}", file=sys.stderr)
+
+
+def _uncopied(store: ConfigStore, memo: object) -> ConfigStore:
+    return store  # launchers pickle it: no lambda
 
 
 @cache  # as below

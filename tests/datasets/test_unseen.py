@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from fakes.runs import only_folder, records, run_here, set_environment
+from fakes.runs import only_folder, records, run_job_here, set_environment
 from toy_scenes import rough_toys
 
 from envgs_bench.core import Camera
@@ -125,7 +125,7 @@ def test_a_run_scores_them_beside_its_test_views(cache: Path, tmp_path: Path, mo
     set_environment(monkeypatch)
     toy = [f"dataset.{name}={value}" for name, value in TOY.items() if name not in ("kind", "scene")]
     given = ("dataset=toy/sky_ball", *toy, "dataset.unseen=3", f"cache_dir={cache}", "method=2dgs", "steps=3")
-    assert run_here(tmp_path / "runs", *given) == 0
+    assert run_job_here(tmp_path / "runs", *given) == 0
     (record,) = records(tmp_path / "runs")
     assert set(record.unseen) == {"between", "beyond"}
     for place, metrics in record.unseen.items():

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fakes.runs import only_folder, records, run, run_here, set_environment
+from fakes.runs import only_folder, records, run, run_job_here, set_environment
 
 from envgs_bench.loggers import opening
 from envgs_bench.loggers.opening import Guarded, logging_of
@@ -172,8 +172,8 @@ def test_without_a_logger_no_library_is_imported(tmp_path: Path) -> None:
 def test_a_run_is_the_same_one_with_a_logger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     set_environment(monkeypatch)
-    assert run_here(tmp_path / "logged", "method=2dgs", "logger=tensorboard", "logger.every=2") == 0
-    assert run_here(tmp_path / "plain", "method=2dgs") == 0
+    assert run_job_here(tmp_path / "logged", "method=2dgs", "logger=tensorboard", "logger.every=2") == 0
+    assert run_job_here(tmp_path / "plain", "method=2dgs") == 0
     logged, plain = (only_folder(tmp_path / name) for name in ("logged", "plain"))
     assert logged.name == plain.name
     (ours,), (theirs,) = records(tmp_path / "logged"), records(tmp_path / "plain")

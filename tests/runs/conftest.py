@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from fakes.runs import CONF, QUICK, environment, run_here, set_environment
+from fakes.runs import CONF, QUICK, environment, run_job_here, set_environment
 from fakes.whole_sweeps import Start, alive
 
 
@@ -52,5 +52,5 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     runs_dir = tmp_path_factory.mktemp("finished")
     with pytest.MonkeyPatch.context() as patch:
         set_environment(patch)
-        assert run_here(runs_dir) == 0
+        assert run_job_here(runs_dir) == 0
     return runs_dir

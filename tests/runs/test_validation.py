@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from fakes.runs import only_folder, records, run_here, set_environment
+from fakes.runs import only_folder, records, run_job_here, set_environment
 
 from envgs_bench.metrics import get_protocol
 from envgs_bench.settings import read_settings
@@ -16,7 +16,7 @@ def test_validation_views_are_scored_and_timed_in_place_of_test_views(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     set_environment(monkeypatch)
-    assert run_here(tmp_path / "runs", "score_on=validation") == 0
+    assert run_job_here(tmp_path / "runs", "score_on=validation") == 0
     (record,) = records(tmp_path / "runs")
     assert record.scored_on == "validation"
     assert record.metrics is not None

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from fakes.runs import only_folder, records, run_here, set_environment
+from fakes.runs import only_folder, records, run_here, run_job_here, set_environment
 
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS as OF_SCENES
 from envgs_bench.methods.envgs import EnvGS
@@ -176,7 +176,7 @@ def test_a_scene_that_lacks_what_is_to_be_perturbed_fails_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     set_environment(monkeypatch)
-    assert run_here(tmp_path, "perturb.kind=views", "perturb.severity=1") == 1
+    assert run_job_here(tmp_path, "perturb.kind=views", "perturb.severity=1") == 1
     (record,) = records(tmp_path)
     assert record.status == "failed"
     assert record.error is not None

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from fakes.runs import records, run_here, set_environment
+from fakes.runs import records, run_job_here, set_environment
 from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, rasterize
@@ -87,8 +87,8 @@ def test_a_change_turns_about_the_center_and_moves_along_the_axes() -> None:
 def test_runs_of_moved_cameras_have_both_and_others_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     set_environment(monkeypatch)
     perturbed = ("perturb.kind=pose_rotation", "perturb.severity=3")
-    assert run_here(tmp_path / "runs", *perturbed) == 0
-    assert run_here(tmp_path / "runs") == 0
+    assert run_job_here(tmp_path / "runs", *perturbed) == 0
+    assert run_job_here(tmp_path / "runs") == 0
     by_kind = {record.perturbation is not None: record.metrics for record in records(tmp_path / "runs")}
     plain, both = by_kind[False], by_kind[True]
     assert plain is not None

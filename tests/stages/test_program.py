@@ -16,7 +16,7 @@ import pytest
 import torch
 from fakes.datasets import tiny
 from fakes.recipes import recipe_file
-from fakes.runs import only_folder, records, run, run_here, set_environment
+from fakes.runs import only_folder, records, run, run_here, run_job_here, set_environment
 from PIL import Image
 from torch import Tensor
 
@@ -45,7 +45,7 @@ def external(recipe: Path) -> tuple[str, str]:
 
 def outcome(folder: Path, mode: str, *flags: str, **others: Any) -> Record:
     """The record of a run in this process."""
-    run_here(folder / "runs", *external(recipe_file(folder, mode, *flags, **others)))
+    run_job_here(folder / "runs", *external(recipe_file(folder, mode, *flags, **others)))
     (record,) = records(folder / "runs")
     return record
 
@@ -73,8 +73,8 @@ def test_what_could_be_measured_is_recorded_and_the_rest_is_said(tmp_path: Path)
 
 
 def test_it_stands_beside_ours_in_a_report(tmp_path: Path) -> None:
-    assert run_here(tmp_path / "runs", *external(recipe_file(tmp_path, "fine"))) == 0
-    assert run_here(tmp_path / "runs") == 0
+    assert run_job_here(tmp_path / "runs", *external(recipe_file(tmp_path, "fine"))) == 0
+    assert run_job_here(tmp_path / "runs") == 0
     build_report(tmp_path / "runs", tmp_path / "report")
     table = (tmp_path / "report" / "table.md").read_text()
     rows = [line for line in table.splitlines() if line.startswith("| fake-program |")]
@@ -209,7 +209,7 @@ def test_a_program_that_draws_nothing_is_scored_by_what_the_core_draws_of_its_mo
     code = "import os, sys; sys.exit(any('view0' in name for name in os.listdir(sys.argv[1])))"
     look = [f'{sys.executable} -c "{code}" {{data}}/images']
     train = json.loads(recipe_file(tmp_path, "copies", str(tmp_path / "made")).read_text())["train"]
-    run_here(tmp_path / "runs", *external(recipe_file(tmp_path, "copies", **blind, train=[*look, train])))
+    run_job_here(tmp_path / "runs", *external(recipe_file(tmp_path, "copies", **blind, train=[*look, train])))
     (record,) = records(tmp_path / "runs")
     assert record.status == "ok"
     assert record.program is not None
@@ -228,7 +228,7 @@ def test_its_model_is_aligned_where_cameras_were_moved_and_its_pictures_cannot_b
         recipe = recipe_file(
             tmp_path / name, "copies", str(tmp_path / "made"), model={"file": "{output}/model.ply"}, **others
         )
-        assert run_here(tmp_path / name / "runs", *external(recipe), *moved) == 0
+        assert run_job_here(tmp_path / name / "runs", *external(recipe), *moved) == 0
         (record,) = records(tmp_path / name / "runs")
         assert record.metrics is not None
         found[name] = record.metrics
@@ -343,11 +343,11 @@ def test_what_was_trained_is_not_trained_again(tmp_path: Path) -> None:
     """The pictures of the first attempt are too few; the second draws again, by another command."""
     draw = "{python} -c 'import sys; sys.exit(3)'"
     recipe = recipe_file(tmp_path, "fine", draw=draw)
-    assert run_here(tmp_path / "runs", *external(recipe)) == 1
+    assert run_job_here(tmp_path / "runs", *external(recipe)) == 1
     (folder,) = (tmp_path / "runs" / "tiny" / "fake-program").iterdir()
-    assert run_here(tmp_path / "runs", *external(recipe), "retry=failed") == 1
+    assert run_job_here(tmp_path / "runs", *external(recipe), "retry=failed") == 1
     assert (folder / "attempts.txt").read_text().split() == ["4"]
-    assert run_here(tmp_path / "runs", *external(recipe), "force=true") == 1
+    assert run_job_here(tmp_path / "runs", *external(recipe), "force=true") == 1
     assert (folder / "attempts.txt").read_text().split() == ["4", "4"]
 
 
@@ -357,8 +357,8 @@ def test_an_interrupted_training_goes_on_where_the_recipe_can(tmp_path: Path, re
     if resume:
         others["resume"] = json.loads(recipe_file(tmp_path, "fine", "--once", resume).read_text())["train"]
     recipe = recipe_file(tmp_path, "exits", "--once", **others)
-    assert run_here(tmp_path / "runs", *external(recipe)) == 1
-    assert run_here(tmp_path / "runs", *external(recipe), "retry=failed") == 0
+    assert run_job_here(tmp_path / "runs", *external(recipe)) == 1
+    assert run_job_here(tmp_path / "runs", *external(recipe), "retry=failed") == 0
     attempts = (only_folder(tmp_path / "runs") / "attempts.txt").read_text().splitlines()
     assert attempts == ["4 --once", second]
     (record,) = records(tmp_path / "runs")
@@ -382,7 +382,7 @@ def test_ctrl_c_ends_the_program_and_the_same_command_goes_on(
     time.sleep(0.2)
     child = int(capfd.readouterr().err.partition("child ")[2].split()[0])
     assert not psutil.pid_exists(child) or psutil.Process(child).status() == psutil.STATUS_ZOMBIE
-    assert run_here(tmp_path / "runs", *external(recipe)) == 0
+    assert run_job_here(tmp_path / "runs", *external(recipe)) == 0
     (record,) = records(tmp_path / "runs")
     assert record.status == "ok"
     assert (only_folder(tmp_path / "runs") / "attempts.txt").read_text().splitlines() == 2 * ["4 --once"]
@@ -404,7 +404,7 @@ def test_a_time_limit_ends_the_program_and_all_that_it_started(tmp_path: Path, m
 
 def test_a_recipe_that_changed_is_another_run_and_a_name_is_not(tmp_path: Path) -> None:
     for flags, others in (((), {}), ((), {"licence": "MIT"}), (("--more",), {})):
-        assert run_here(tmp_path / "runs", *external(recipe_file(tmp_path, "fine", *flags, **others))) == 0
+        assert run_job_here(tmp_path / "runs", *external(recipe_file(tmp_path, "fine", *flags, **others))) == 0
     assert len(records(tmp_path / "runs")) == 2
 
 
@@ -428,7 +428,7 @@ def test_a_dry_run_lists_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 def test_views_that_validate_are_those_that_it_draws(tmp_path: Path) -> None:
     recipe = recipe_file(tmp_path, "fine")
-    assert run_here(tmp_path / "runs", *external(recipe), "score_on=validation") == 0
+    assert run_job_here(tmp_path / "runs", *external(recipe), "score_on=validation") == 0
     (record,) = records(tmp_path / "runs")
     assert record.metrics is not None
     scene = replace(tiny({"name": "tiny"}, tmp_path))

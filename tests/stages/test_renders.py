@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from fakes.runs import only_folder, records, run_here, set_environment
+from fakes.runs import only_folder, records, run_here, run_job_here, set_environment
 from PIL import Image
 
 from envgs_bench.core import View
@@ -35,10 +35,10 @@ def write(path: Path, width: int = WIDTH, height: int = HEIGHT, mode: str = "RGB
 
 def test_the_renders_of_a_run_score_as_the_run(tmp_path: Path) -> None:
     """Given back as pictures, what a method drew gets the same numbers under a protocol that rounds to 8 bits."""
-    assert run_here(tmp_path / "runs", "protocol=strict") == 0
+    assert run_job_here(tmp_path / "runs", "protocol=strict") == 0
     folder = only_folder(tmp_path / "runs")
     options = ("method=renders", f"path={folder / 'renders'}", "method.name=elsewhere", "protocol=strict")
-    assert run_here(tmp_path / "others", *options) == 0
+    assert run_job_here(tmp_path / "others", *options) == 0
     (theirs,), ours = records(tmp_path / "others"), read_record(folder)
     assert theirs.metrics is not None
     assert ours.metrics is not None
@@ -63,11 +63,11 @@ def test_pictures_drawn_again_are_another_run(tmp_path: Path) -> None:
         write(tmp_path / "renders" / f"{view}.png")
     (tmp_path / "renders").rename(tmp_path / "tiny")
     options = ("method=renders", f"path={tmp_path}/${{dataset.name}}")  # one call for many scenes
-    assert run_here(tmp_path / "runs", *options) == 0
-    assert run_here(tmp_path / "runs", *options) == 0
+    assert run_job_here(tmp_path / "runs", *options) == 0
+    assert run_job_here(tmp_path / "runs", *options) == 0
     assert len(records(tmp_path / "runs")) == 1
     Image.new("RGB", (WIDTH, HEIGHT), (9, 9, 9)).save(tmp_path / "tiny" / "view0.png")
-    assert run_here(tmp_path / "runs", *options) == 0
+    assert run_job_here(tmp_path / "runs", *options) == 0
     assert len(records(tmp_path / "runs")) == 2
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fakes.runs import only_folder, records, run_here, set_environment
+from fakes.runs import only_folder, records, run_job_here, set_environment
 from PIL import Image
 from skimage.metrics import peak_signal_noise_ratio
 
@@ -30,7 +30,7 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def shared(tmp_path: Path) -> Path:
     """The folder with predictions.tar.gz and results.json of a run."""
-    assert run_here(tmp_path / "runs", "protocol=strict") == 0
+    assert run_job_here(tmp_path / "runs", "protocol=strict") == 0
     assert main(["predictions", str(only_folder(tmp_path / "runs")), "--out", str(tmp_path / "shared")]) == 0
     return tmp_path / "shared"
 
@@ -74,7 +74,10 @@ def test_an_archive_is_scored_as_the_run_that_it_was_made_of(tmp_path: Path, sha
         path = tmp_path / "predictions"
         with tarfile.open(shared / "predictions.tar.gz") as archive:
             archive.extractall(path, filter="data")
-    assert run_here(tmp_path / "others", "method=renders", f"path={path}", "method.name=theirs", "protocol=strict") == 0
+    assert (
+        run_job_here(tmp_path / "others", "method=renders", f"path={path}", "method.name=theirs", "protocol=strict")
+        == 0
+    )
     (theirs,), ours = records(tmp_path / "others"), read_record(only_folder(tmp_path / "runs"))
     assert theirs.metrics is not None
     assert ours.metrics is not None
@@ -84,7 +87,7 @@ def test_an_archive_is_scored_as_the_run_that_it_was_made_of(tmp_path: Path, sha
 def test_another_archive_is_another_run_and_the_same_one_is_reused(tmp_path: Path, shared: Path) -> None:
     options = ("method=renders", f"path={shared / 'predictions.tar.gz'}", "method.name=theirs")
     for _ in range(2):
-        assert run_here(tmp_path / "others", *options) == 0
+        assert run_job_here(tmp_path / "others", *options) == 0
     assert len(records(tmp_path / "others")) == 1
 
 
@@ -102,7 +105,7 @@ def test_damaged_archives_are_named_and_nothing_is_written_outside(tmp_path: Pat
 
 
 def test_a_run_without_scores_has_nothing_to_share(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_here(tmp_path / "runs", "method.kind=fakes.methods:Raises", "method.settings.crash_at=1") == 1
+    assert run_job_here(tmp_path / "runs", "method.kind=fakes.methods:Raises", "method.settings.crash_at=1") == 1
     assert main(["predictions", str(only_folder(tmp_path / "runs")), "--out", str(tmp_path / "shared")]) != 0
     assert "has no scores of test views" in capsys.readouterr().err
     shutil.rmtree(tmp_path / "runs")

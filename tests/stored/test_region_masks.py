@@ -11,7 +11,7 @@ import torch
 import yaml
 from captures import PINHOLE, write_capture
 from fakes.methods import MeanColor, Settings
-from fakes.runs import only_folder, run_here, set_environment
+from fakes.runs import only_folder, run_job_here, set_environment
 from PIL import Image
 
 from envgs_bench.cli.main import main
@@ -131,7 +131,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     runs = tmp_path_factory.mktemp("trained")
     with pytest.MonkeyPatch.context() as patch:
         set_environment(patch)
-        assert run_here(runs, *TRAINED) == 0
+        assert run_job_here(runs, *TRAINED) == 0
     return only_folder(runs)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import torch
 from damaged_files import EPS, write_promising_png
-from fakes.runs import only_folder, records, run_here, set_environment
+from fakes.runs import only_folder, records, run_job_here, set_environment
 
 from envgs_bench.cli.main import main
 from envgs_bench.metrics import get_protocol
@@ -31,12 +31,12 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("finished") / "runs"
     with pytest.MonkeyPatch.context() as patch:
         set_environment(patch)
-        assert run_here(folder) == 0
+        assert run_job_here(folder) == 0
     return folder
 
 
 def test_a_protocol_that_rounds_gets_the_runs_own_numbers_to_the_last_digit(tmp_path: Path, finished: Path) -> None:
-    assert run_here(tmp_path / "direct", "protocol=strict") == 0
+    assert run_job_here(tmp_path / "direct", "protocol=strict") == 0
     assert main(["rescore", str(finished), "--protocol", "strict", "--out", str(tmp_path / "again")]) == 0
     (direct,), (again,) = records(tmp_path / "direct"), records(tmp_path / "again")
     assert again.metrics == direct.metrics

@@ -62,9 +62,10 @@ def fail(mode: str) -> None:
         sys.exit(1)
     if mode == "greedy":
         held = [bytearray(os.urandom(1 << 20) * 64)]
-        while True:
+        while len(held) < 48:  # 3 GB
             held.append(bytearray(held[0]))
             time.sleep(0.01)
+        time.sleep(600)
     if mode == "ignores":
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
     if mode in ("hangs", "ignores"):

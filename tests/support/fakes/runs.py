@@ -8,15 +8,20 @@ from pathlib import Path
 from unittest.mock import patch
 
 import pytest
+from hydra import compose, initialize_config_dir
 
+from envgs_bench.cli.composition import CONF as COMPOSED_FROM
+from envgs_bench.cli.composition import register_choices, settings_of
 from envgs_bench.cli.main import main
 from envgs_bench.loggers.opening import logging_of
 from envgs_bench.records import Failure, Record, Status, find_records, read_record
 from envgs_bench.run_lock import RunLock
 from envgs_bench.runs.display import Display
 from envgs_bench.runs.draft import Draft
-from envgs_bench.runs.interruption import Interruption
+from envgs_bench.runs.interruption import INTERRUPTION, Interruption
+from envgs_bench.runs.job import located, run_job
 from envgs_bench.settings import RunSettings, read_settings
+from envgs_bench.stages.events import Event
 from envgs_bench.stages.execution import execute
 from envgs_bench.stages.stop import Stop
 
@@ -55,6 +60,32 @@ def run_here(runs_dir: Path, *overrides: str, flags: tuple[str, ...] = ()) -> in
     """run() without processes, of which each imports PyTorch: for tests of what a run leaves, not of how it ends."""
     with without_processes():
         return run(runs_dir, *overrides, flags=flags)
+
+
+def run_job_here(runs_dir: Path, *overrides: str) -> int:
+    """run_here() of one job, composed once and not three times, which takes longer than a small run. Nothing is said.
+
+    0 where it ended with status ok, else 1.
+    """
+    register_choices(overrides)
+    lines = [*QUICK, f"runs_dir={runs_dir}", *overrides]
+    with initialize_config_dir(str(COMPOSED_FROM), version_base="1.3"):
+        settings = settings_of(compose("config", [*lines, f"hydra.searchpath=[file://{CONF}]"]), lines)
+    with without_processes():
+        return 0 if run_job(*located(settings), Silent(), INTERRUPTION).ok else 1
+
+
+class Silent:
+    """A display that shows nothing."""
+
+    def start(self, title: str) -> None:
+        pass
+
+    def update(self, event: Event) -> None:
+        pass
+
+    def stop(self) -> None:
+        pass
 
 
 def without_processes() -> AbstractContextManager[object]:
