@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV ?= .venv
 # Waiting threads sleep: two programs that spin on one machine slow each other tenfold.
 export OMP_WAIT_POLICY ?= PASSIVE
+# Modules stay compiled: compiling them anew takes each of the many processes as long again as importing them.
+export PYTHONDONTWRITEBYTECODE :=
 PIP_FLAGS ?=
 BIN := $(VENV)/bin
 RUNTIME := $(VENV)/.installed
