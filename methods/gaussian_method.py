@@ -19,7 +19,7 @@ from .gaussians.budget import SharedBudget
 from .gaussians.model import NEAR, GaussianModel
 from .gaussians.monitor import GaussianMonitor
 from .gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, base_policy, initial_rates
-from .gaussians.pruning import events_of, prune
+from .gaussians.pruning import Prunings, events_of
 from .gaussians.relocation import PositionNoise
 from .lighting.reflection import Reflection
 from .method import Budget, Method, Needs
@@ -182,9 +182,12 @@ class GaussianMethod(Method):
             part.start(scene)
         _forget_prepared(self)
         views = ResidentViews.of(self.device, learned)
-        prune_all = partial(prune, self.model, self.draw, self.prepare, views.all_of(scene.train), s.prune_error)
+        prunings = None
+        if s.prune_error > 0:
+            prunings = Prunings(self.model, self.draw, self.prepare, views.all_of(scene.train), self.notes)
+            self.parts["prunings"] = prunings
         of_parts = [event for part in self.parts.values() for event in part.events()]
-        self.runner.start(schedule, s.rule.average_from, views, events_of(self.model, prune_all, of_parts))
+        self.runner.start(schedule, s.rule.average_from, views, events_of(self.model, prunings, of_parts))
 
     def training_step(self, view: View, step: int) -> dict[str, Tensor]:
         # A perceptual loss is a large network's, which is worth all threads.

@@ -112,7 +112,7 @@ class Method(ABC):
             `envgs_bench.parts.LOSSES` under its key there; complete once `initialize` is done. The harness adds the
             perceptual loss where it has none to offer, the method what the scene lacks.
         notes: what the method made of the scene's normals, and what a pilot run on the scene has shown to be needed or
-            not. A sentence each; complete once `initialize` is done.
+            not, complete once `initialize` is done; later, how many primitives prunings left. A sentence each.
     """
 
     Settings: ClassVar[type]
