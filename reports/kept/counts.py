@@ -26,6 +26,7 @@ ANSWERS: dict[str, tuple[str, ...]] = {  # what is spoiled -> the warning and th
     "pose_rotation": ("warning poses_off", "repair poses"),
     "normals_mirrored": ("warning normals_mirrored", "repair normals"),
 }
+ONLY_WHERE = dict.fromkeys(("warning normals_mirrored", "repair normals"), "mirror_gain")  # this was measured
 CONFIDENCE = 0.95
 FACTS = ("seed", "width", "height", "views", "spoiled", "severity", "warned", "repaired")
 
@@ -73,6 +74,8 @@ def rates(rows: pd.DataFrame) -> list[Rate]:
     for spoiled, severity in sorted(set(zip(rows["spoiled"], rows["severity"], strict=True))):
         asked_of = rows[(rows["spoiled"] == spoiled) & (rows["severity"] == severity)]
         for asked, answers in _answers(asked_of, spoiled):
+            if answers.empty:
+                continue
             hits, scenes = int(answers.sum()), len(answers)
             tested = binomtest(hits, scenes, alternative="greater" if spoiled else "less").proportion_ci(CONFIDENCE)
             bound = float(tested.low if spoiled else tested.high)
@@ -86,7 +89,9 @@ def _answers(rows: pd.DataFrame, spoiled: str) -> Iterator[tuple[str, pd.Series[
     in_order = (*(f"warning {kind}" for kind in OF_SCENES), *(f"repair {kind}" for kind in REPAIRS))
     for asked in ANSWERS[spoiled] if spoiled else in_order:
         what, kind = asked.split()
-        yield asked, said[what].map(lambda words, kind=kind: kind in words)
+        answers = said[what].map(lambda words, kind=kind: kind in words)
+        measured = rows.get(ONLY_WHERE.get(asked, ""))
+        yield asked, answers if measured is None else answers[measured != ""]
     if not spoiled:
         yield "any warning", said["warning"].map(bool)
 

@@ -26,6 +26,7 @@ from envgs_bench.diagnosis.thresholds import (
     BLOCKY,
     BLURRED,
     DISAGREEING,
+    MIRROR_GAIN,
     MISSING,
     NOISY,
     POSES_OFF,
@@ -111,7 +112,7 @@ def test_what_was_counted_is_counted_by_these_thresholds() -> None:
     """Of scenes in order each warning is given where its threshold says so, but for what rounding may turn over."""
     rows = read_counts(Path(envgs_bench.__file__).parent / "docs" / "records" / "warnings.csv")
     rows = rows[rows["spoiled"] == ""].set_index("seed")
-    measured = rows[[name for name in diagnosis_counts.MEASURED if name in rows]].astype(float)
+    measured = rows[list(diagnosis_counts.MEASURED)].apply(pd.to_numeric)  # NaN: not asked
     told = (measured["photo_consistency"] >= UNSUPPORTED) & (measured["coverage"] >= TELLING)
     limits = {
         "views_noisy": measured["noise"] - NOISY,
@@ -120,6 +121,7 @@ def test_what_was_counted_is_counted_by_these_thresholds() -> None:
         "points_missing": MISSING - measured["coverage"],
         "points_unsupported": UNSUPPORTED - measured["photo_consistency"],
         "poses_off": (measured["pose_gain"] - POSES_OFF).where(told, -1),
+        "normals_mirrored": (measured["mirror_gain"] - MIRROR_GAIN).fillna(-1),
         "normals_disagree": (measured["normal_disagreement"] - DISAGREEING) / 90,
     }
     assert len(rows) > 100
