@@ -107,7 +107,7 @@ def test_counts_and_bytes(trained, kind):
     primitives, size = method.primitives(), method.model_bytes()
     published = {"2dgs": 58, "3dgs": 59, "3dgs_dr": 60}  # of them 48 spherical harmonics, and a third scale
     published["ref_gaussian"] = 59 + 1 + 3 + 48  # roughness, albedo, and spherical harmonics of the indirect light
-    published["gaussian_shader"] = 59 + 3 + 1 + 3 + 3  # tint, roughness, normals' residuals
+    published["gaussian_shader"] = 14 + 3 + 1 + 3 + 3  # tint, roughness, normals' residuals; no residual color
     published["3igs"] = 14 + 48 + 1  # features and roughness; of its color, the constant alone
     floats = published.get(kind, 38)  # of them 27 spherical harmonics, and β
     assert set(primitives) == set(size) == {"base", "env"}
