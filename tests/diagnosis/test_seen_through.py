@@ -12,6 +12,7 @@ from envgs_bench.datasets import load_scene
 from envgs_bench.diagnosis.agreed_normals import with_agreed_normals
 from envgs_bench.diagnosis.coverage import CELLS
 from envgs_bench.diagnosis.diagnosis import Diagnosis
+from envgs_bench.diagnosis.plane_sweep import SweptView
 from envgs_bench.diagnosis.seen_through import SeenThrough, seen_through
 from envgs_bench.diagnosis.thresholds import MAYBE_SEEN_THROUGH, SEEN_THROUGH
 
@@ -86,3 +87,11 @@ def test_pixels_lie_in_the_cells_that_their_centers_lie_in() -> None:
 def test_a_view_without_neighbors_tells_of_none(toys: dict[str, Scene]) -> None:
     lone = toys["facing_mirrors"].train[:2]  # each has one
     assert seen_through(lone, 0.2, 40.0, CPU) == SeenThrough()
+
+
+def test_what_lies_behind_a_camera_is_not_shown(toys: dict[str, Scene]) -> None:
+    view = SweptView.of(toys["chrome_room"].train[0], CPU)
+    center, ahead = view.camera.center, view.camera.world_to_camera[2, :3]
+    assert view.colors(torch.stack([center + ahead, center - ahead])).isnan().any(dim=-1).tolist() == [False, True]
+    _, inside = view.colors_along(center, ahead[None, None], torch.tensor([[1.0, -1.0]]))
+    assert (inside > 0).flatten().tolist() == [True, False]
