@@ -16,7 +16,7 @@ from envgs_bench.methods.gaussians.budget import FIRST_SHARE, LEAST_PRIMITIVES, 
 from envgs_bench.methods.gaussians.initialization import evenly_thinned
 from envgs_bench.methods.gaussians.parameters import GaussianParameters
 from envgs_bench.methods.method import Budget
-from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.registry import BUILT_IN, create_method
 from envgs_bench.testing import tiny_scene
 
 BASE_BYTES, ENV_BYTES = 4 * 38, 4 * 37
@@ -36,6 +36,10 @@ METHODS: dict[str, dict[str, Any]] = {
     "envgs_single_set": REFLECTS,
     "ref_gaussian": {**GROWS, "densify_until": 30_000, "envmap_size": 16},
     "3igs": {**GROWS, "densify_until": 30_000, "field_size": 4},
+    "3dgs_dr": {**REFLECTS, "envmap_size": 16},
+    "gaussian_shader": {**GROWS, "densify_until": 30_000, "envmap_size": 16},
+    "ref_gs": {**GROWS, "densify_until": 30_000, "map_levels": 4},
+    "rt_splatting": REFLECTS,
 }
 STEPS = 155  # reflections from step 2 on; sets grow every 30 steps, the environment from 120 on
 
@@ -75,6 +79,10 @@ class Largest:
         pytest.param("ref_gaussian", Budget(mb=0.15), marks=pytest.mark.slow),
         pytest.param("3igs", Budget(mb=0.3), marks=pytest.mark.slow),
         pytest.param("envgs_single_set", Budget(primitives=300), marks=pytest.mark.slow),
+        pytest.param("3dgs_dr", Budget(primitives=300), marks=pytest.mark.slow),
+        pytest.param("gaussian_shader", Budget(primitives=300), marks=pytest.mark.slow),
+        pytest.param("ref_gs", Budget(mb=0.42), marks=pytest.mark.slow),
+        pytest.param("rt_splatting", Budget(primitives=300), marks=pytest.mark.slow),
     ],
 )
 def test_no_moment_of_a_training_is_above_the_budget(
@@ -98,6 +106,16 @@ def test_no_moment_of_a_training_is_above_the_budget(
     assert largest.bytes <= most_bytes
     used = max(largest.primitives / most, largest.bytes / most_bytes)
     assert used > 0.9  # the budget is what holds them, not a lack of growth
+
+
+def test_growth_that_fills_a_limit_stays_within_the_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    fills = {**with_rules(growth="mcmc"), "max_primitives": 5_000, "densify_until": 30_000}
+    monkeypatch.setitem(METHODS, "2dgs", fills)
+    test_no_moment_of_a_training_is_above_the_budget("2dgs", Budget(primitives=190), monkeypatch)
+
+
+def test_every_method_built_in_is_held_to_a_budget() -> None:
+    assert set(METHODS) == set(BUILT_IN)
 
 
 def test_what_grows_after_a_pruning_is_within_the_budget_too(monkeypatch: pytest.MonkeyPatch) -> None:
