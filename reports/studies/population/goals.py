@@ -38,8 +38,8 @@ def goals(found: Population, mapped: FailureMap) -> list[Goal]:
         if len(reflect):
             goals.append(
                 Goal(
-                    f"it is {reflect.mean():+.2f} dB beside the best other on the {len(reflect)} scenes where at least "
-                    f"{100 * MIRRORING:.0f} % of the pixels reflect (goal: {AHEAD_DB:+g} dB)",
+                    f"where {100 * MIRRORING:.0f} % of the pixels or more reflect, it is {reflect.mean():+.2f} dB "
+                    f"beside the best other (goal: {AHEAD_DB:+g} dB)",
                     float(reflect.mean()) >= AHEAD_DB,
                 )
             )

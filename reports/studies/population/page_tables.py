@@ -6,10 +6,10 @@ import pandas as pd
 
 from ...kept.runs_file import ATTRIBUTE, NoRunsError
 from ...kept.tables import KeptRuns, TableError, as_markdown
-from .failure_map import FailureMap
+from .failure_map import FailureMap, Node, leaves
 from .goals import goals, told
 from .population import FEWEST_SCENES, LEVEL_DB, METRICS, PARTS, Population, part_of
-from .sentences import gaps, map_of, needs, shown, where
+from .sentences import gains, gaps, map_of, shares, shown, sizes, worth
 
 
 def goals_told(runs: KeptRuns, of: str) -> str:
@@ -32,15 +32,20 @@ def standings(runs: KeptRuns, of: str) -> str:
 
 
 def failure_map_told(runs: KeptRuns, of: str) -> str:
-    """The tree in words, how well it holds, and the attributes that go with the margin most."""
+    """The tree, how well it holds, and the attributes that go with the margin most."""
     found = population_in(runs, of)
     mapped = map_of(found)
-    return f"{_list(where(found, mapped), runs)}\n{_ranks(found, mapped)}"
+    tree = _tree(mapped.tree, f"{of} less the best other, dB")
+    return "\n".join([tree, _list(worth(found, mapped), runs), _ranks(found, mapped)])
 
 
 def needs_told(runs: KeptRuns, of: str, ladder: str) -> str:
     """What is enough for a scene; `ladder` names the variants from the baseline up, `a,b,c`."""
-    return _list(needs(population_in(runs, of, tuple(ladder.split(",")))), runs)
+    found = population_in(runs, of, tuple(ladder.split(",")))
+    tables = [as_markdown(["where", "primitives that are enough", "scenes"], _in_words(sizes(found)))]
+    if tree := gains(found):
+        tables.insert(0, _tree(tree, f"{found.ladder[-1]} less {found.ladder[0]}, dB"))
+    return "\n".join([*tables, _list(shares(found), runs)])
 
 
 def gaps_told(runs: KeptRuns, of: str) -> str:
@@ -81,6 +86,16 @@ def population_in(runs: KeptRuns, of: str, ladder: tuple[str, ...] = ()) -> Popu
     if not scores or len(found.psnr) < FEWEST_SCENES:
         raise NoRunsError(f"{runs.name} has fewer than {FEWEST_SCENES} scenes that all methods finished")
     return found
+
+
+def _tree(tree: Node, what: str) -> str:
+    """A row a leaf."""
+    rows = [(like, f"{leaf.mean:+.1f}", leaf.scenes) for leaf, like in leaves(tree)]
+    return as_markdown(["where", what, "scenes"], _in_words(rows))
+
+
+def _in_words(rows: list[tuple[str, str, int]]) -> list[list[str]]:
+    return [[like or "everywhere", number, str(scenes)] for like, number, scenes in rows]
 
 
 def _ranks(found: Population, mapped: FailureMap) -> str:

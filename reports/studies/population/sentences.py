@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pandas as pd
 
 from ...numbers.intervals import Interval
-from .failure_map import FailureMap, failure_map, leaves, sentences, signs_told
+from .failure_map import FailureMap, Node, failure_map, leaves, sentences, signs_told
 from .population import LEVEL_DB, Population, Standing
 
 OTHER = "the best other method"
@@ -22,12 +20,14 @@ def map_of(found: Population) -> FailureMap:
 
 def where(found: Population, mapped: FailureMap) -> list[str]:
     """One a leaf, and how well the tree holds on scenes that it has not seen."""
-    said = list(sentences(mapped.tree, found.subject, OTHER, LEVEL_DB))
-    held = (
-        f"On scenes that it has not seen, the tree tells who is ahead on {100 * mapped.signs:.0f} %; to name the more "
-        f"frequent winner each time is right on {100 * mapped.majority:.0f} %."
-    )
-    said += [held, f"It explains {100 * max(mapped.explained, 0):.0f} % of the difference's variance."]
+    return [*sentences(mapped.tree, found.subject, OTHER, LEVEL_DB), *worth(found, mapped)]
+
+
+def worth(found: Population, mapped: FailureMap) -> list[str]:
+    """How well the tree holds on scenes that it has not seen."""
+    said = [f"On scenes that it has not seen, the tree tells who is ahead on {100 * mapped.signs:.0f} %."]
+    said.append(f"To name the more frequent winner each time is right on {100 * mapped.majority:.0f} %.")
+    said.append(f"The tree explains {100 * max(mapped.explained, 0):.0f} % of the difference's variance.")
     if len(found.used_parts) == 2:
         margins = {part: found.margins(found.subject, part) for part in found.used_parts}
         grown = failure_map(found.attributes.loc[margins["choosing"].index], margins["choosing"])
@@ -48,31 +48,46 @@ def gaps(found: Population) -> list[str]:
 
 def needs(found: Population) -> list[str]:
     """On which scenes each variant of the ladder is the first that is enough, and how many primitives are."""
-    pairs = {scene: found.enough(scene) for scene in found.psnr.index}
+    said = shares(found)
+    if tree := gains(found):
+        said += sentences(tree, found.ladder[-1], found.ladder[0], LEVEL_DB)
+    for where, count, scenes in sizes(found):
+        said.append(f"{f'Where {where}: ' if where else ''}{count} primitives are enough ({scenes} scenes).")
+    return said
+
+
+def shares(found: Population) -> list[str]:
+    """How often each variant of the ladder is the first that is enough, and each method the smallest."""
+    pairs = [found.enough(scene) for scene in found.psnr.index]
     said = []
-    ladder = found.ladder if len(found.ladder) > 1 else ()
-    for method in ladder:
-        share = np.mean([pair[0] == method for pair in pairs.values()])
+    for method in found.ladder if len(found.ladder) > 1 else ():
+        share = np.mean([pair[0] == method for pair in pairs])
         said.append(f"{method} is the first variant that is enough on {100 * share:.0f} % of the scenes.")
     for method in found.psnr.columns:
-        share = np.mean([pair[1] == method for pair in pairs.values()])
+        share = np.mean([pair[1] == method for pair in pairs])
         if share:
             said.append(f"{method} is the smallest model that is enough on {100 * share:.0f} % of the scenes.")
-    attributes = found.attributes.loc[found.psnr.index]
-    if ladder:
-        gain = found.psnr[ladder[-1]] - found.psnr[ladder[0]]
-        said += sentences(failure_map(attributes, gain).tree, ladder[-1], ladder[0], LEVEL_DB)
-    sizes = pd.Series({scene: found.scores["primitives"].loc[scene, pair[1]] for scene, pair in pairs.items()})
-    return said + list(_sizes(attributes, sizes))
+    return said
 
 
-def _sizes(attributes: pd.DataFrame, sizes: pd.Series) -> Iterator[str]:
-    """How many primitives are enough, by what scenes are like; sizes differ by factors."""
-    if sizes.isna().any():
-        return
-    for leaf, like in leaves(failure_map(attributes, np.log(sizes)).tree):
-        count = f"{float(f'{np.exp(leaf.mean):.2g}'):,.0f}"
-        yield f"{f'Where {like}: ' if like else ''}{count} primitives are enough ({leaf.scenes} scenes)."
+def gains(found: Population) -> Node | None:
+    """The tree of the ladder's last variant less its first; None where there is no ladder."""
+    if len(found.ladder) < 2:
+        return None
+    gain = found.psnr[found.ladder[-1]] - found.psnr[found.ladder[0]]
+    return failure_map(found.attributes.loc[gain.index], gain).tree
+
+
+def sizes(found: Population) -> list[tuple[str, str, int]]:
+    """What scenes are like, how many primitives are enough there, and how many these scenes are.
+
+    Sizes differ by factors: the tree is of their logarithms.
+    """
+    enough = pd.Series({s: found.scores["primitives"].loc[s, found.enough(s)[1]] for s in found.psnr.index})
+    if enough.isna().any():
+        return []
+    tree = failure_map(found.attributes.loc[enough.index], np.log(enough)).tree
+    return [(like, f"{float(f'{np.exp(leaf.mean):.2g}'):,.0f}", leaf.scenes) for leaf, like in leaves(tree)]
 
 
 def shown(one: Standing) -> dict[str, str]:
