@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pandas as pd
 
@@ -86,7 +88,7 @@ def sizes(found: Population) -> list[tuple[str, str, int]]:
     enough = pd.Series({s: found.scores["primitives"].loc[s, found.enough(s)[1]] for s in found.psnr.index})
     if enough.isna().any():
         return []
-    tree = failure_map(found.attributes.loc[enough.index], np.log(enough)).tree
+    tree = failure_map(found.attributes.loc[enough.index], enough.map(math.log)).tree
     return [(like, f"{float(f'{np.exp(leaf.mean):.2g}'):,.0f}", leaf.scenes) for leaf, like in leaves(tree)]
 
 
