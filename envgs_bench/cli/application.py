@@ -20,7 +20,6 @@ from envgs_bench.plain_text import plain
 from envgs_bench.runs.display import make_display
 from envgs_bench.runs.interruption import INTERRUPTION
 from envgs_bench.runs.output import unbreakable_output
-from envgs_bench.runs.started_run import begin_starter, forks
 from envgs_bench.settings import SettingsError
 from envgs_bench.stages.stop import INTERRUPTED
 
@@ -128,8 +127,6 @@ def _application(config: DictConfig) -> None:
 
 def _run_composed(config: DictConfig) -> None:
     """The job of this configuration: its run, its outcome in the summary."""
-    if forks() and _plan is None:
-        begin_starter()  # which imports while this process does
     from envgs_bench.runs.job import located, run_job
 
     from .choices import check_choices

@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
-from envgs_bench.runs.started_run import begin_starter, forks
-
 DESCRIPTION = """\
 Train, render, score and time methods on data sets; one folder and one record.json a run.
 
@@ -39,8 +37,6 @@ data sets as YAML files), hydra/launcher=joblib (jobs in parallel).
 Exit status: 0 all runs ok, 1 some not, 2 wrong arguments, 130 interrupted.
 """
 
-ELSEWHERE = ("hydra/launcher=", "-c", "--cfg")  # arguments with which no run is started from this process
-
 
 def main(arguments: Sequence[str]) -> int:
     """Run the jobs that `arguments` describe; the exit status."""
@@ -53,8 +49,6 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--dry-run", action="store_true", help="list the runs, those that are done, and the hours left")
     options, overrides = parser.parse_known_args(arguments)
-    if forks() and not (options.dry_run or any(one.startswith(ELSEWHERE) for one in overrides)):
-        begin_starter()  # which imports while this process does
     from .application import run
 
     return run(overrides, dry=options.dry_run)

@@ -26,6 +26,7 @@ class Draft:
         self.folder = folder
         self.settings = settings
         self.started = now()
+        self.busy = provenance.busy()
         self.checkout = provenance.checkout()
         self.results = Results(settings.dataset_name, settings.steps)
 
@@ -33,7 +34,7 @@ class Draft:
         """Write record.json; the record that was written."""
         settings, results = self.settings, self.results
         protocol = get_protocol(settings.protocol)
-        source = self.checkout | provenance.collect(settings.device)
+        source = self.checkout | provenance.collect(settings.device, self.busy)
         source["command"] = shlex.join(["envgs-bench", "run", *settings.overrides])  # the user's, not this process's
         source["method"] = described(settings.method.name, settings.method.kind)
         if failure is not None:

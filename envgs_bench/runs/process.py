@@ -22,7 +22,7 @@ from .gpus import Place, placed
 from .interruption import Interruption
 from .log import BoundedLog, log_tail
 from .processes import end_all_of, end_group
-from .started_run import FreshRun, StartedRun, forks
+from .started_run import StartedRun
 
 # How long a process may take to write its record once its time is up or it was interrupted.
 GRACE_SECONDS = 20.0
@@ -45,7 +45,7 @@ def _run_placed(
     folder: Path, settings: RunSettings, run_lock: RunLock, place: Place, display: Display, interruption: Interruption
 ) -> None:
     draft = Draft(folder, settings)
-    process = (StartedRun if forks() else FreshRun)(folder, run_lock.handle, place.environment, place.handles)
+    process = StartedRun(folder, settings.device, run_lock.handle, place.environment, place.handles)
     log = BoundedLog(process.stderr, folder)
     listener = _Listener(process, run_lock, display, draft)
     try:
@@ -71,7 +71,7 @@ class _Listener(threading.Thread):
     What it trains without and warns of goes into the draft too, lest the process leave no record.
     """
 
-    def __init__(self, process: StartedRun | FreshRun, run_lock: RunLock, display: Display, draft: Draft) -> None:
+    def __init__(self, process: StartedRun, run_lock: RunLock, display: Display, draft: Draft) -> None:
         super().__init__(daemon=True)
         self._process, self._run_lock, self._display, self._draft = process, run_lock, display, draft
         self.shows = True
@@ -109,7 +109,7 @@ def _started(display: Display, title: str) -> bool:
     return True
 
 
-def _await(process: StartedRun | FreshRun, settings: RunSettings, interruption: Interruption) -> Ending:
+def _await(process: StartedRun, settings: RunSettings, interruption: Interruption) -> Ending:
     """Wait for the process's end, and pass on to it that the sweep is to end."""
     limit = None if settings.timeout_minutes is None else 60 * settings.timeout_minutes + GRACE_SECONDS
     deadline = None if limit is None else time.monotonic() + limit

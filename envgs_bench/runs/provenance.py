@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import sys
 import time
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ import torch
 from envgs_bench.core import cpu
 
 PACKAGE = "envgs-bench"
+
+Busy = tuple[float, float, float]  # seconds on the wall, of all cores' work, of this process's and its ended children's
 
 # Those whose version can change a result or a time.
 PACKAGES = (
@@ -44,11 +47,12 @@ GPU_FIELDS = {
 }
 
 
-def collect(device: str) -> dict[str, Any]:
+def collect(device: str, since: Busy) -> dict[str, Any]:
     """What there is to know, as plain JSON values; whatever cannot be found out is None.
 
     Args:
         device: where the method ran, "cpu", "cuda" or "cuda:<index>".
+        since: `busy()` of when the run began.
 
     Returns:
         version, python, platform, packages, machine, device, threads, command.
@@ -58,14 +62,14 @@ def collect(device: str) -> dict[str, Any]:
         "python": platform.python_version(),
         "platform": platform.platform(),
         "packages": {name: found for name in PACKAGES if (found := _version(name))},
-        "machine": _machine(),
+        "machine": _machine(since),
         "device": _gpu(torch.device(device)) if device.startswith("cuda") else {"type": "cpu", "name": _cpu_model()},
         "threads": torch.get_num_threads(),
         "command": shlex.join(sys.orig_argv),
     }
 
 
-def _machine() -> dict[str, Any]:
+def _machine(since: Busy) -> dict[str, Any]:
     return {
         "cpu": _cpu_model(),
         "cpu_target": cpu.target,
@@ -73,7 +77,7 @@ def _machine() -> dict[str, Any]:
         "logical_cores": os.cpu_count(),
         "usable_cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "memory_bytes": psutil.virtual_memory().total,
-        "others_cores": _others_cores(),
+        "others_cores": _others_cores(since),
     }
 
 
@@ -107,11 +111,12 @@ def _gpu(device: torch.device) -> dict[str, Any]:
     return found
 
 
+@cache
 def checkout() -> dict[str, Any]:
     """`commit` of the checkout that this file is tracked in, and whether tracked files differ from it: `dirty`.
 
-    Both None outside of a checkout. To be asked for when a run starts, which is when its code is read: somebody may
-    commit before it ends.
+    Both None outside of a checkout. As it was when this was asked for first, in this process or the one that it was
+    forked from, which is when the code was read: somebody may commit before a run ends.
     """
     here = Path(__file__).resolve()
     git = ["git", "-C", str(here.parent)]
@@ -145,18 +150,15 @@ def _version(package: str) -> str | None:
         return None
 
 
-def _busy_seconds() -> tuple[float, float, float]:
-    """Seconds on the wall, of all cores' work, and of this process's and its ended children's."""
+def busy() -> Busy:
+    """Of this moment."""
     cores, own = psutil.cpu_times(), psutil.Process().cpu_times()
-    busy = cores.user + cores.system + getattr(cores, "nice", 0.0)
+    all_work = cores.user + cores.system + getattr(cores, "nice", 0.0)
     mine = own.user + own.system + getattr(own, "children_user", 0.0) + getattr(own, "children_system", 0.0)
-    return time.perf_counter(), busy, mine
+    return time.perf_counter(), all_work, mine
 
 
-def _others_cores() -> float | None:
-    """How many cores others kept busy, on average since this module was imported. 0 means the machine was ours."""
-    wall, busy, mine = (now - then for now, then in zip(_busy_seconds(), _AT_IMPORT, strict=True))
-    return round(max(0.0, busy - mine) / wall, 2) if wall > 1 else None  # the system counts in steps of 10 ms
-
-
-_AT_IMPORT = _busy_seconds()
+def _others_cores(since: Busy) -> float | None:
+    """How many cores others kept busy, on average. 0 means the machine was ours."""
+    wall, all_work, mine = (now - then for now, then in zip(busy(), since, strict=True))
+    return round(max(0.0, all_work - mine) / wall, 2) if wall > 1 else None  # the system counts in steps of 10 ms

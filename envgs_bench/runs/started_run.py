@@ -9,17 +9,10 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO
 
-from .processes import JOB_VARIABLE, LOCK_VARIABLE, RUN_VARIABLE
-from .starter import NUMBER, WORKER, Request, environment_of_starter
+from .starter import FORKS, NUMBER, Request, environment_of_starter
 
 CHANGING = ("ENVGS_BENCH_SWEEP", "ENVGS_BENCH_PAGE", "HYDRA_")  # how variables begin that a sweep itself sets
-
-
-def forks() -> bool:
-    """Whether runs are forked from a process that has imported all: on trial."""
-    return bool(os.environ.get("ENVGS_BENCH_STARTER"))
 
 
 class Starter:
@@ -54,8 +47,8 @@ class Starter:
 _starter: Starter | None = None  # of this process
 
 
-def begin_starter() -> Starter:
-    """The starter of this process. It begins to import where it is not there yet: call it before a run is to start."""
+def starter_here() -> Starter:
+    """The starter of this process; a new one where there is none, or where libraries would read something else now."""
     global _starter
     if _starter is not None and not _starter.serves:
         _starter.end()
@@ -78,31 +71,37 @@ class StartedRun:
         returncode: how it ended, as of subprocess.Popen; None as long as that is not known.
     """
 
-    def __init__(self, folder: Path, lock: int, environment: Mapping[str, str], handles: tuple[int, ...]) -> None:
+    def __init__(
+        self, folder: Path, device: str, lock: int, environment: Mapping[str, str], handles: tuple[int, ...]
+    ) -> None:
         """Start it on the run in `folder`.
 
         Args:
+            device: "cpu" or "cuda", which it runs on.
             lock: the open file of the run's lock, which the process keeps until it ends, and nothing that it starts.
             environment: what its environment has besides this process's.
             handles: other open files that it keeps.
 
-        Raises:
-            OSError: the starter is gone.
         """
-        self._starter = begin_starter()
+        self._starter = starter_here()
         self.returncode: int | None = None
         outputs = [os.pipe(), os.pipe()]
         ends = tuple(written for _, written in outputs)
         self.stdout, self.stderr = (os.fdopen(read, "rb") for read, _ in outputs)
         try:
             given = {**os.environ, **environment}
-            Request(str(folder), os.getcwd(), given, (*ends, lock, *handles)).send(self._starter.channel)
+            forked = FORKS and device == "cpu"
+            Request(str(folder), os.getcwd(), given, forked, (*ends, lock, *handles)).send(self._starter.channel)
         except OSError:
             pass  # it has ended, which is found below
         finally:
             for end in ends:
                 os.close(end)
-        number = self._starter.channel.recv(NUMBER.size, socket.MSG_WAITALL)
+        try:
+            number = self._starter.channel.recv(NUMBER.size, socket.MSG_WAITALL)
+        except BaseException:  # Ctrl-C where nobody holds it: no run is left that nobody waits for
+            self._starter.end()
+            raise
         if not number:
             self.returncode = self._starter.process.wait()
         self.pid = NUMBER.unpack(number)[0] if number else self._starter.process.pid
@@ -135,28 +134,3 @@ class StartedRun:
     def send_signal(self, number: int) -> None:
         if self.poll() is None:
             os.kill(self.pid, number)
-
-
-class FreshRun(subprocess.Popen[bytes]):
-    """The process of a run, started anew."""
-
-    stdout: IO[bytes]
-    stderr: IO[bytes]
-
-    def __init__(self, folder: Path, lock: int, environment: Mapping[str, str], handles: tuple[int, ...]) -> None:
-        own = {RUN_VARIABLE: str(folder), JOB_VARIABLE: str(os.getpid()), LOCK_VARIABLE: str(lock)}
-        super().__init__(
-            [sys.executable, "-P", "-u", "-m", WORKER, str(folder)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env={**os.environ, **own, **environment},
-            start_new_session=True,  # Ctrl-C reaches this process, which passes it on
-            pass_fds=(lock, *handles),
-        )
-
-    def wait(self, timeout: float | None = None) -> int:
-        try:
-            return super().wait(timeout)
-        except subprocess.TimeoutExpired:
-            raise TimeoutError from None

@@ -1,8 +1,8 @@
-"""Starter: a process that has imported what a run imports, and forks a run's process whenever its job asks for one.
+"""Starter: a process that imports what a run imports, and forks a run's process whenever its job asks for one.
 
 `python -m envgs_bench.runs.starter <socket>`, started by the process whose jobs it serves (`started_run.py`), which it
 ends with. Of a request it makes a run's process, says its number, and says how it ended, one after the other. A fork
-costs a hundredth of the imports. No GPU is looked at here: after a fork it could not be used.
+costs a hundredth of the imports. No GPU is looked at here, and a run on one is started anew: forks were tried on CPUs.
 """
 
 from __future__ import annotations
@@ -41,16 +41,18 @@ class Request:
         folder: the run's, as it is to be written into the environment.
         directory: the working directory.
         environment: all of it.
+        forked: whether it is a fork that has imported all, or a program that begins anew.
         handles: open files: standard output, standard error, the run's lock, and what else the process keeps.
     """
 
     folder: str
     directory: str
     environment: dict[str, str]
+    forked: bool
     handles: tuple[int, ...]
 
     def send(self, channel: socket.socket) -> None:
-        content = json.dumps([self.folder, self.directory, self.environment]).encode()
+        content = json.dumps([self.folder, self.directory, self.environment, self.forked]).encode()
         socket.send_fds(channel, [NUMBER.pack(len(content))], list(self.handles))
         channel.sendall(content)
 
@@ -61,8 +63,8 @@ class Request:
         if not length:
             return None
         content = channel.recv(NUMBER.unpack(length)[0], socket.MSG_WAITALL)
-        folder, directory, environment = json.loads(content)
-        return cls(folder, directory, environment, tuple(handles))
+        folder, directory, environment, forked = json.loads(content)
+        return cls(folder, directory, environment, forked, tuple(handles))
 
 
 def main(arguments: list[str]) -> int:
@@ -70,9 +72,9 @@ def main(arguments: list[str]) -> int:
     end_with(int(os.environ[JOB_VARIABLE]))
     channel = socket.socket(fileno=int(arguments[0]))
     channel.set_inheritable(False)
-    if FORKS:
-        _import_all()
     while (request := Request.received(channel)) is not None:
+        if request.forked:
+            _import_all()
         starter, number = os.getpid(), os.fork()
         if not number:
             channel.close()
@@ -88,10 +90,14 @@ def main(arguments: list[str]) -> int:
 
 
 def _import_all() -> None:
-    """Import what runs need. What fails here fails in the run as well, whose log says why."""
+    """Import what runs need, once. What fails here fails in the run as well, whose log says why."""
+    if WORKER in sys.modules:
+        return
     for name in IMPORTED:
         with suppress(Exception):
             importlib.import_module(name)
+    with suppress(Exception):
+        importlib.import_module(f"{__package__}.provenance").checkout()
     gc.collect()
     gc.freeze()  # a collection in a fork would copy each page that it marks
 
@@ -109,7 +115,7 @@ def _become(request: Request, starter: int) -> NoReturn:
         own = {RUN_VARIABLE: request.folder, JOB_VARIABLE: str(starter), LOCK_VARIABLE: str(lock)}
         os.environ.clear()
         os.environ.update(request.environment | own)
-        if not FORKS:
+        if not request.forked:
             for handle in request.handles[2:]:
                 os.set_inheritable(handle, True)
             os.execv(sys.executable, [sys.executable, "-P", "-u", "-m", WORKER, request.folder])

@@ -13,7 +13,7 @@ import torch
 
 from envgs_bench.core import cpu
 from envgs_bench.runs import provenance
-from envgs_bench.runs.provenance import collect
+from envgs_bench.runs.provenance import busy, collect
 from envgs_bench.stages.cost import peak_device_bytes, peak_host_bytes
 
 REPOSITORY = Path(provenance.__file__).resolve().parents[2]
@@ -24,7 +24,7 @@ def git(*arguments):
 
 
 def test_provenance_is_plain_json_and_names_versions_machine_and_threads():
-    found = collect("cpu")
+    found = collect("cpu", busy())
     assert json.loads(json.dumps(found)) == found
     assert found["packages"]["torch"] == version("torch")
     assert found["python"] == ".".join(map(str, sys.version_info[:3]))
@@ -38,7 +38,7 @@ def test_provenance_is_plain_json_and_names_versions_machine_and_threads():
 
 @pytest.mark.skipif(not (REPOSITORY / ".git").exists(), reason="not a git checkout")
 def test_commit_and_dirty_are_gits():
-    found = provenance.checkout()
+    found = provenance.checkout.__wrapped__()
     assert found["commit"] == git("rev-parse", "HEAD").strip()
     assert found["dirty"] == bool(git("status", "--porcelain", "--untracked-files=no"))
 
@@ -46,9 +46,9 @@ def test_commit_and_dirty_are_gits():
 def test_an_installed_copy_has_no_commit(monkeypatch, tmp_path):
     """Neither outside any checkout nor, untracked, inside somebody else's."""
     monkeypatch.setattr(provenance, "__file__", str(tmp_path / "provenance.py"))
-    assert provenance.checkout() == {"commit": None, "dirty": None}
+    assert provenance.checkout.__wrapped__() == {"commit": None, "dirty": None}
     monkeypatch.setattr(provenance, "__file__", str(REPOSITORY / "no_such_file.py"))
-    assert provenance.checkout() == {"commit": None, "dirty": None}
+    assert provenance.checkout.__wrapped__() == {"commit": None, "dirty": None}
 
 
 def test_missing_slow_and_failing_commands_give_none(monkeypatch):
@@ -60,11 +60,10 @@ def test_missing_slow_and_failing_commands_give_none(monkeypatch):
 
 def test_others_are_what_is_left_of_the_machines_work(monkeypatch):
     """5 s of 25 s of work in 10 s were ours: others kept two cores busy."""
-    monkeypatch.setattr(provenance, "_AT_IMPORT", (100.0, 1000.0, 50.0))
-    monkeypatch.setattr(provenance, "_busy_seconds", lambda: (110.0, 1025.0, 55.0))
-    assert provenance._others_cores() == 2.0
-    monkeypatch.setattr(provenance, "_busy_seconds", lambda: (100.1, 1000.1, 50.0))
-    assert provenance._others_cores() is None
+    monkeypatch.setattr(provenance, "busy", lambda: (110.0, 1025.0, 55.0))
+    assert provenance._others_cores((100.0, 1000.0, 50.0)) == 2.0
+    monkeypatch.setattr(provenance, "busy", lambda: (100.1, 1000.1, 50.0))
+    assert provenance._others_cores((100.0, 1000.0, 50.0)) is None
 
 
 def test_peak_memory_is_in_bytes():
@@ -81,7 +80,7 @@ def test_peak_memory_is_in_bytes():
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 def test_a_gpu_is_named_with_driver_and_clocks():
-    found = collect("cuda")["device"]
+    found = collect("cuda", busy())["device"]
     assert found["name"] == torch.cuda.get_device_name()
     assert set(provenance.GPU_FIELDS) < set(found)
     torch.zeros(1 << 20, device="cuda")

@@ -22,13 +22,15 @@ from envgs_bench.runs.processes import JOB_VARIABLE, LOCK_VARIABLE, RUN_VARIABLE
 
 def forked_processes() -> AbstractContextManager[object]:
     """Within it, runs' processes are forked from this one: with signals, pipes and ends of their own."""
-    return patch.multiple("envgs_bench.runs.process", StartedRun=_Forked, FreshRun=_Forked)
+    return patch("envgs_bench.runs.process.StartedRun", _Forked)
 
 
 class _Forked(subprocess.Popen[bytes]):
     """A `StartedRun` without a starter: its command is never executed, its process does the work."""
 
-    def __init__(self, folder: Path, lock: int, environment: Mapping[str, str], handles: tuple[int, ...]) -> None:
+    def __init__(
+        self, folder: Path, device: str, lock: int, environment: Mapping[str, str], handles: tuple[int, ...]
+    ) -> None:
         own = {RUN_VARIABLE: str(folder), JOB_VARIABLE: str(os.getpid()), LOCK_VARIABLE: str(lock)}
         kept = (lock, *handles)
         super().__init__(
