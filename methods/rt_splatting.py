@@ -40,7 +40,7 @@ LEARNED = ("surface_opacity", "transmission")  # what losses read of a picture, 
 class RTSplatting(GaussianMethod):
     """RT-Splatting (CVPR 2026). Transparency masks are an input: the region `transmissive` of the training views."""
 
-    card = MethodCard("rt_splatting", "RT-Splatting", 104, "#AA7744")
+    card = MethodCard("ref_gs", "RT-Splatting", 104, "#889999")  # whose map it has
     Settings: ClassVar[type] = RTSplattingSettings
     settings: RTSplattingSettings
     axes = 2
