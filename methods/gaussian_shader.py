@@ -58,11 +58,9 @@ class GaussianShader(GaussianMethod):
 
     def policies(self, schedule: Schedule, scene: Scene | None) -> dict[str, SetPolicy]:
         base = super().policies(schedule, scene)[BASE]
-        start = replace(base.start, materials=self._materials, material_columns=MATERIALS)
-        materials = dict.fromkeys(MATERIALS, self.settings.material_lr)
-        materials[INNER] = self.settings.inner_lr * schedule.rate_scale
-        rates = replace(base.rates, materials=materials)
-        return {BASE: replace(base, start=start, rates=rates)}
+        rates = dict.fromkeys(MATERIALS, self.settings.material_lr)
+        rates[INNER] = self.settings.inner_lr * schedule.rate_scale
+        return {BASE: base.with_materials(self._materials, MATERIALS, rates)}
 
     def _materials(self, count: int) -> dict[str, Tensor]:
         materials = {name: torch.zeros(count, columns, device=self.device) for name, columns in MATERIALS.items()}

@@ -75,8 +75,7 @@ class RefGaussian(GaussianMethod):
             "indirect_rest": s.indirect_lr * scale / 20,
         }
         base = reflecting_policy(s, schedule, scene)
-        start = replace(base.start, materials=self._materials, material_columns=MATERIALS)
-        return {BASE: replace(base, start=start, rates=replace(base.rates, materials=rates))}
+        return {BASE: base.with_materials(self._materials, MATERIALS, rates)}
 
     def _materials(self, count: int) -> dict[str, Tensor]:
         noise = ALBEDO_NOISE * (2 * torch.rand(count, 3, generator=self.generator) - 1)

@@ -57,12 +57,8 @@ class RefGS(GaussianMethod):
         rates = {"albedo_logs": s.albedo_lr * scale, "roughness_logits": s.feature_lr * scale}
         rates |= {"feature_logits": s.feature_lr * scale}
         base = super().policies(schedule, scene)[BASE]
-        base = replace(
-            base,
-            start=replace(base.start, materials=lambda count: self._zeros(count, columns), material_columns=columns),
-            rates=replace(base.rates, materials=rates),
-            sh_degree=base.sh_degree if s.scope_radius else 0,
-        )
+        base = base.with_materials(lambda count: self._zeros(count, columns), columns, rates)
+        base = replace(base, sh_degree=base.sh_degree if s.scope_radius else 0)
         return {BASE: base} | ({ENV: self._near_policy(base)} if s.near_count else {})
 
     def _near_policy(self, base: SetPolicy) -> SetPolicy:

@@ -61,8 +61,7 @@ class RTSplatting(GaussianMethod):
             "transmission_logits": s.transmission_lr * scale,
         }
         base = super().policies(schedule, scene)[BASE]
-        start = replace(base.start, materials=self._zeros, material_columns=SURFACE)
-        return {BASE: replace(base, start=start, rates=replace(base.rates, materials=rates))}
+        return {BASE: base.with_materials(self._zeros, SURFACE, rates)}
 
     def _zeros(self, count: int) -> dict[str, Tensor]:
         return {name: torch.zeros(count, size, device=self.device) for name, size in SURFACE.items()}

@@ -61,9 +61,8 @@ class ThreeIGS(GaussianMethod):
 
     def policies(self, schedule: Schedule, scene: Scene | None) -> dict[str, SetPolicy]:
         base = super().policies(schedule, scene)[BASE]
-        start = replace(base.start, materials=self._materials, material_columns=MATERIALS)
         rate = self.settings.brdf_lr * schedule.rate_scale
-        return {BASE: replace(base, start=start, rates=replace(base.rates, materials=dict.fromkeys(MATERIALS, rate)))}
+        return {BASE: base.with_materials(self._materials, MATERIALS, dict.fromkeys(MATERIALS, rate))}
 
     def _materials(self, count: int) -> dict[str, Tensor]:
         roughness = torch.rand(count, 1, generator=self.generator)

@@ -121,6 +121,13 @@ class SetPolicy:
         own = 4 * sum(self.start.material_columns.values())
         return primitive_bytes(axes, self.sh_degree, self.start.beta is not None) + own
 
+    def with_materials(
+        self, materials: Callable[[int], dict[str, Tensor]], columns: Mapping[str, int], rates: Mapping[str, float]
+    ) -> SetPolicy:
+        """The same for primitives with fields of a method's own: `Start`'s materials and columns, and their rates."""
+        start = replace(self.start, materials=materials, material_columns=columns)
+        return replace(self, start=start, rates=replace(self.rates, materials=rates))
+
     def position_rate(self, step: int, radius: float) -> float:
         """World units, in a scene of that radius."""
         rate = self.schedule.rate(step, *self.position_lr) * self.schedule.rate_scale * radius
