@@ -117,7 +117,7 @@ class GaussianMethod(Method):
             view: the training view, camera and normals on the method's device.
         """
         trusted = None if self.reflection is None else self.reflection.mono_weights
-        perceptual = self.perceptual if self.needs.perceptual else None
+        perceptual = self.perceptual if self.settings.perceptual_weight > 0 else None
         return self.runner.loss.terms(rendering, target, view, step, trusted, perceptual) | self.model.losses()
 
     def phase(self, step: int) -> Hashable:
@@ -134,12 +134,9 @@ class GaussianMethod(Method):
     @property
     def needs(self) -> Needs:
         s = self.settings
-        masks = getattr(s, "planes", "") == "masks" or getattr(s, "mask_weight", 0) > 0
-        ball = getattr(s, "scope_radius", 0) > 0
-        given = (("normals", s.mono_weight > 0), ("masks", masks), ("ball", ball))
         return Needs(
             perceptual=s.rule.perceptual_loss if s.perceptual_weight > 0 else None,
-            given=tuple(name for name, uses in given if uses),
+            given=s.given,
             clearance=NEAR,
             agreed_normals=s.rule.normals == "agreed" and s.mono_weight > 0,
         )
@@ -165,7 +162,7 @@ class GaussianMethod(Method):
         schedule = Schedule(steps, s.rule.stretches, s.rule.reference_steps)
         pilot = partial(fresh, self, s.ruled(normals="as_given"))  # whose views agree already
         learned = learned_normals(scene, steps, self.needs.agreed_normals, self.found, pilot)
-        if getattr(s, "planes", "") == "masks":
+        if not s.normals_of_glass:
             learned = learned.outside_glass(scene)
         self.notes = list(learned.notes)
         self.runner.loss = TrainingLoss(s, schedule, learned.weight)
@@ -191,7 +188,8 @@ class GaussianMethod(Method):
 
     def training_step(self, view: View, step: int) -> dict[str, Tensor]:
         # A perceptual loss is a large network's, which is worth all threads.
-        threads = nullcontext() if self.needs.perceptual else suited_threads(self.model, view.camera)
+        perceives = self.settings.perceptual_weight > 0
+        threads = nullcontext() if perceives else suited_threads(self.model, view.camera)
         stream = on_own_stream(self.device) if self.device.type == "cuda" else nullcontext()
         with stream, threads:
             view = self.runner.views.on_device(view)

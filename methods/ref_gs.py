@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar
 
 import torch
-from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics
 from envgs_bench.parts import BASE, ENV, REFLECTION, MethodCard
@@ -22,7 +22,7 @@ from .envgs import environment_box
 from .gaussian_method import GaussianMethod
 from .gaussians.model import GaussianModel
 from .gaussians.parameters import SH_DC
-from .gaussians.policy import INITIAL_OPACITY, SetPolicy, Start
+from .gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, zeros
 from .gaussians.regions import Scope
 from .lighting.feature_light import FEATURES, LEAST_ALPHA, FeatureLight
 from .lighting.settings import RefGSSettings
@@ -57,18 +57,15 @@ class RefGS(GaussianMethod):
         rates = {"albedo_logs": s.albedo_lr * scale, "roughness_logits": s.feature_lr * scale}
         rates |= {"feature_logits": s.feature_lr * scale}
         base = super().policies(schedule, scene)[BASE]
-        base = base.with_materials(lambda count: self._zeros(count, columns), columns, rates)
+        base = base.with_materials(partial(zeros, columns), columns, rates)
         base = replace(base, sh_degree=base.sh_degree if s.scope_radius else 0)
         return {BASE: base} | ({ENV: self._near_policy(base)} if s.near_count else {})
 
     def _near_policy(self, base: SetPolicy) -> SetPolicy:
         """The base's, but for what starts it."""
-        start = Start(INITIAL_OPACITY, "random", None, lambda count: self._zeros(count, FEATURE), FEATURE)
+        start = Start(INITIAL_OPACITY, "random", None, partial(zeros, FEATURE), FEATURE)
         young = base.schedule.at(self.settings.warm_up) + RECOVERY
         return replace(base, name=ENV, start=start, sh_degree=0, young_until=young, growth="gradient")
-
-    def _zeros(self, count: int, columns: dict[str, int]) -> dict[str, Tensor]:
-        return {name: torch.zeros(count, size, device=self.device) for name, size in columns.items()}
 
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
         base = self.model.rasterize(camera, step)

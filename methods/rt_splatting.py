@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar
 
 import torch
@@ -19,7 +20,7 @@ from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, 
 from envgs_bench.parts import BASE, REFLECTION, TRANSMISSIVE, MethodCard
 
 from .gaussian_method import GaussianMethod
-from .gaussians.policy import SetPolicy
+from .gaussians.policy import SetPolicy, zeros
 from .gaussians.regions import Scope
 from .gaussians.trained_set import RESET_OPACITY
 from .lighting.feature_light import FEATURES, MOST_LOG, FeatureLight
@@ -61,10 +62,7 @@ class RTSplatting(GaussianMethod):
             "transmission_logits": s.transmission_lr * scale,
         }
         base = super().policies(schedule, scene)[BASE]
-        return {BASE: base.with_materials(self._zeros, SURFACE, rates)}
-
-    def _zeros(self, count: int) -> dict[str, Tensor]:
-        return {name: torch.zeros(count, size, device=self.device) for name, size in SURFACE.items()}
+        return {BASE: base.with_materials(partial(zeros, SURFACE), SURFACE, rates)}
 
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
         gaussians = self.model.gaussians(BASE, step)

@@ -108,6 +108,16 @@ class GaussianSettings(LossesGroup, GrowthGroup, RatesGroup, RunGroup):
         if self.rule.growth == "mcmc" and not (self.max_primitives or self.pixels_per_primitive):
             raise ValueError("growth mcmc fills a size limit: set max_primitives or pixels_per_primitive above 0")
 
+    @property
+    def given(self) -> tuple[str, ...]:
+        """What is used of the data besides photographs, poses and points, where these have it: GIVEN's keys."""
+        return ("normals",) if self.mono_weight > 0 else ()
+
+    @property
+    def normals_of_glass(self) -> bool:
+        """Whether the views' normals are learned of what their masks call transmissive too."""
+        return True
+
 
 @dataclass(frozen=True)
 class PublishedSettings(GaussianSettings):

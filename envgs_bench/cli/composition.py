@@ -7,7 +7,7 @@ import difflib
 import shlex
 import sys
 from collections.abc import Collection, Iterable, Mapping
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any, get_args
 
@@ -108,8 +108,6 @@ def register_choices(overrides: Iterable[str] = ()) -> None:
     method=package.module:Class.
     """
     store = ConfigStore.instance()
-    # Each composition copies the whole store, and again what it takes of that: the second copy is enough.
-    store.__deepcopy__ = partial(_uncopied, store)  # type: ignore[attr-defined]
     for kind in DATASET_KINDS:
         _offer_dataset(kind)
     for preset in _presets():
@@ -124,10 +122,6 @@ def register_choices(overrides: Iterable[str] = ()) -> None:
         except Exception as error:
             named = kind in str(error)
             print(error if named else f"method {kind} of {path} cannot be loaded: {error}", file=sys.stderr)
-
-
-def _uncopied(store: ConfigStore, memo: object) -> ConfigStore:
-    return store  # launchers pickle it: no lambda
 
 
 @cache  # as below

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
+import torch
 from torch import Tensor
 
 from envgs_bench.core import Camera, Scene, Statistics
@@ -169,6 +170,11 @@ class SetPolicy:
 
     def opacity_reset(self, action: Callable[[int], object]) -> Every:
         return Every(f"reset_{self.name}_opacity", action, also=self.resets.due, recovery=self.resets.floor)
+
+
+def zeros(columns: Mapping[str, int], count: int) -> dict[str, Tensor]:
+    """Fields [count, K] of 0 by name, of so many columns each: `Start.materials`, once the columns are given."""
+    return {name: torch.zeros(count, size) for name, size in columns.items()}
 
 
 def base_policy(

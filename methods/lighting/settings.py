@@ -71,6 +71,14 @@ class EnvGSSettings(SitesGroup, ReflectionSettings):
     planes: Literal["none", "masks", "photographs"] = "none"  # flat mirrors and panes, proposed by the one or the other
     reflection_pilot: bool = False  # a pilot run finds out what mirrored rays explain; if nothing, train as 2DGS
 
+    @property
+    def given(self) -> tuple[str, ...]:
+        return super().given + (("masks",) if self.planes == "masks" else ())
+
+    @property
+    def normals_of_glass(self) -> bool:
+        return self.planes != "masks"  # what shows in a pane lies behind it
+
 
 # PublishedSettings stands first, so that all that every Gaussian method has is as in 3DGS's released code.
 @dataclass(frozen=True)
@@ -94,6 +102,10 @@ class DeferredReflectionSettings(PublishedSettings, EnvMapSettings):
     disturb_every: Steps = 1_000
     disturb_until: Steps = 24_000
     scope_radius: Amount = 0.0  # the ball that may reflect, × the cameras' mean distance from its middle; 0: everything
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        return super().given + (("ball",) if self.scope_radius > 0 else ())
 
 
 # PublishedSettings stands first, so that all that every Gaussian method has is as in 2DGS's released code.
@@ -174,6 +186,10 @@ class FeatureMapSettings(PublishedSettings):
     map_lr: Rate = 2e-3  # learning rate of the map
     network_lr: Rate = 5e-4  # learning rate of the network
 
+    @property
+    def given(self) -> tuple[str, ...]:
+        return super().given + (("ball",) if self.scope_radius > 0 else ())
+
 
 @dataclass(frozen=True)
 class RefGSSettings(FeatureMapSettings):
@@ -196,3 +212,7 @@ class RTSplattingSettings(FeatureMapSettings):
     mask_weight: Amount = 0.01  # weight of what masks of the transparent say; 0: masks are not used
     reflectance_lr: Rate = 5e-3  # learning rate of the reflectances' logits
     transmission_lr: Rate = 1e-2  # learning rate of the transmissivities' logits
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        return super().given + (("masks",) if self.mask_weight > 0 else ())
