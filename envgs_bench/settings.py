@@ -64,12 +64,13 @@ class Gates(BaseModel):
 
 
 class BudgetChoice(BaseModel):
-    """The most that the model may have at any step, whichever the method; None: no such limit."""
+    """The most that the model may have at any step, or take at the end, whichever the method; None: no such limit."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     primitives: Annotated[int, Field(ge=1)] | None = None
     mb: Annotated[float, Field(gt=0)] | None = None  # 10⁶ bytes as float32
+    frame_ms: Annotated[float, Field(gt=0)] | None = None  # a picture's, as it is timed at the end
 
 
 class LoggerChoice(BaseModel):

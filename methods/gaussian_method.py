@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -12,14 +12,15 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, Rendering, Scene, Statistics, View, torch_on_one_thread
+from envgs_bench.core import Camera, Rendering, Scene, Statistics, View
 from envgs_bench.parts import BASE, MONO
 
 from .gaussians.budget import SharedBudget
+from .gaussians.drawn_views import DrawnViews
 from .gaussians.model import NEAR, GaussianModel
 from .gaussians.monitor import GaussianMonitor
 from .gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, base_policy, initial_rates
-from .gaussians.pruning import Prunings, events_of
+from .gaussians.pruning import Prunings, events_of, prune_to
 from .gaussians.relocation import PositionNoise
 from .lighting.reflection import Reflection
 from .method import Budget, Method, Needs
@@ -33,9 +34,6 @@ from .training.resident_views import ResidentViews
 from .training.schedule import Part, Schedule
 from .training.seen_through_pilot import learned_normals
 from .training.step_runner import StepRunner, Work, parameters_of
-
-SMALL_IMAGE = 1 << 17  # pixels, and
-SMALL_SETS = 1 << 16  # primitives of all sets: a CPU takes longer to share an operation of torch's out than to do it
 
 
 class GaussianMethod(Method):
@@ -56,6 +54,7 @@ class GaussianMethod(Method):
         runner: how steps are taken, and what they minimize.
         pictures: how images are drawn.
         found: what pilot runs have found, by name.
+        drawn: pictures of the training views; None where no training has started.
     """
 
     Settings: ClassVar[type] = GaussianSettings
@@ -66,6 +65,7 @@ class GaussianMethod(Method):
     def __init__(self, settings: GaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
         self.found: dict[str, dict[str, float]] = {}
+        self.drawn: DrawnViews | None = None
         self.model = GaussianModel(settings, self.axes, self.device, self.generator)
         self.model.policies = self.policies(self.model.schedule, None)
         self.reflection: Reflection | None = None
@@ -149,9 +149,17 @@ class GaussianMethod(Method):
         longest = self.settings.rule.longest_run
         return min(steps, longest) if longest else steps
 
+    @torch.no_grad()
     def limit(self, budget: Budget) -> None:
         others = sum(part.most_bytes() for part in self.parts.values())
-        self.model.budget = SharedBudget(budget, self.model.primitive_bytes(), others)
+        shared, before = SharedBudget(budget, self.model.primitive_bytes(), others), self.model.budget
+        self.model.budget = shared
+        if self.drawn is None or budget.primitives is None:
+            return
+        if before is not None:
+            shared.restore_training(before.training_state(), self.device)
+        self.settle()
+        prune_to(self.drawn, budget.primitives)
 
     def initialize(self, scene: Scene, steps: int) -> None:
         s = self.settings
@@ -179,17 +187,17 @@ class GaussianMethod(Method):
             part.start(scene)
         _forget_prepared(self)
         views = ResidentViews.of(self.device, learned)
+        self.drawn = DrawnViews(self.model, self.draw, self.prepare, views.all_of(scene.train))
         prunings = None
         if s.prune_error > 0:
-            prunings = Prunings(self.model, self.draw, self.prepare, views.all_of(scene.train), self.notes)
-            self.parts["prunings"] = prunings
+            prunings = self.parts["prunings"] = Prunings(self.drawn, self.notes)
         of_parts = [event for part in self.parts.values() for event in part.events()]
         self.runner.start(schedule, s.rule.average_from, views, events_of(self.model, prunings, of_parts))
 
     def training_step(self, view: View, step: int) -> dict[str, Tensor]:
         # A perceptual loss is a large network's, which is worth all threads.
         perceives = self.settings.perceptual_weight > 0
-        threads = nullcontext() if perceives else suited_threads(self.model, view.camera)
+        threads = nullcontext() if perceives else self.model.suited_threads(view.camera)
         stream = on_own_stream(self.device) if self.device.type == "cuda" else nullcontext()
         with stream, threads:
             view = self.runner.views.on_device(view)
@@ -215,14 +223,14 @@ class GaussianMethod(Method):
     def render(self, camera: Camera) -> Rendering:
         if not self.model.prepared:
             self.prepare()
-        with suited_threads(self.model, camera):
+        with self.model.suited_threads(camera):
             return self.pictures.rendering(camera)
 
     @torch.no_grad()
     def picture(self, camera: Camera) -> Tensor:
         if not self.model.prepared:
             self.prepare()
-        with suited_threads(self.model, camera):
+        with self.model.suited_threads(camera):
             return self.pictures.color(camera)
 
     @property
@@ -288,14 +296,6 @@ def fresh(method: GaussianMethod, settings: GaussianSettings) -> GaussianMethod:
     if method.model.budget is not None:
         made.limit(method.model.budget.budget)
     return made
-
-
-def suited_threads(model: GaussianModel, camera: Camera) -> AbstractContextManager[None]:
-    """On a CPU, torch's own operations take one thread where the image and the sets are small."""
-    native = model.device.type == "cpu" and model.settings.backend in ("auto", "cpu")
-    if native and camera.width * camera.height <= SMALL_IMAGE and sum(model.primitives().values()) <= SMALL_SETS:
-        return torch_on_one_thread()
-    return nullcontext()
 
 
 def _forget_prepared(method: GaussianMethod) -> None:

@@ -97,7 +97,8 @@ class Method(ABC):
     The harness calls `initialize` once, `training_step` for step 1 to `steps`, then `prepare` and `render`; or `load`
     in place of the training; or `resume` in place of `initialize`, and then the steps that an interruption left out.
     Where a run is logged, it calls `prepare` and `render` between steps too, which must not change what is learned. Of
-    a run with a budget it calls `limit` before all of these. A method gets plain values and knows of no data source and
+    a run with a budget it calls `limit` before all of these. One of frames it keeps itself: it times `picture`, and
+    calls `limit` again. A method gets plain values and knows of no data source and
     no configuration system.
 
     Attributes:
@@ -142,7 +143,10 @@ class Method(ABC):
         return None
 
     def limit(self, budget: Budget) -> None:
-        """Be within `budget` from now on, at every step and picture: called once, before `initialize`, or never.
+        """Be within `budget` from now on, at every step and picture: called before `initialize`, or never.
+
+        Where frames have a limit, it is called again between steps and after the last one, with as many `primitives`
+        as timed frames leave room for, fewer or more than before.
 
         Raises:
             ValueError: the method keeps to no budget, or needs more than that.

@@ -77,6 +77,7 @@ class GrowthGroup:
     opacity_reset_every: Steps = 3_000  # steps between the base set's opacity resets; 0: never
     prune_error: Amount = 0.0  # a pruning removes what adds so much to the training views' squared error; 0: none
     prune_from: Steps = 21_000  # step after which there are prunings, of all sets together
+    prune_by: Literal["importance", "weight", "opacity"] = "importance"  # what goes first; weight: by Σ of T·α
 
 
 @dataclass(frozen=True)

@@ -158,6 +158,8 @@ def _settings(overrides: Sequence[str]) -> list[RunSettings]:
     chosen = [composed([f"method={method}", *others]) for method in methods]
     if foreign := [settings.method.kind for settings in chosen if settings.method.kind in ELSEWHERE]:
         raise SettingsError(f"method={foreign[0]}: another program drew its pictures, nothing of ours trains")
+    if any(settings.budget and settings.budget.frame_ms for settings in chosen):
+        raise SettingsError("budget.frame_ms: frames are not timed between these steps; give budget.primitives or mb")
     return chosen
 
 

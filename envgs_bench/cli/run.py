@@ -22,6 +22,7 @@ Keys of every run:
                       (`envgs-bench list method NAME` lists a method's)
   perturb.kind, perturb.severity      what is wrong on purpose: docs/reference/perturbations.md
   budget.primitives, budget.mb        the most that the model may have at any step: docs/reference/budgets.md
+  budget.frame_ms                     the most that a picture may take at the end, on this device
   protocol, seed, steps, device=auto|cpu|cuda|cuda:1
   runs_dir=runs, cache_dir, timing.frames, timing.seconds
   page=FOLDER         tables, charts and pictures of runs_dir, written again whenever a run ends

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from envgs_bench.run_folder import CHECKPOINT, CURVE_NAME
 from envgs_bench.settings import RunSettings
 
 from .background import Background
-from .budget import limited_method
+from .budget import FrameLimit, limited_method
 from .cost import cost_of, with_files
 from .evaluation import evaluate, evaluate_unseen, scored_views
 from .events import EventListener
@@ -92,12 +93,20 @@ def execute(
     log = None
     if logger and settings.logger:
         log = TrainingLog(logger, method, scene, settings.logger.every, settings.logger.views)
-    training = Training(method, scene, results.steps, settings.seed, log)
+    frames = None
+    if actual.budget and actual.budget.frame_ms:
+        frames = FrameLimit(method, actual.budget, scene, results.steps)
+    training = Training(method, scene, results.steps, settings.seed, log, frames)
+    views = scored_views(scene, settings.score_on)
     stop = stop or Stop()
     snapshots = Snapshots(folder, settings.snapshot_minutes, stop)
     try:
         with stop.deferred():
             training.run(folder / CURVE_NAME, report, snapshots)
+        if frames:
+            report({"stage": "timing"})
+            results.timing = frames.hold(partial(time_frames, method, views, settings.timing))
+            results.notes = [*results.notes, frames.sentence]
     finally:
         results.went_on_from = training.went_on_from
         results.losses = sorted(training.losses)
@@ -109,7 +118,6 @@ def execute(
             results.cost = cost_of(method, training)
             method.save(folder / CHECKPOINT)
     results.cost = cost_of(method, training)  # now: what the scoring takes of memory is not the training's
-    views = scored_views(scene, settings.score_on)
     alignment = alignment_of(settings, scene, protocol)
     with Background(method.device) as background:
         packing = background.begin(with_files, results.cost, method, folder / CHECKPOINT)
@@ -121,8 +129,9 @@ def execute(
                 results.unseen = evaluate_unseen(method, scene, protocol, folder, report)
         finally:
             results.cost = packing.result()
-    report({"stage": "timing"})
-    results.timing = time_frames(method, views, settings.timing)
+    if not frames:  # of a budget of frames, those that decided are the record's
+        report({"stage": "timing"})
+        results.timing = time_frames(method, views, settings.timing)
     write_samples(folder, sampled(method, scene, views))
     snapshots.remove()
 

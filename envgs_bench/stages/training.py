@@ -18,6 +18,7 @@ from envgs_bench.core import Scene, View
 from envgs_bench.memory import peak_host_bytes
 from envgs_bench.methods.method import Method
 
+from .budget import FrameLimit
 from .events import EventListener
 from .health import Health
 from .snapshots import Snapshots, State, random_state, set_random_state
@@ -42,7 +43,15 @@ class Training:
         losses: the terms that the loss of some step so far had.
     """
 
-    def __init__(self, method: Method, scene: Scene, steps: int, seed: int, log: TrainingLog | None = None) -> None:
+    def __init__(
+        self,
+        method: Method,
+        scene: Scene,
+        steps: int,
+        seed: int,
+        log: TrainingLog | None = None,
+        frames: FrameLimit | None = None,
+    ) -> None:
         self.method, self.scene, self.steps, self.seed = method, scene, steps, seed
         self.step = 0
         self.seconds = 0.0
@@ -56,7 +65,7 @@ class Training:
         self._unread: list[Mapping[str, float | Tensor]] = []  # the last steps' losses
         self._seconds_before = 0.0
         self._snapshots: Snapshots | None = None
-        self._log = log
+        self._log, self._frames = log, frames
 
     def run(self, curve: Path, report: EventListener, snapshots: Snapshots | None = None) -> None:
         """Train; `curve` becomes a CSV table of step, seconds, loss, psnr, skipped_steps and primitives_<set>.
@@ -113,6 +122,10 @@ class Training:
             counts = self.method.primitives()
             self.peak_primitives = max(self.peak_primitives, sum(counts.values()))
             self.health.count(self.step, counts)
+            if self._frames and self._frames.due(self.step):
+                self._frames.look()
+                counts = self.method.primitives()
+                self.health.expect(counts)
             last = self.step == self.steps
             if self._log and self._log.due(self.step, last):
                 self._synchronize()  # lest drawing be charged with the steps before it
@@ -156,6 +169,7 @@ class Training:
             # Not judged before they would have been: what is judged together must not depend on when this is saved.
             "unread": [{name: float(value) for name, value in losses.items()} for losses in self._unread],
             "health": self.health.state(),
+            "frames": self._frames.state() if self._frames else None,
             "losses": sorted(self.losses),
             "went_on_from": self.went_on_from,
         }
@@ -163,6 +177,8 @@ class Training:
     def _go_on_from(self, state: State) -> None:
         """Become what `_state` returned."""
         self.method.resume(self.scene, self.steps, state["method"])
+        if self._frames:
+            self._frames.restore(state["frames"])
         self.step, self._seconds_before = state["step"], state["seconds"]
         self.peak_primitives, self.peak_host_bytes = state["peak_primitives"], state["peak_host_bytes"]
         self._psnr.extend(state["psnr"])

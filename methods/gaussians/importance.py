@@ -45,25 +45,27 @@ def removal_errors(
 
 
 def without_least(
-    errors: Mapping[str, Tensor], most: float, error_with: Callable[[Mapping[str, Tensor]], float]
+    worth: Mapping[str, Tensor], most: float, error_with: Callable[[Mapping[str, Tensor]], float]
 ) -> dict[str, Tensor]:
     """Masks [N] of the primitives to keep, of each set: as few as draw the views with a squared error of `most`.
 
-    Those of the least errors [N] go, whichever set they are of, but for the last of a set. How many is found by trying,
-    to 1/128 of all: errors do not add up where one primitive stands in for another.
+    Those that are worth the least [N] go, whichever set they are of, but for the last of a set. How many is found by
+    trying, to 1/128 of all: errors do not add up where one primitive stands in for another.
 
     Args:
         error_with: the views' squared error where only the primitives of such masks are drawn.
     """
-    ranks = torch.cat(list(errors.values())).argsort(stable=True).argsort()
-    by_set = dict(zip(errors, ranks.split([len(values) for values in errors.values()]), strict=True))
-    last = {name: int(of_set.max()) for name, of_set in by_set.items() if len(of_set)}
-
-    def kept(gone: int) -> dict[str, Tensor]:
-        return {name: (of_set >= gone) | (of_set == last.get(name, -1)) for name, of_set in by_set.items()}
-
-    low, high = 0, len(ranks)
+    kept = least_of(worth)
+    low, high = 0, sum(map(len, worth.values()))
     for _ in range(HALVINGS):
         middle = (low + high) // 2
         low, high = (middle, high) if error_with(kept(middle)) <= most else (low, middle)
     return kept(low)
+
+
+def least_of(worth: Mapping[str, Tensor]) -> Callable[[int], dict[str, Tensor]]:
+    """Masks [N] of each set of what stays where so many go: those that are worth the least, but for a set's last."""
+    ranks = torch.cat(list(worth.values())).argsort(stable=True).argsort()
+    by_set = dict(zip(worth, ranks.split([len(values) for values in worth.values()]), strict=True))
+    last = {name: int(of_set.max()) for name, of_set in by_set.items() if len(of_set)}
+    return lambda gone: {name: (of_set >= gone) | (of_set == last.get(name, -1)) for name, of_set in by_set.items()}

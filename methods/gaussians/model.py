@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, cast
 
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, rasterize, rasterize_color
+from envgs_bench.core import (
+    Camera,
+    GaussianSet,
+    Rendering,
+    Scene,
+    Statistics,
+    rasterize,
+    rasterize_color,
+    torch_on_one_thread,
+)
 from envgs_bench.parts import BASE, ENV, SETS
 
 from ..settings import GaussianSettings
@@ -23,6 +33,8 @@ from .trained_set import TrainedSet
 
 NEAR = 0.2  # hits nearer to the camera are not drawn, world units; a scene's free space raises it
 OPACITY_WEIGHT, SCALE_WEIGHT = 0.01, 0.01  # of what MCMC growth minimizes: mean opacity; mean scale ÷ scene radius
+SMALL_IMAGE = 1 << 17  # pixels, and
+SMALL_SETS = 1 << 16  # primitives of all sets: a CPU takes longer to share an operation of torch's out than to do it
 FULL = 0.95  # share of its size limit from which a set is held back by it: some are pruned between two densifications
 
 
@@ -86,6 +98,13 @@ class GaussianModel:
     def rasterize_color(self, camera: Camera) -> Tensor:
         """The color [H, W, 3] of `rasterize` for an image."""
         return rasterize_color(self.base(camera, None), camera, **self._rasterizing())[0]
+
+    def suited_threads(self, camera: Camera) -> AbstractContextManager[None]:
+        """On a CPU, torch's own operations take one thread where the image and the sets are small."""
+        native = self.device.type == "cpu" and self.settings.backend in ("auto", "cpu")
+        if native and camera.width * camera.height <= SMALL_IMAGE and sum(self.primitives().values()) <= SMALL_SETS:
+            return torch_on_one_thread()
+        return nullcontext()
 
     def _rasterizing(self) -> dict[str, Any]:
         return {"background": self.background, "near": self.near, "backend": self.settings.backend}

@@ -1,23 +1,19 @@
-"""Pruning: a model without the primitives that its training views miss least, as far as an error allows."""
+"""Pruning: a model without the primitives that its training views miss least, as far as an error or a count allows."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import torch
-from torch import Tensor
-
-from envgs_bench.core import Camera, GaussianSet, Rendering, View
 from envgs_bench.parts import BASE
 
 from ..training.schedule import DENSIFY_FLOOR, Every, Part
-from .importance import removal_errors, without_least
+from .drawn_views import DrawnViews
+from .importance import least_of, without_least
 from .model import GaussianModel
 from .pruning_bound import PruningBound, quality_of
 
-TRANSPARENT = -100.0  # logit of an opacity that draws nothing
 PRUNINGS = "prunings:"  # how the note begins that says what they found
 PRUNE_EVERY, PRUNE_UNTIL = 1_500, 28_000  # steps of a run of 30,000: between two prunings, and before which they end
 
@@ -30,37 +26,28 @@ class Prunings(Part):
         counts: primitives before the first pruning, and after each.
     """
 
-    def __init__(
-        self,
-        model: GaussianModel,
-        draw: Callable[[Camera, None], tuple[Rendering, object]],
-        prepare: Callable[[], None],
-        views: Callable[[], Iterable[View]],
-        notes: list[str],
-    ) -> None:
+    def __init__(self, drawn: DrawnViews, notes: list[str]) -> None:
         """
         Args:
-            draw, prepare, views: as of `prune`.
             notes: where the method says what was found.
         """
-        self._model, self._draw, self._prepare, self._views, self._notes = model, draw, prepare, views, notes
+        self._drawn, self._notes = drawn, notes
         self.bound = PruningBound()
         self.counts: list[int] = []
 
     def __call__(self, step: int) -> None:
         """Prune after this step, where the bound allows it."""
         if not self.bound.ended:
-            self._prepare()
-            allowed = self.bound.allows(quality_of((self._draw(v.camera, None)[0], v) for v in self._views()))
-            self._model.prepared.clear()
+            self._drawn.prepare()
+            allowed = self.bound.allows(quality_of(self._drawn.pictures()))
             self.counts = self.counts or [self._count()]
             if allowed:
-                prune(self._model, self._draw, self._prepare, self._views, self._model.settings.prune_error)
+                prune(self._drawn, self._drawn.model.settings.prune_error)
                 self.counts.append(self._count())
             self._tell()
 
     def _count(self) -> int:
-        return sum(self._model.primitives().values())
+        return sum(self._drawn.model.primitives().values())
 
     def _tell(self) -> None:
         words = f"{PRUNINGS} {len(self.counts) - 1}: {self.counts[-1]:,} of {self.counts[0]:,} primitives are left; "
@@ -77,45 +64,26 @@ class Prunings(Part):
             self._tell()
 
 
-def prune(
-    model: GaussianModel,
-    draw: Callable[[Camera, None], tuple[Rendering, object]],
-    prepare: Callable[[], None],
-    views: Callable[[], Iterable[View]],
-    rise: float,
-) -> None:
-    """Remove what the views miss least, of whichever set, until their squared error is 1 + `rise` times what it was.
+def prune(drawn: DrawnViews, rise: float) -> None:
+    """Remove what the views miss least, of whichever set, until their squared error is 1 + `rise` times what it was."""
+    worth = drawn.worth()
+    most = (1 + rise) * drawn.squared_error({})
+    for name, rows in without_least(worth, most, drawn.squared_error).items():
+        drawn.model.sets[name].keep(rows)
 
-    Args:
-        draw: an image, from the model's prepared sets, as of `GaussianMethod.draw`.
-        prepare: make the sets as they are, and all that images need besides.
-        views: the training views on the model's device, from the first one at each call.
-    """
 
-    def draw_sets(sets: Mapping[str, GaussianSet], camera: Camera) -> Rendering:
-        model.prepared = dict(sets)
-        return draw(camera, None)[0]
-
-    def squared_error(drawn: Mapping[str, Tensor]) -> float:
-        """Σ over the views' pixels and channels where of each set only the rows of a mask [N] are drawn."""
-        logits = {name: model.sets[name].parameters.detached()["opacity_logits"] for name in drawn}
-        before = {name: values.clone() for name, values in logits.items()}
-        for name, values in logits.items():
-            values.masked_fill_(~drawn[name], TRANSPARENT)
-        prepare()
-        error = torch.zeros((), device=model.device)
-        for view in views():
-            error += (draw(view.camera, None)[0].color - view.rgb(model.device)).square().sum()
-        for name, values in before.items():
-            logits[name].copy_(values)
-        model.prepared.clear()
-        return float(error)
-
-    prepare()
-    errors = removal_errors(model.prepared, draw_sets, views())
-    most = (1 + rise) * squared_error({})
-    for name, rows in without_least(errors, most, squared_error).items():
-        model.sets[name].keep(rows)
+def prune_to(drawn: DrawnViews, most: int) -> None:
+    """Remove what the views miss least, of whichever set, until there are at most so many primitives."""
+    left = gone = sum(drawn.model.primitives().values()) - most
+    if left <= 0:
+        return
+    kept_without = least_of(drawn.worth())
+    while left > 0:  # the last of a set stays, and another goes in its place
+        kept = kept_without(gone)
+        left = sum(int(rows.sum()) for rows in kept.values()) - most
+        gone += left
+    for name, rows in kept.items():
+        drawn.model.sets[name].keep(rows)
 
 
 def events_of(model: GaussianModel, prunings: Prunings | None, of_parts: Sequence[Every]) -> list[Every]:

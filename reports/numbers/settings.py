@@ -7,7 +7,7 @@ from typing import Any
 
 from envgs_bench.records import Record
 
-LIMITS = ("primitives", "mb")  # of a budget
+LIMITS = ("primitives", "mb", "frame_ms")  # of a budget
 NO_LIMIT = "any"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ from rules import with_rules
 from envgs_bench.core import Rendering, Statistics
 from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.gaussians.budget import FIRST_SHARE, LEAST_PRIMITIVES, LEAST_SHARE, SharedBudget
+from envgs_bench.methods.gaussians.importance import least_of
 from envgs_bench.methods.gaussians.initialization import evenly_thinned
 from envgs_bench.methods.gaussians.parameters import GaussianParameters
 from envgs_bench.methods.method import Budget
@@ -112,6 +114,35 @@ def test_growth_that_fills_a_limit_stays_within_the_budget(monkeypatch: pytest.M
     fills = {**with_rules(growth="mcmc"), "max_primitives": 5_000, "densify_until": 30_000}
     monkeypatch.setitem(METHODS, "2dgs", fills)
     test_no_moment_of_a_training_is_above_the_budget("2dgs", Budget(primitives=190), monkeypatch)
+
+
+@pytest.mark.parametrize("kind", METHODS)
+def test_a_limit_that_comes_while_it_trains_holds_at_once_and_from_then_on(kind: str) -> None:
+    """And the least worth goes: fewer pixels change than where as many go by chance."""
+    scene = tiny_scene()
+    method = create_method(kind, METHODS[kind], seed=1)
+    assert isinstance(method, GaussianMethod)
+    method.limit(Budget(primitives=1_000))
+    method.initialize(scene, 95)
+    for step in range(1, 41):
+        method.training_step(scene.train[step % len(scene.train)], step)
+    camera, before = scene.train[0].camera, method.primitives()
+    whole, most = method.render(camera).color, sum(before.values()) * 3 // 4
+    by_chance = least_of({name: torch.rand(size, generator=method.generator) for name, size in before.items()})
+    hidden = by_chance(sum(before.values()) - most)
+    shown = method.model.prepared
+    for name, kept in hidden.items():
+        if before[name]:
+            shown[name] = replace(shown[name], opacities=torch.where(kept, shown[name].opacities, 0.0))
+    for part in method.parts.values():
+        part.prepare()
+    chance = (method.draw(camera, None)[0].color - whole).square().mean()
+    method.limit(Budget(primitives=most))
+    assert sum(method.primitives().values()) == most
+    assert (method.render(camera).color - whole).square().mean() < chance
+    for step in range(41, 96):
+        method.training_step(scene.train[step % len(scene.train)], step)
+        assert sum(method.primitives().values()) <= most
 
 
 def test_every_method_built_in_is_held_to_a_budget() -> None:

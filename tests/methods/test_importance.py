@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -18,6 +19,7 @@ from envgs_bench.methods.registry import create_method
 from envgs_bench.testing import tiny_scene
 
 RAYS = random_rays(33 * 33)
+SH_0 = 0.28209479177387814  # the constant spherical harmonic, ½·√(1/π); a color is ½ and that times its coefficient
 
 
 def draw(sets: Mapping[str, GaussianSet], camera: Camera) -> Rendering:
@@ -73,7 +75,7 @@ def test_the_least_go_first_whichever_set_they_are_of(most: float, base: list[bo
 REFLECTS = {"warm_up": 9_000, "env_grid": 3, "env_far_count": 50}
 
 
-def trained(kind: str, steps: int, **settings: float) -> GaussianMethod:
+def trained(kind: str, steps: int, **settings: Any) -> GaussianMethod:
     """In a run of 60 steps."""
     method = create_method(kind, settings | (REFLECTS if kind == "envgs" else {}), seed=1)
     assert isinstance(method, GaussianMethod)
@@ -87,6 +89,30 @@ def trained(kind: str, steps: int, **settings: float) -> GaussianMethod:
 def squared_error(method: GaussianMethod) -> float:
     method.model.prepared.clear()
     return sum(float((method.render(v.camera).color - v.rgb("cpu")).square().sum()) for v in tiny_scene().train)
+
+
+@pytest.mark.parametrize("kind", ["2dgs", "3dgs", "envgs"])
+def test_published_prunings_go_by_opacity_or_by_what_a_primitive_fills(kind: str) -> None:
+    """What it fills of the views: their pictures' sum where it alone is white, and all else black."""
+    method = trained(kind, 3, prune_by="opacity")
+    assert method.drawn is not None
+    opacities = method.model.sets["base"].parameters.tensors["opacity_logits"].detach().sigmoid()
+    torch.testing.assert_close(method.drawn.worth()["base"], opacities)
+    method = trained(kind, 3, prune_by="weight")
+    assert method.drawn is not None
+    with torch.no_grad():
+        weights = method.drawn.worth()["base"]
+        method.prepare()
+        base = method.model.prepared["base"]
+        for row in weights.argsort(descending=True)[:20:3].tolist():
+            sh = torch.full_like(base.sh, 0.0)
+            sh[:, 0] = -0.5 / SH_0
+            sh[row, 0] = 0.5 / SH_0
+            shown = replace(base, sh=sh, extras=None)
+            drawn = [rasterize(shown, view.camera, near=method.model.near).color for view in tiny_scene().train]
+            assert float(weights[row]) == pytest.approx(
+                sum(float(picture[..., 0].sum()) for picture in drawn), rel=1e-3
+            )
 
 
 @pytest.mark.parametrize("kind", ["2dgs", "3dgs", "envgs"])

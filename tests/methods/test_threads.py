@@ -10,7 +10,7 @@ import torch
 from torch_threads import torch_threads
 
 from envgs_bench.core import View
-from envgs_bench.methods import gaussian_method
+from envgs_bench.methods.gaussians import model
 from envgs_bench.methods.registry import create_method
 from envgs_bench.testing import tiny_scene
 
@@ -54,7 +54,7 @@ def test_small_ones_take_one(kind: str, monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.mark.parametrize("bound", ["SMALL_IMAGE", "SMALL_SETS"])
 def test_larger_ones_take_all(bound: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gaussian_method, bound, 3)
+    monkeypatch.setattr(model, bound, 3)
     assert threads_seen("2dgs", monkeypatch) == [THREADS] * 3
 
 

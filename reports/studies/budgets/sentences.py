@@ -9,10 +9,12 @@ from .budgets import PSNR, TIED_DB, BudgetCurve, BudgetMap, BudgetRow
 
 
 def limit_text(curve: BudgetCurve, row: BudgetRow) -> str:
-    """The budget with its unit, as `4,000 primitives` or `0.5 MB`."""
+    """The budget with its unit, as `4,000 primitives`, `0.5 MB` or `5 ms a frame`."""
     if not math.isfinite(row.limit):
         return "no budget"
-    return f"{row.limit:,.0f} primitives" if curve.key.endswith("primitives") else f"{row.limit:g} MB"
+    if curve.key.endswith("primitives"):
+        return f"{row.limit:,.0f} primitives"
+    return f"{row.limit:g} {'MB' if curve.key.endswith('mb') else 'ms a frame'}"
 
 
 def curve_sentence(curve: BudgetCurve) -> str:
