@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from torch import Tensor
 
@@ -24,6 +24,14 @@ class Choices:
     also: tuple[str, ...] = ()  # the metrics that are taken only where a protocol names them
 
 
+class Compared(NamedTuple):
+    """A prediction and its photograph, [H, W, 3] floats, and the mask, [H, W] bool, that a metric is taken inside."""
+
+    prediction: Tensor
+    target: Tensor
+    mask: Tensor | None
+
+
 @dataclass(frozen=True)
 class Metric:
     """A number taken of a prediction and its photograph."""
@@ -40,5 +48,15 @@ class Metric:
     """Why it cannot be had on this machine; "" where it can."""
     asked_for: bool = False
     """Whether only protocols take it that name it in `Choices.also`, as it takes as long as all others together."""
+    together: Callable[[Sequence[Compared], Choices], list[float]] | None = None
+    """`value` of several pictures of one size, where that is quicker than one after the other."""
     corrected: bool = False
     """Whether protocols that correct colors take it of color-corrected pictures too, as cc_<name>."""
+
+    def values(self, compared: Sequence[Compared], choices: Choices) -> list[float | None]:
+        """The number of each of these, which are of one size; None where there is none, or it cannot be had here."""
+        if self.not_computed():
+            return [None] * len(compared)
+        if self.together is not None:
+            return [*self.together(compared, choices)]
+        return [self.value(*each, choices) for each in compared]

@@ -53,7 +53,7 @@ def _lpips(device: torch.device) -> PerceptualLoss:
     load_vgg16(device), load_heads()  # whatever is missing is missing now
 
     def loss(image: Tensor, target: Tensor) -> Tensor:
-        return torch.stack([stage.mean() for stage in stage_distances(image, target, "[0, 1]")]).sum()
+        return torch.stack([stage.mean() for stage in stage_distances(image[None], target[None], "[0, 1]")]).sum()
 
     return loss
 

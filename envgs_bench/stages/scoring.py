@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import torch
@@ -35,10 +35,11 @@ def score_pairs(
     full: list[ViewScores] = []
     regions: dict[str, list[ViewScores]] = {}
     for pair in pairs:
-        full.append(_scores(pair, FULL, _scored(pair, None, protocol, device)))
-        for region, mask in pair.masks.items():
-            if mask.any():
-                regions.setdefault(region, []).append(_scores(pair, region, _scored(pair, mask, protocol, device)))
+        masks = {region: mask for region, mask in pair.masks.items() if mask.any()}
+        whole, *parts = _scored(pair, [None, *masks.values()], protocol, device)
+        full.append(_scores(pair, FULL, whole))
+        for region, scores in zip(masks, parts, strict=True):
+            regions.setdefault(region, []).append(_scores(pair, region, scores))
     metrics = Metrics(
         mean=_means(full),
         per_view=full,
@@ -53,12 +54,17 @@ def score_pairs(
     return metrics, masked
 
 
-def _scored(pair: Pair, mask: Tensor | None, protocol: Protocol, device: torch.device | str) -> dict[str, float | None]:
-    images = [pair.prediction, pair.target, *([] if mask is None else [mask])]
+def _scored(
+    pair: Pair, masks: Sequence[Tensor | None], protocol: Protocol, device: torch.device | str
+) -> list[dict[str, float | None]]:
+    def on(place: torch.device | str) -> list[dict[str, float | None]]:
+        regions = [None if mask is None else mask.to(place) for mask in masks]
+        return protocol.scores(pair.prediction.to(place), pair.target.to(place), regions)
+
     try:  # the network's features take 1.5 kB a pixel, beside a model that may fill the device
-        return protocol.score(*(image.to(device) for image in images))
+        return on(device)
     except torch.OutOfMemoryError:
-        return protocol.score(*(image.cpu() for image in images))
+        return on("cpu")
 
 
 def _scores(pair: Pair, region: str, scores: Scores) -> ViewScores:

@@ -88,6 +88,36 @@ def test_lpips_is_torchmetrics(kornias_layers, monkeypatch, input_range, normali
     assert lpips(prediction, target, input_range, mask) == pytest.approx(float(spatial[mask].mean()), rel=1e-4)
 
 
+@pytest.mark.parametrize("most_pixels", [1, 4_000, 1 << 16])  # a picture a pass, two, all of them
+def test_regions_scored_together_are_torchmetrics_of_each(kornias_layers, monkeypatch, most_pixels):
+    monkeypatch.setattr(lpips_module, "MOST_PIXELS", most_pixels)
+    monkeypatch.setattr(reference, "_get_tv_model_features", lambda net, pretrained: kornias_layers)
+    network, (prediction, target) = reference._LPIPS(net="vgg"), images()
+    masks = [None, torch.arange(50).expand(40, 50) < 20, torch.zeros(40, 50, dtype=torch.bool), target[..., 0] < 0.3]
+    found = [each["lpips"] for each in get_protocol("envgs").scores(prediction, target, masks, ("lpips",))]
+    assert found[2] is None
+    for mask, value in zip(masks, found, strict=True):
+        if value is not None:
+            white = [x if mask is None else x.where(mask[..., None], 1.0) for x in (prediction, target)]
+            expected = network(*(x.permute(2, 0, 1)[None] for x in white), normalize=False)
+            assert value == pytest.approx(float(expected), rel=1e-5)
+
+
+def test_regions_of_one_picture_share_its_features(kornias_layers, monkeypatch):
+    """A protocol that averages over the mask has one picture for all of them, and each region its own mean."""
+    monkeypatch.setattr(reference, "_get_tv_model_features", lambda net, pretrained: kornias_layers)
+    network, (prediction, target) = reference._LPIPS(net="vgg", spatial=True), images()
+    prediction, target = ((x * 255 + 0.5).floor() / 255 for x in (prediction, target))
+    masks, passes = [torch.arange(50).expand(40, 50) < end for end in (20, 30, 50)], []
+    forward = vgg16.Vgg16.forward
+    monkeypatch.setattr(vgg16.Vgg16, "forward", lambda self, x: passes.append(len(x)) or forward(self, x))
+    found = get_protocol("strict").scores(prediction, target, masks, ("lpips",))
+    spatial = network(*(x.permute(2, 0, 1)[None] for x in (prediction, target)), normalize=True)[0, 0]
+    assert passes == [1, 1]
+    for mask, scores in zip(masks, found, strict=True):
+        assert scores["lpips"] == pytest.approx(float(spatial[mask].mean()), rel=1e-4)
+
+
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 def test_lpips_on_a_gpu_is_the_cpus_cuda(random_weights):
     """TF32, torch's default there, is off by 1e-3 of the value."""
