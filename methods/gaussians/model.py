@@ -53,6 +53,7 @@ class GaussianModel:
         near: hits nearer to the camera are not drawn, world units: NEAR, or the scene's free space if larger.
         background: [3] color behind everything, in [0, 1].
         budget: what all sets share; None where there is none.
+        left: the primitives that a pruning left of each set, which then grows no more; empty before the first one.
     """
 
     def __init__(self, settings: GaussianSettings, axes: int, device: torch.device, generator: torch.Generator) -> None:
@@ -67,6 +68,7 @@ class GaussianModel:
         self.near = NEAR
         self.background = torch.zeros(3, device=device)
         self.budget: SharedBudget | None = None
+        self.left: dict[str, int] = {}
 
     # What is drawn
 
@@ -126,8 +128,9 @@ class GaussianModel:
         return {name: policy.primitive_bytes(self.axes) for name, policy in self.policies.items()}
 
     def bound(self, name: str) -> int:
-        """The most primitives that the set `name` may have now, by settings and budget; 0: any number."""
+        """The most primitives that the set `name` may have now, by settings, prunings and budget; 0: any number."""
         own = {each: policy.rule.max_primitives for each, policy in self.policies.items()}
+        own |= {each: min(own[each] or left, left) for each, left in self.left.items()}
         return own[name] if self.budget is None else self.budget.bound(name, self.primitives(), own)
 
     def at_size_limit(self) -> dict[str, int]:
@@ -144,6 +147,7 @@ class GaussianModel:
         self.radius = scene.radius or half_diagonal(scene.points)
         self.background = scene.background.to(self.device)
         self.policies = dict(policies)
+        self.left = {}
         if self.budget is not None:
             self.budget.restart()
         self.sets.clear()
@@ -312,6 +316,7 @@ class GaussianModel:
         return {
             "sets": {name: trained.training_state() for name, trained in self.sets.items()},
             "budget": self.budget.training_state() if self.budget is not None else None,
+            "left": dict(self.left),
         }
 
     def restore_training(self, state: Mapping[str, Any]) -> None:
@@ -321,5 +326,6 @@ class GaussianModel:
                 tensors = trained["parameters"]["tensors"]
                 self.sets[name] = self.set_of(name, {field: x.to(self.device) for field, x in tensors.items()})
             self.sets[name].restore_training(trained)
+        self.left = dict(state["left"])
         if self.budget is not None:
             self.budget.restore_training(state["budget"], self.device)

@@ -65,11 +65,15 @@ class Prunings(Part):
 
 
 def prune(drawn: DrawnViews, rise: float) -> None:
-    """Remove what the views miss least, of whichever set, until their squared error is 1 + `rise` times what it was."""
-    worth = drawn.worth()
+    """Remove what the views miss least, of whichever set, until their squared error is 1 + `rise` times what it was.
+
+    Sets grow no more then: growth by MCMC would fill them up to their size limits again.
+    """
+    worth, model = drawn.worth(), drawn.model
     most = (1 + rise) * drawn.squared_error({})
     for name, rows in without_least(worth, most, drawn.squared_error).items():
-        drawn.model.sets[name].keep(rows)
+        model.sets[name].keep(rows)
+        model.left[name] = model.size(name)
 
 
 def prune_to(drawn: DrawnViews, most: int) -> None:

@@ -149,12 +149,6 @@ def test_every_method_built_in_is_held_to_a_budget() -> None:
     assert set(METHODS) == set(BUILT_IN)
 
 
-def test_what_grows_after_a_pruning_is_within_the_budget_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    pruned = {"prune_error": 0.05, "prune_from": 3_000, "densify_until": 30_000}  # after steps 30 and 60, as it grows
-    monkeypatch.setitem(METHODS, "2dgs", GROWS | pruned)
-    test_no_moment_of_a_training_is_above_the_budget("2dgs", Budget(primitives=270, mb=1.0), monkeypatch)
-
-
 @settings(deadline=None)
 @given(
     st.integers(LEAST_PRIMITIVES, 3000),

@@ -128,6 +128,25 @@ def test_a_pruning_leaves_what_the_pictures_need(kind: str) -> None:
     method.training_step(tiny_scene().train[0], 30)
 
 
+@pytest.mark.parametrize("growth", ["gradient", "mcmc"])
+def test_nothing_grows_after_a_pruning_and_an_interruption_forgets_none(growth: str) -> None:
+    grows = {"densify_until": 30_000, "max_primitives": 250, "densify_threshold": 1e-9, "min_coverage": 0.0}
+    grows |= {"rules": {"growth": growth, "min_views": 0.0}}
+    method = trained("2dgs", 29, prune_error=0.02, prune_from=10_000, **grows)
+    method.model.densify("base", 29)
+    grown = method.primitives()["base"]
+    assert grown > 200
+    with torch.no_grad():
+        befall(method, 30, {"prune"})
+        left = method.primitives()["base"]
+        again = create_method("2dgs", {"prune_error": 0.02, "prune_from": 10_000, **grows}, seed=1)
+        again.resume(tiny_scene(), 60, method.training_state() or {})
+        for each in (method, again):
+            assert isinstance(each, GaussianMethod)
+            each.model.densify("base", 30)
+            assert each.primitives()["base"] <= left < grown
+
+
 def test_errors_reach_through_reflections() -> None:
     """Exact for what reflected rays meet; of the base, in order, as β and the rays change too."""
     method = trained("envgs", 29)
