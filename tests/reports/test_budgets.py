@@ -31,7 +31,7 @@ def write(
         content |= {"metrics": None, "masked": {}, "timing": None, "cost": None}
     else:
         content["metrics"]["mean"] |= {"psnr": psnr, "lpips": None}
-        limit = (budget or {}).get("primitives") or 9000
+        limit = (budget or {}).get("primitives") or round(9000 / (1 + 100 * own.get("prune_error", 0.0)))
         content["cost"]["primitives"] = {"base": limit - 100, "env": 90}
     write_record(folder / f"{method}-{seed}-{budget}-{own}".replace("/", "_"), content)
 
@@ -110,6 +110,28 @@ def test_curves_are_of_rows_that_differ_in_the_budget_alone(tmp_path: Path) -> N
     assert curve_sentence(curves[0]).startswith(
         "2dgs [sh_degree=2]: no knee, still better at the largest budget; best: no"
     )
+
+
+def test_prunings_make_a_curve_from_the_most_that_they_may_cost_to_none(tmp_path: Path) -> None:
+    """With 100·prune_error + 1 times fewer primitives each; by opacity every PSNR has half of the error."""
+    for by, scale in (("importance", 1.0), ("opacity", 0.5)):
+        for error in (0.0, 0.01, 0.03, 0.07):
+            write(tmp_path, "2dgs", 22.0 - 20 * error, 0, prune_by=by, prune_error=scale * error)
+    importance, opacity = found(tmp_path).curves
+    assert [row.limit for row in importance.rows] == [0.07, 0.03, 0.01, math.inf]
+    assert curve_sentence(importance).endswith("1 of at least 3 seeds; best: no prunings.")
+    rate = opacity.rate_against(importance)
+    assert rate is not None
+    assert 0.2 < rate < 0.9
+    assert rate_sentence(opacity, [importance, opacity]).startswith("2dgs [prune_by=opacity]: ")
+
+
+def test_frame_times_make_a_curve(tmp_path: Path) -> None:
+    for seed in range(3):
+        for frame_ms, psnr in ((2.5, 20.0), (5.0, 21.0), (10.0, 21.0)):
+            write(tmp_path, "envgs", psnr, seed, {"primitives": None, "mb": None, "frame_ms": frame_ms})
+    (curve,) = found(tmp_path).curves
+    assert curve_sentence(curve) == "envgs: 5 ms a frame, the best; any less may lose more than 0.1 dB."
 
 
 def write_map(folder: Path) -> None:

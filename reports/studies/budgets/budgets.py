@@ -14,7 +14,8 @@ from ...numbers.labels import Label
 from ...numbers.settings import LIMITS, as_number
 from .bd_rate import bd_rate
 
-KEYS = tuple(f"budget.{limit}" for limit in LIMITS)
+PRUNED = "settings.prune_error"  # what prunings may cost, as labels have it: the more, the smaller is the model
+KEYS = (*(f"budget.{limit}" for limit in LIMITS), PRUNED)
 MAP_KEYS = ("settings.max_primitives", "settings.env_max_primitives")  # of base and environment, as labels have them
 TIED_DB = 0.1  # a budget is as good as the best if it surely loses no more
 
@@ -41,10 +42,10 @@ COSTS = (
 
 @dataclass(frozen=True)
 class BudgetRow:
-    """One method within one budget: a row of the section's tables."""
+    """One method within one budget, or pruned as far as one error: a row of the section's tables."""
 
     method: str  # the row's label
-    limit: float  # infinite without a budget
+    limit: float  # infinite without a budget, and without prunings
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Knee:
 
 @dataclass(frozen=True)
 class BudgetCurve:
-    """One method on one data set within several budgets of one kind, by ascending budget."""
+    """One method on one data set within several budgets of one kind, by how large they let a model be."""
 
     dataset: str
     method: str  # its label without the budget
@@ -146,7 +147,7 @@ class BudgetMap:
 
 
 def budget_curves(datasets: Sequence[str], labels: Mapping[str, Label], numbers: Numbers) -> list[BudgetCurve]:
-    """Of each data set and method that has rows which differ in the budget alone, two budgets or more.
+    """Of each data set and method that has rows which differ in the budget or in `prune_error` alone, two or more.
 
     Args:
         labels: a section's rows -> their labels, which name a setting where it varies.
@@ -157,16 +158,21 @@ def budget_curves(datasets: Sequence[str], labels: Mapping[str, Label], numbers:
         for row, label in labels.items():
             value = dict(label.settings).get(key)
             if value is not None:
-                limit = as_number(value)
-                member = BudgetRow(row, math.inf if limit is None else limit)
+                member = BudgetRow(row, as_number(value) or math.inf)
                 families.setdefault(_without(label, (key,)), []).append(member)
         families = {family: rows for family, rows in families.items() if _several(row.limit for row in rows)}
         for dataset in datasets:
             for family, found in families.items():
-                rows = sorted((r for r in found if numbers.statuses((dataset,), r.method)), key=lambda r: r.limit)
+                done = (row for row in found if numbers.statuses((dataset,), row.method))
+                rows = sorted(done, key=lambda row: _size(key, row.limit))
                 if _several(row.limit for row in rows):
                     curves.append(BudgetCurve(dataset, _name(family, families), key, tuple(rows), numbers))
     return curves
+
+
+def _size(key: str, limit: float) -> float:
+    """What ascends with how large a model may be."""
+    return -limit if key == PRUNED and math.isfinite(limit) else limit
 
 
 def _several(limits: Iterable[float]) -> bool:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from .budgets import PSNR, TIED_DB, BudgetCurve, BudgetMap, BudgetRow
+from .budgets import PRUNED, PSNR, TIED_DB, BudgetCurve, BudgetMap, BudgetRow
 
 
 def limit_text(curve: BudgetCurve, row: BudgetRow) -> str:
-    """The budget with its unit, as `4,000 primitives`, `0.5 MB` or `5 ms a frame`."""
+    """The budget with its unit, as `4,000 primitives`, `0.5 MB`, `5 ms a frame` or `prune_error=0.05`."""
     if not math.isfinite(row.limit):
-        return "no budget"
+        return "no prunings" if curve.key == PRUNED else "no budget"
+    if curve.key == PRUNED:
+        return f"prune_error={row.limit:g}"
     if curve.key.endswith("primitives"):
         return f"{row.limit:,.0f} primitives"
     return f"{row.limit:g} {'MB' if curve.key.endswith('mb') else 'ms a frame'}"
