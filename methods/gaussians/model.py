@@ -35,7 +35,6 @@ NEAR = 0.2  # hits nearer to the camera are not drawn, world units; a scene's fr
 OPACITY_WEIGHT, SCALE_WEIGHT = 0.01, 0.01  # of what MCMC growth minimizes: mean opacity; mean scale ÷ scene radius
 SMALL_IMAGE = 1 << 17  # pixels, and
 SMALL_SETS = 1 << 16  # primitives of all sets: a CPU takes longer to share an operation of torch's out than to do it
-FULL = 0.95  # share of its size limit from which a set is held back by it: some are pruned between two densifications
 
 
 class GaussianModel:
@@ -132,11 +131,6 @@ class GaussianModel:
         own = {each: policy.rule.max_primitives for each, policy in self.policies.items()}
         own |= {each: min(own[each] or left, left) for each, left in self.left.items()}
         return own[name] if self.budget is None else self.budget.bound(name, self.primitives(), own)
-
-    def at_size_limit(self) -> dict[str, int]:
-        """The sets that are about as large as their settings let them be, and how large that is."""
-        limits = {name: self.policies[name].size_limit for name in self.sets}
-        return {name: most for name, most in limits.items() if 0 < FULL * most <= len(self.sets[name].parameters)}
 
     # What sets start from, and become
 

@@ -10,6 +10,8 @@ from ..method import Monitor
 from ..training.step_runner import StepRunner
 from .model import GaussianModel
 
+FULL = 0.95  # share of its size limit from which a set is held back by it: some are pruned between two densifications
+
 
 class GaussianMonitor(Monitor):
     """Of a model, of the runner of its steps, and of what reflected rays see."""
@@ -30,7 +32,8 @@ class GaussianMonitor(Monitor):
         return {name: trained.parameters.degenerate() for name, trained in sets if len(trained.parameters)}
 
     def at_size_limit(self) -> Mapping[str, int]:
-        return self._model.at_size_limit()
+        limits = {name: self._model.policies[name].size_limit for name in self._model.sets}
+        return {name: most for name, most in limits.items() if 0 < FULL * most <= self._model.size(name)}
 
     def non_finite_gradients(self) -> list[str]:
         return self._runner.take_non_finite()
