@@ -118,7 +118,10 @@ class GaussianMethod(Method):
         """
         trusted = None if self.reflection is None else self.reflection.mono_weights
         perceptual = self.perceptual if self.settings.perceptual_weight > 0 else None
-        return self.runner.loss.terms(rendering, target, view, step, trusted, perceptual) | self.model.losses()
+        terms = self.runner.loss.terms(rendering, target, view, step, trusted, perceptual) | self.model.losses()
+        for part in self.parts.values():
+            terms |= part.losses(rendering, view, step)
+        return terms
 
     def phase(self, step: int) -> Hashable:
         """What the host decides of a step: steps of equal phases launch the same kernels, whatever the numbers are.

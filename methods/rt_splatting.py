@@ -85,11 +85,6 @@ class RTSplatting(GaussianMethod):
             BASE: BothPasses(base.statistics, volume.statistics)
         }
 
-    def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
-        terms = super().losses(rendering, target, view, step)
-        opacity, transmission = (rendering.layers[name] for name in LEARNED)
-        return terms | self.panes.losses(opacity, transmission, view)
-
 
 class BothPasses(Statistics):
     """What two passes over the same primitives learned: gradients of both, and the larger weight."""
@@ -141,14 +136,14 @@ class Panes(Part):
     def inside(self, base: Rendering, camera: Camera) -> Tensor:
         return self._scope.inside(base, camera)
 
-    def losses(self, opacity: Tensor, transmission: Tensor, view: View) -> dict[str, Tensor]:
+    def losses(self, rendering: Rendering, view: View, step: int) -> dict[str, Tensor]:
         """Occupancy's decay; and by masks, that glass hides nothing and that nothing else transmits; weighted.
 
         Args:
-            opacity: [H, W] α of the surfaces.
-            transmission: [H, W] τ.
+            rendering: of a training step, with α and τ of the surfaces [H, W] among its layers.
         """
         s = self._settings
+        opacity, transmission = (rendering.layers[name] for name in LEARNED)
         terms = {"occupancy": s.occupancy_weight * self._tensors["opacity_logits"].sigmoid().mean()}
         if view.name in self._masks:
             mask = self._masks[view.name]

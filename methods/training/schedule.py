@@ -31,7 +31,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Scene
+from envgs_bench.core import Rendering, Scene, View
 
 from ..recipes import REFERENCE_STEPS
 
@@ -180,6 +180,10 @@ class Part:
     def phase(self, step: int) -> Hashable:
         """What the host decides in a step: steps of equal phases launch the same kernels."""
         return ()
+
+    def losses(self, rendering: Rendering, view: View, step: int) -> dict[str, Tensor]:
+        """What a step minimizes besides, weighted scalars by name; see `GaussianMethod.losses`."""
+        return {}
 
     def optimizers(self) -> Sequence[torch.optim.Optimizer]:
         """What moves its parameters; of the tensors that a CUDA graph holds."""

@@ -18,7 +18,7 @@ from torch.nn import functional
 from envgs_bench.core import Scene, rasterize
 from envgs_bench.methods.lighting.latlong import all_levels, looked_up
 from envgs_bench.methods.registry import create_method
-from envgs_bench.methods.rt_splatting import RTSplatting, cross_entropy, gated
+from envgs_bench.methods.rt_splatting import LEARNED, RTSplatting, cross_entropy, gated
 from envgs_bench.methods.storage.layouts import LAYOUTS
 from envgs_bench.stages.execution import given_of
 from envgs_bench.testing import tiny_scene
@@ -157,7 +157,9 @@ def test_masks_say_what_is_glass() -> None:
     mask = view.masks["transmissive"]
     generator = torch.Generator().manual_seed(1)
     opacity, transmission = (0.01 + 0.98 * torch.rand(mask.shape, generator=generator) for _ in range(2))
-    terms = method.panes.losses(opacity, transmission, view)
+    drawn = method.draw(view.camera, 1)[0]
+    drawn = replace(drawn, layers=drawn.layers | dict(zip(LEARNED, (opacity, transmission), strict=True)))
+    terms = method.panes.losses(drawn, view, 1)
     truth, clear = mask.double().numpy(), 1 - opacity.double().numpy()
     missed = -np.log(np.where(truth == 1, clear, 1 - clear)).mean()
     assert float(terms["transparent"]) == pytest.approx(0.01 * missed, rel=1e-4)
@@ -165,7 +167,7 @@ def test_masks_say_what_is_glass() -> None:
     assert float(terms["transmission"]) == pytest.approx(0.01 * outside, rel=1e-4)
     assert float(terms["occupancy"].detach()) == pytest.approx(1e-3 * 0.1, rel=1e-3)  # which surfels start with
     assert float(cross_entropy(torch.ones(2, 2), torch.zeros(2, 2))) < 20  # finite where it is all wrong
-    assert set(initialized().panes.losses(opacity, transmission, view)) == {"occupancy"}  # of a scene without masks
+    assert set(initialized().panes.losses(drawn, view, 1)) == {"occupancy"}  # of a scene without masks
     assert given_of(scene, method) == ["masks of mirrors and glass"]
 
 
