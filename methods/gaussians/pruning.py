@@ -12,6 +12,7 @@ from ..training.schedule import DENSIFY_FLOOR, Every, Part
 from .drawn_views import DrawnViews
 from .importance import least_of, without_least
 from .model import GaussianModel
+from .monitor import FULL
 from .pruning_bound import PruningBound, quality_of
 
 PRUNINGS = "prunings:"  # how the note begins that says what they found
@@ -90,14 +91,20 @@ def prune_to(drawn: DrawnViews, most: int) -> None:
         drawn.model.sets[name].keep(rows)
 
 
+def _too_early(model: GaussianModel, step: int) -> bool:
+    """Whether the base set's opacities come back from a reset, or growth by MCMC has its size limit still to fill."""
+    policy, most = model.policies[BASE], model.bound(BASE)
+    grows = policy.growth == "mcmc" and step < model.schedule.at(policy.grows_until)
+    return policy.resets.recovers(step) or (grows and model.size(BASE) < FULL * most)
+
+
 def events_of(model: GaussianModel, prunings: Prunings | None, of_parts: Sequence[Every]) -> list[Every]:
     """What a run does to the sets between steps, in this order: prunings, the base's own, parts', other sets'."""
     schedule, events = model.schedule, []
     if prunings is not None:
         every = schedule.interval(PRUNE_EVERY, DENSIFY_FLOOR)
         span = schedule.at(model.settings.prune_from), schedule.at(PRUNE_UNTIL)
-        recovers = model.policies[BASE].resets.recovers
-        events.append(Every("prune", prunings, lambda step: every, *span, unless=recovers))
+        events.append(Every("prune", prunings, lambda step: every, *span, unless=partial(_too_early, model)))
     for name, policy in model.policies.items():
         events.append(policy.densification(partial(model.densify, name), partial(model.size, name)))
         if policy.growth == "gradient":

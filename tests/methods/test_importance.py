@@ -147,6 +147,13 @@ def test_nothing_grows_after_a_pruning_and_an_interruption_forgets_none(growth: 
             assert each.primitives()["base"] <= left < grown
 
 
+@pytest.mark.parametrize(("limit", "until", "pruned"), [(400, 30_000, False), (400, 10_000, True), (205, 30_000, True)])
+def test_prunings_wait_until_mcmc_has_filled_the_size_limit_or_ends(limit: int, until: int, pruned: bool) -> None:
+    own = {"prune_error": 0.02, "prune_from": 10_000, "max_primitives": limit, "densify_until": until}
+    method = trained("2dgs", 1, rules={"growth": "mcmc"}, **own)
+    assert ("prune" in due(method, 30)) == pruned
+
+
 def test_errors_reach_through_reflections() -> None:
     """Exact for what reflected rays meet; of the base, in order, as β and the rays change too."""
     method = trained("envgs", 29)
