@@ -126,10 +126,12 @@ class _Bend:
         weights = _weights(angles, _scale(angles))
         axis = torch.linalg.cross(given, common)
         wanted = unit(axis) * torch.atan2(axis.norm(dim=-1), (given * common).sum(dim=-1))[:, None]
-        turning = torch.eye(3) - given[:, :, None] * given[:, None]  # about itself a normal does not turn
-        effects = (turning[:, :, None] * shares[:, None, :, None]).flatten(2).flatten(0, 1)  # [3 K, 3 corners]
-        weighted = effects.T * weights.repeat_interleave(3)
-        corners = torch.linalg.solve(weighted @ effects + self.penalty, weighted @ wanted.flatten())
+        # About itself a normal does not turn: rotations count by I − nnᵀ, which is its own square and keeps `wanted`.
+        turning = (torch.eye(3) - given[:, :, None] * given[:, None]) * weights[:, None, None]
+        effects = shares[:, :, None] * turning.flatten(1)[:, None]  # [K, corners, 9]
+        normal = (shares.T @ effects.flatten(1)).unflatten(1, (-1, 3, 3)).transpose(1, 2).flatten(2).flatten(0, 1)
+        falls = shares.T @ (wanted * weights[:, None])  # [corners, 3]
+        corners = torch.linalg.solve(normal + self.penalty, falls.flatten())
         return corners.reshape(*self.shape, 3)
 
     def turned(self, given: Tensor, corners: Tensor) -> Tensor:

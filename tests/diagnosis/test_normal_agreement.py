@@ -18,7 +18,15 @@ from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.perturbations.registry import PERTURBATIONS
 from envgs_bench.diagnosis.agreed_normals import with_agreed_normals
 from envgs_bench.diagnosis.diagnosis import Diagnosis
-from envgs_bench.diagnosis.normal_agreement import LEAST_POINTS, NormalAgreement, corrected, normal_agreement
+from envgs_bench.diagnosis.normal_agreement import (
+    LEAST_POINTS,
+    ROUGHNESS,
+    SIZE,
+    NormalAgreement,
+    _Bend,
+    corrected,
+    normal_agreement,
+)
 from envgs_bench.diagnosis.observations import Observations
 from envgs_bench.methods.registry import create_method
 
@@ -108,6 +116,33 @@ def test_corrections_are_bilinear_between_the_corners_of_cells() -> None:
     expected = Rotation.from_rotvec(vectors).apply(normals.reshape(-1, 3).double().numpy()).reshape(9, 14, 3)
     torch.testing.assert_close(corrected(normals, corners).double(), torch.from_numpy(expected), atol=2e-6, rtol=0)
     torch.testing.assert_close(corrected(normals, torch.zeros(4, 7, 3)), normals, atol=0, rtol=0)
+
+
+def test_rotations_are_those_of_least_squares(estimated: Scene) -> None:
+    """By NumPy's solver, rows for turns of normals, differences of neighbors and rotations."""
+    observations = Observations.of(estimated, NEAR)
+    bend = _Bend.over(observations, 0, observations.seen_normals[0].any(dim=-1))
+    generator = torch.Generator().manual_seed(0)
+    points = len(observations.points)
+    given = unit(torch.randn(points, 3, generator=generator))
+    common = unit(given + 0.2 * torch.randn(points, 3, generator=generator))
+    found = bend.fitted(given, common, common, torch.ones(points, dtype=torch.bool))  # nothing is left: all count fully
+    (rows, columns, _), shares = found.shape, bend.shares.double().numpy()
+    own, to = (x[bend.rows].double().numpy() for x in (given, common))
+    axis = np.cross(own, to)
+    turn = axis / np.linalg.norm(axis, axis=1)[:, None] * np.arccos((own * to).sum(axis=1))[:, None]
+    across = np.eye(3) - own[:, :, None] * own[:, None]
+    grid = np.arange(rows * columns).reshape(rows, columns)
+    pairs = [*zip(grid[1:].flat, grid[:-1].flat, strict=True), *zip(grid[:, 1:].flat, grid[:, :-1].flat, strict=True)]
+    steps = np.stack([np.eye(grid.size)[a] - np.eye(grid.size)[b] for a, b in pairs])
+    penalties = np.concatenate([ROUGHNESS**0.5 * steps, SIZE**0.5 * np.eye(grid.size)])
+    system = np.concatenate(
+        [np.einsum("kr,kab->karb", shares, across).reshape(-1, 3 * grid.size), np.kron(penalties, np.eye(3))]
+    )
+    wanted = np.concatenate([turn.flatten(), np.zeros(3 * len(penalties))])
+    expected = np.linalg.lstsq(system, wanted, rcond=None)[0].reshape(rows, columns, 3)
+    assert np.abs(expected).max() > 0.05
+    np.testing.assert_allclose(found.double().numpy(), expected, atol=1e-5)
 
 
 def test_views_that_show_too_few_points_stay(estimated: Scene) -> None:
