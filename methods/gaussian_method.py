@@ -16,7 +16,7 @@ from envgs_bench.core import Camera, Rendering, Scene, Statistics, View
 from envgs_bench.parts import BASE, MONO
 
 from .gaussians.budget import SharedBudget
-from .gaussians.drawn_views import DrawnViews
+from .gaussians.drawn_views import SAMPLED, DrawnViews
 from .gaussians.model import NEAR, GaussianModel
 from .gaussians.monitor import GaussianMonitor
 from .gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, base_policy, initial_rates
@@ -190,7 +190,8 @@ class GaussianMethod(Method):
             part.start(scene)
         _forget_prepared(self)
         views = ResidentViews.of(self.device, learned)
-        self.drawn = DrawnViews(self.model, self.draw, self.prepare, views.all_of(scene.train))
+        some = scene.train[:: -(-len(scene.train) // SAMPLED)]
+        self.drawn = DrawnViews(self.model, self.draw, self.prepare, views.all_of(scene.train), views.all_of(some))
         prunings = None
         if s.prune_error > 0:
             prunings = self.parts["prunings"] = Prunings(self.drawn, self.notes)

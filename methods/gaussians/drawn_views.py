@@ -13,6 +13,7 @@ from envgs_bench.core import Camera, GaussianSet, Rendering, Statistics, View
 from .importance import removal_errors
 from .model import GaussianModel
 
+SAMPLED = 16  # views of a sample at most
 TRANSPARENT = -100.0  # logit of an opacity that draws nothing
 
 
@@ -24,12 +25,14 @@ class DrawnViews:
         draw: an image, and each set's statistics, from the model's prepared sets: as of `GaussianMethod.draw`.
         prepare: make the sets as they are, and all that images need besides.
         views: the training views on the model's device, from the first one at each call.
+        sample: some of them, which tell what a pruning costs: that is asked HALVINGS times a pruning.
     """
 
     model: GaussianModel
     draw: Callable[[Camera, None], tuple[Rendering, Mapping[str, Statistics]]]
     prepare: Callable[[], None]
     views: Callable[[], Iterable[View]]
+    sample: Callable[[], Iterable[View]]
 
     def pictures(self) -> Iterator[tuple[Rendering, View]]:
         """Each view's picture from the prepared sets, and the view."""
@@ -37,15 +40,15 @@ class DrawnViews:
             yield self.draw(view.camera, None)[0], view
 
     def squared_error(self, drawn: Mapping[str, Tensor]) -> float:
-        """Σ over the views' pixels and channels where of each set only the rows of a mask [N] are drawn."""
+        """Σ over the sample's pixels and channels where of each set only the rows of a mask [N] are drawn."""
         logits = {name: self.model.sets[name].parameters.detached()["opacity_logits"] for name in drawn}
         before = {name: values.clone() for name, values in logits.items()}
         for name, values in logits.items():
             values.masked_fill_(~drawn[name], TRANSPARENT)
         self.prepare()
         error = torch.zeros((), device=self.model.device)
-        for picture, view in self.pictures():
-            error += (picture.color - view.rgb(self.model.device)).square().sum()
+        for view in self.sample():
+            error += (self.draw(view.camera, None)[0].color - view.rgb(self.model.device)).square().sum()
         for name, values in before.items():
             logits[name].copy_(values)
         self.model.prepared.clear()

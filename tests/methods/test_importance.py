@@ -154,6 +154,17 @@ def test_prunings_wait_until_mcmc_has_filled_the_size_limit_or_ends(limit: int, 
     assert ("prune" in due(method, 30)) == pruned
 
 
+def test_what_a_pruning_costs_is_told_by_a_few_views_from_all_over() -> None:
+    method, scene = create_method("2dgs", {}, seed=1), tiny_scene()
+    assert isinstance(method, GaussianMethod)
+    for count, sampled in ((5, [0, 1, 2, 3, 4]), (40, list(range(0, 40, 3)))):
+        views = [replace(scene.train[index % 5], name=str(index)) for index in range(count)]
+        method.initialize(replace(scene, train=views), 60)
+        assert method.drawn is not None
+        assert [view.name for view in method.drawn.sample()] == [str(index) for index in sampled]
+        assert len(list(method.drawn.views())) == count
+
+
 def test_errors_reach_through_reflections() -> None:
     """Exact for what reflected rays meet; of the base, in order, as β and the rays change too."""
     method = trained("envgs", 29)
