@@ -161,8 +161,8 @@ class GaussianMethod(Method):
             return
         if before is not None:
             shared.restore_training(before.training_state(), self.device)
-        self.settle()
-        prune_to(self.drawn, budget.primitives)
+        with on_own_stream(self.device):  # as what a training step does: later recordings know no other
+            prune_to(self.drawn, budget.primitives)
 
     def initialize(self, scene: Scene, steps: int) -> None:
         s = self.settings
