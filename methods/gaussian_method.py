@@ -78,7 +78,7 @@ class GaussianMethod(Method):
             optimizers=lambda: _optimizers(self),
             parameters=lambda: _parameters(self),
             record=self.model.record,
-            restrain=self.model.restrain,
+            drift=self.model.drift,
         )
         graphs = self.device.type == "cuda" and bool(vars(type(self)).get("cuda_graph"))
         self.runner = StepRunner(work, loss, self.device, type(self).__name__, graphs)
@@ -183,7 +183,7 @@ class GaussianMethod(Method):
         if s.exposure == "affine":
             self.runner.exposure = AffineExposure([view.name for view in scene.train], self.device)
             self.parts["exposure"] = self.runner.exposure
-        if s.rule.growth == "mcmc":
+        if s.rule.growth != "gradient":
             self.model.noise = PositionNoise(self.device, self.generator.initial_seed())
             self.parts["noise"] = self.model.noise
         for part in self.parts.values():

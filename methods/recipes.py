@@ -33,13 +33,12 @@ class Rules:
     sh_from: Steps = 0  # step up to which the base set's color is the same from everywhere, SH degree 0
     position_radius: Length = 0.0  # that the positions' rate grows with, world units; 0: the scene's
     initial_orientation: Literal["surface", "random", "positive", "world"] = "surface"  # of the base set, as of Start
-    growth: Literal["gradient", "mcmc"] = "gradient"  # the base set's; mcmc: to its size limit, with noise
+    growth: Literal["guided", "mcmc", "gradient"] = "guided"  # the base set's; the first two to its size limit
     densify_from: Steps = 500  # step after which the base set is densified
     mean_gradient_over: Literal["drawn", "in_view"] = "drawn"  # steps that drew it, or had it in view, hidden or not
     mean_gradient_of: Literal["all", "own", "color"] = "all"  # own: not of what anti-aliasing draws; color: its alone
     max_growth: Amount = 0.1  # most that either way of growing adds to a set at once, × its size; 0: no limit
     min_views: Amount = 3.0  # primitives that fewer steps since the last densification show are not cloned or split
-    max_scale: Amount = 0.5  # most of a scale after an opacity reset, × the distance to a camera that shows it; 0: any
     oversized: Literal["split", "prune"] = "split"  # above a tenth of the radius: in five, or from the first reset on
     parts_weigh: Literal["share", "most"] = "share"  # a new primitive's weight, of its parent's; most: no new one goes
     reset_on_white: bool = False  # over a white background, opacities are also reset at densify_from
@@ -56,7 +55,6 @@ class Rules:
     perceptual_from: Steps = 0  # step after which L_perc counts
 
     settling_interval: Count = 5  # × densify_every between warm_up and disturb_until; less in a short run
-    small_size: Amount = 0.75  # a base of fewer primitives a pixel of a training view grows as often as 2DGS's; 0: none
     beta_threshold: Share = 1 / 255  # what moves a pixel less is not traced: rays of an image, what others leave
     ray_offset: Amount = 1e-3  # a reflected ray starts this far above the surface, × scene radius
     reflect_alpha: Share = 0.0  # pixels whose alpha is not above do not reflect: in images, and late in training
@@ -79,14 +77,13 @@ class Rules:
 
 PUBLISHED: dict[str, Any] = {  # the adaptive control of 3DGS, its colors and its length
     "average_from": 0,
+    "growth": "gradient",
     "mean_gradient_over": "in_view",
     "mean_gradient_of": "own",
     "max_growth": 0.0,
     "min_views": 0.0,
-    "max_scale": 0.0,
     "normals": "as_given",
     "mono_loss": "cos",
-    "small_size": 0.0,
     "beta_threshold": 0.0,
 }
 OF_3DGS: dict[str, Any] = PUBLISHED | {

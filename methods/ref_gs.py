@@ -22,7 +22,7 @@ from .envgs import environment_box
 from .gaussian_method import GaussianMethod
 from .gaussians.model import GaussianModel
 from .gaussians.parameters import SH_DC
-from .gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, zeros
+from .gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, opacity_resets, zeros
 from .gaussians.regions import Scope
 from .lighting.feature_light import FEATURES, LEAST_ALPHA, FeatureLight
 from .lighting.settings import RefGSSettings
@@ -59,13 +59,14 @@ class RefGS(GaussianMethod):
         base = super().policies(schedule, scene)[BASE]
         base = base.with_materials(partial(zeros, columns), columns, rates)
         base = replace(base, sh_degree=base.sh_degree if s.scope_radius else 0)
-        return {BASE: base} | ({ENV: self._near_policy(base)} if s.near_count else {})
+        return {BASE: base} | ({ENV: self._near_policy(base, scene)} if s.near_count else {})
 
-    def _near_policy(self, base: SetPolicy) -> SetPolicy:
-        """The base's, but for what starts it."""
+    def _near_policy(self, base: SetPolicy, scene: Scene | None) -> SetPolicy:
+        """The base's, but for what starts it and makes it grow."""
         start = Start(INITIAL_OPACITY, "random", None, partial(zeros, FEATURE), FEATURE)
         young = base.schedule.at(self.settings.warm_up) + RECOVERY
-        return replace(base, name=ENV, start=start, sh_degree=0, young_until=young, growth="gradient")
+        grown = replace(base, growth="gradient", resets=opacity_resets(self.settings, base.schedule, scene))
+        return replace(grown, name=ENV, start=start, sh_degree=0, young_until=young)
 
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
         base = self.model.rasterize(camera, step)

@@ -67,13 +67,13 @@ class GrowthGroup:
 
     group: ClassVar[str] = "growth"
     sh_degree: Degree = 2  # degree of the view-dependent color's spherical harmonics, 0 to 3
-    densify_until: Steps = 15_000  # step before which densification and opacity resets end
-    densify_every: Steps = 100  # steps between the base set's densifications
+    densify_until: Steps = 25_000  # step before which densification and opacity resets end
+    densify_every: Steps = 300  # steps between the base set's densifications
     densify_threshold: Amount = 2e-4  # gradient of the projected center, in half images
     min_coverage: Amount = 1.0  # pixels that a primitive must fill, on average over its views, to be cloned or split
     min_opacity: Amount = 0.05  # primitives below are pruned
     max_primitives: Limit = 1_800_000  # largest base set; beyond, those of the least blending weight are pruned; 0: any
-    pixels_per_primitive: Amount = 0.0  # the base set has at most a primitive for so many training pixels; 0: no bound
+    primitives_per_pixel: Amount = 0.75  # the base set has at most so many for each pixel of one view; 0: no bound
     opacity_reset_every: Steps = 3_000  # steps between the base set's opacity resets; 0: never
     prune_error: Amount = 0.0  # a pruning removes what adds so much to the training views' squared error; 0: none
     prune_from: Steps = 21_000  # step after which there are prunings, of all sets together
@@ -106,8 +106,9 @@ class GaussianSettings(LossesGroup, GrowthGroup, RatesGroup, RunGroup):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.rule.growth == "mcmc" and not (self.max_primitives or self.pixels_per_primitive):
-            raise ValueError("growth mcmc fills a size limit: set max_primitives or pixels_per_primitive above 0")
+        if self.rule.growth != "gradient" and not (self.max_primitives or self.primitives_per_pixel):
+            growth = self.rule.growth
+            raise ValueError(f"growth {growth} fills a size limit: set max_primitives or primitives_per_pixel above 0")
 
     @property
     def given(self) -> tuple[str, ...]:
@@ -125,8 +126,11 @@ class PublishedSettings(GaussianSettings):
     """What 3DGS and 2DGS share of their released code: its colors and its growth without bound."""
 
     sh_degree: Degree = 3
+    densify_until: Steps = 15_000
+    densify_every: Steps = 100
     min_coverage: Amount = 0.0
     max_primitives: Limit = 0
+    primitives_per_pixel: Amount = 0.0
 
 
 @dataclass(frozen=True)

@@ -236,14 +236,18 @@ def _split(
     if not len(index):
         return weights
     new = draft.rows(index)
-    scales = new["log_scales"].exp()
-    offsets = torch.randn(scales.shape, generator=generator).to(scales) * scales
-    offsets = functional.pad(offsets, (0, 3 - offsets.shape[1]))
-    new["means"] += _rotated(new["quaternions"], offsets)
+    new["means"] += drawn_offsets(new, generator)
     new["log_scales"] -= math.log(SPLIT_DIVISOR * math.sqrt(parts / 2))
     draft.append(new)
     weights = torch.cat([weights, weights[index] / parts if most is None else weights[index] * most])
     return _keep(draft, weights, ~functional.pad(rows, (0, len(index))))
+
+
+def drawn_offsets(tensors: Mapping[str, Tensor], generator: torch.Generator) -> Tensor:
+    """From each primitive's center, [N, 3] world frame, to a place drawn from its own Gaussian."""
+    scales = tensors["log_scales"].exp()
+    offsets = torch.randn(scales.shape, generator=generator).to(scales) * scales
+    return _rotated(tensors["quaternions"], functional.pad(offsets, (0, 3 - offsets.shape[1])))
 
 
 def _rotated(quaternions: Tensor, vectors: Tensor) -> Tensor:

@@ -32,7 +32,7 @@ from .relocation import PositionNoise
 from .trained_set import TrainedSet
 
 NEAR = 0.2  # hits nearer to the camera are not drawn, world units; a scene's free space raises it
-OPACITY_WEIGHT, SCALE_WEIGHT = 0.01, 0.01  # of what MCMC growth minimizes: mean opacity; mean scale ÷ scene radius
+OPACITY_WEIGHT, SCALE_WEIGHT = 0.01, 0.01  # of what MCMC minimizes: mean opacity; mean scale ÷ scene radius
 SMALL_IMAGE = 1 << 17  # pixels, and
 SMALL_SETS = 1 << 16  # primitives of all sets: a CPU takes longer to share an operation of torch's out than to do it
 
@@ -179,8 +179,8 @@ class GaussianModel:
         if self.budget is not None:
             self.budget.decide()
         policy = self.policies[name]
-        if policy.growth == "mcmc":
-            self.sets[name].relocate(self.bound(name), self.generator)
+        if policy.growth != "gradient":
+            self.sets[name].relocate(self.bound(name), self.generator, guided=policy.growth == "guided")
             return
         rule = policy.rule.of_at_most(self.bound(name))
         self.sets[name].densify(rule, self.radius, self.generator, policy.oversized_at(step))
@@ -205,12 +205,8 @@ class GaussianModel:
     def phase(self, step: int) -> Hashable:
         """What the host decides of a step."""
         young = tuple(policy.is_young(step) for policy in self.policies.values())
-        return (
-            self._restrains(step),
-            self._grows_by_color(step),
-            young,
-            *(self.policies[name].sh_degree_at(step) for name in self.sets),
-        )
+        degrees = (self.policies[name].sh_degree_at(step) for name in self.sets)
+        return (self._grows_by_color(step), young, *degrees)
 
     def optimizers(self) -> Sequence[torch.optim.Optimizer]:
         return [trained.parameters.optimizer for trained in self.sets.values()]
@@ -223,7 +219,7 @@ class GaussianModel:
 
     def losses(self) -> dict[str, Tensor]:
         """What a step minimizes of the sets themselves, weighted, by name: of growth that fills a size limit."""
-        if self.policies[BASE].growth != "mcmc":
+        if self.policies[BASE].growth == "gradient":
             return {}
         tensors = self.sets[BASE].parameters.tensors
         return {
@@ -264,34 +260,16 @@ class GaussianModel:
         without = {BASE: self.background, ENV: rendering.layers[BASE].detach()}
         return {name: (color - other).abs().sum() for name, other in without.items()}
 
-    @torch.no_grad()
-    def restrain(self, camera: Camera, statistics: Mapping[str, Statistics], step: int, counts: Tensor) -> None:
-        """After Adam: MCMC growth's noise; and while opacities recover from a reset, no larger than distances allow.
-
-        All are alike transparent then, and what covers a view from near by hides the others before they can tell what
-        they are needed for: they get no gradient any more, and nothing takes its place.
-
-        Args:
-            counts: whether the step counts, a truth on the device; else nothing changes.
-        """
+    def drift(self, counts: Tensor) -> None:
+        """Move the base set by its noise after Adam's step, if that counts, a truth on the device."""
         if self.noise is not None:
             self.noise.move(self.sets[BASE].parameters.tensors, counts)
-        if not self._restrains(step):
-            return
-        tensors = self.sets[BASE].parameters.tensors
-        distances = (tensors["means"] - camera.center).norm(dim=1)
-        allowed = self.settings.rule.max_scale * distances
-        largest = torch.where(counts & (statistics[BASE].weights > 0), allowed, torch.inf).log()
-        tensors["log_scales"].clamp_(max=largest[:, None])
 
     def _grows_by_color(self, step: int | None) -> bool:
         """Whether a step's gradients are held against a threshold, and are to be of the color alone."""
         if step is None or self.settings.rule.mean_gradient_of != "color":
             return False
         return step < self.schedule.at(self.policies[BASE].grows_until)
-
-    def _restrains(self, step: int) -> bool:
-        return self.settings.rule.max_scale > 0 and self.policies[BASE].resets.recovers(step)
 
     # What is stored
 

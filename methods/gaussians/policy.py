@@ -20,6 +20,9 @@ from .sites import COLUMNS, RATES, initial_sites
 
 INITIAL_OPACITY = 0.1  # of the base set's primitives
 
+SHAPES = 10_000  # primitives that the base set may have for a scene's shapes, however small its pictures are
+PIXELS_OF_SHAPES = 10  # … if there are so many training pixels for each of these
+
 SLOW_DENSIFICATIONS = 10  # that a span of slower growth has at least
 
 
@@ -87,11 +90,11 @@ class SetPolicy:
         sh_degree, sh_every, sh_from: the color's SH degree, steps until another one is added, from which step on.
         criterion: by which its primitives are cloned or split, [N] of one step's pass.
         rule: when they are; its size limit is what the settings let the set have at most, 0: any number.
-        interval: steps of this run between two densifications, as of a step and the set's size; 0: never.
+        interval: steps of this run between two densifications, as of a step; 0: never.
         grows_from, grows_until: step after which, and before which it is densified.
         young_until: step of this run up to which the set is not there, or so new that nothing shows what is needed.
         oversized: what becomes of oversized primitives: split, or prune from the first opacity reset on.
-        growth: by gradients, or by mcmc, which fills the size limit.
+        growth: by gradients above a threshold, or by moving primitives until a size limit is full (`relocation`).
         size_limit: what the settings name; 0: none.
     """
 
@@ -106,7 +109,7 @@ class SetPolicy:
     sh_from: int
     criterion: Callable[[Statistics, Camera], Tensor]
     rule: DensificationRule
-    interval: Callable[[int, int], Fraction]
+    interval: Callable[[int], Fraction]
     grows_from: int
     grows_until: int
     resets: Resets
@@ -152,17 +155,13 @@ class SetPolicy:
     def is_young(self, step: int) -> bool:
         return step <= self.young_until
 
-    def densification(self, action: Callable[[int], object], size: Callable[[], int]) -> Every:
-        """The event of the set's densifications: none while nothing shows what is needed.
-
-        Args:
-            size: how many primitives the set has now.
-        """
+    def densification(self, action: Callable[[int], object]) -> Every:
+        """The event of the set's densifications: none while nothing shows what is needed."""
         at = self.schedule.at
         return Every(
             f"densify_{self.name}",
             action,
-            lambda step: self.interval(step, size()),
+            self.interval,
             at(self.grows_from),
             at(self.grows_until),
             unless=lambda step: self.is_young(step) or self.resets.recovers(step),
@@ -182,6 +181,7 @@ def base_policy(
 ) -> SetPolicy:
     """The policy of what cameras see; without a scene, that of a method that no training has started."""
     most = s.max_primitives if scene is None else max_base_primitives(s, scene)
+    by_gradient = s.rule.growth == "gradient"
     sites = isinstance(s, SitesGroup) and s.color == "sites"
     if sites:
         start = replace(start, materials=initial_sites, material_columns=COLUMNS)
@@ -201,7 +201,7 @@ def base_policy(
         interval=regular(schedule, s.densify_every),
         grows_from=s.rule.densify_from,
         grows_until=s.densify_until,
-        resets=_base_resets(s, schedule, scene),
+        resets=opacity_resets(s, schedule, scene) if by_gradient else Resets(schedule, 0, s.densify_until),
         size_limit=s.max_primitives,
         oversized=s.rule.oversized,
         growth=s.rule.growth,
@@ -210,29 +210,22 @@ def base_policy(
     )
 
 
-def regular(schedule: Schedule, interval: int) -> Callable[[int, int], Fraction]:
-    """The interval of a run of 30,000 between densifications, the same at every step and size."""
-    return lambda step, size: schedule.interval(interval, DENSIFY_FLOOR)
+def regular(schedule: Schedule, interval: int) -> Callable[[int], Fraction]:
+    """The interval of a run of 30,000 between densifications, the same at every step."""
+    return lambda step: schedule.interval(interval, DENSIFY_FLOOR)
 
 
-def slowed(usual: Callable[[int, int], Fraction], times: int, after: int, until: int) -> Callable[[int, int], Fraction]:
+def slowed(usual: Callable[[int], Fraction], times: int, after: int, until: int) -> Callable[[int], Fraction]:
     """An interval between densifications, `times` as long in a span of steps, or as leaves it ten of them."""
 
-    def interval(step: int, size: int) -> Fraction:
-        every = usual(step, size)
+    def interval(step: int) -> Fraction:
+        every = usual(step)
         if every == 0 or not after < step <= until:
             return every
         longest = (until - after) // (SLOW_DENSIFICATIONS * every)
         return every * max(1, min(times, longest))
 
     return interval
-
-
-def while_small(
-    small: Callable[[int, int], Fraction], large: Callable[[int, int], Fraction], until: int
-) -> Callable[[int, int], Fraction]:
-    """The one interval of a set of fewer primitives than `until`, the other of a larger one."""
-    return lambda step, size: small(step, size) if size < until else large(step, size)
 
 
 def densification_rule(s: GaussianSettings, most: int) -> DensificationRule:
@@ -263,25 +256,23 @@ def initial_rates(s: GaussianSettings, schedule: Schedule) -> LearningRates:
 
 
 def max_base_primitives(settings: GaussianSettings, scene: Scene) -> int:
-    """The most primitives that the base set may have, as many as it starts with at least; 0: any number."""
-    if settings.pixels_per_primitive <= 0:
+    """The most primitives that the base set may have; 0: any number.
+
+    Not fewer than it starts with. Small pictures from many sides show shapes that need more than their size says.
+    """
+    if settings.primitives_per_pixel <= 0:
         return settings.max_primitives
-    bound = max(len(scene.points), int(training_pixels(scene) / settings.pixels_per_primitive))
+    pixels = sum(view.camera.width * view.camera.height for view in scene.train)
+    for_detail = int(settings.primitives_per_pixel * pixels / len(scene.train))
+    bound = max(len(scene.points), for_detail, min(SHAPES, pixels // PIXELS_OF_SHAPES))
     return min(settings.max_primitives or bound, bound)
 
 
-def training_pixels(scene: Scene) -> int:
-    """Pixels of all training views together."""
-    return sum(view.camera.width * view.camera.height for view in scene.train)
-
-
-def _base_resets(s: GaussianSettings, schedule: Schedule, scene: Scene | None) -> Resets:
+def opacity_resets(s: GaussianSettings, schedule: Schedule, scene: Scene | None) -> Resets:
     """With 3DGS's reset over a white background, of what has been put before it for nothing.
 
-    A run that is too short for any other reset has none of these either; nor has growth that needs none.
+    A run that is too short for any other reset has none of these either.
     """
-    if s.rule.growth == "mcmc":
-        return Resets(schedule, 0, s.densify_until)
     on_white = scene is not None and bool((scene.background == 1).all())
     resets = 0 < schedule.interval(s.opacity_reset_every, RESET_FLOOR) < schedule.at(s.densify_until)
     besides = schedule.at(s.rule.densify_from) if s.rule.reset_on_white and on_white and resets else 0

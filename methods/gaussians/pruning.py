@@ -68,7 +68,7 @@ class Prunings(Part):
 def prune(drawn: DrawnViews, rise: float) -> None:
     """Remove what the views miss least, of whichever set, until their squared error is 1 + `rise` times what it was.
 
-    Sets grow no more then: growth by MCMC would fill them up to their size limits again.
+    Sets grow no more then: relocation would fill them up to their size limits again.
     """
     worth, model = drawn.worth(), drawn.model
     most = (1 + rise) * drawn.squared_error({})
@@ -92,9 +92,9 @@ def prune_to(drawn: DrawnViews, most: int) -> None:
 
 
 def _too_early(model: GaussianModel, step: int) -> bool:
-    """Whether the base set's opacities come back from a reset, or growth by MCMC has its size limit still to fill."""
+    """Whether the base set's opacities come back from a reset, or growth that fills a size limit has not done so yet."""
     policy, most = model.policies[BASE], model.bound(BASE)
-    grows = policy.growth == "mcmc" and step < model.schedule.at(policy.grows_until)
+    grows = policy.growth != "gradient" and step < model.schedule.at(policy.grows_until)
     return policy.resets.recovers(step) or (grows and model.size(BASE) < FULL * most)
 
 
@@ -106,7 +106,7 @@ def events_of(model: GaussianModel, prunings: Prunings | None, of_parts: Sequenc
         span = schedule.at(model.settings.prune_from), schedule.at(PRUNE_UNTIL)
         events.append(Every("prune", prunings, lambda step: every, *span, unless=partial(_too_early, model)))
     for name, policy in model.policies.items():
-        events.append(policy.densification(partial(model.densify, name), partial(model.size, name)))
+        events.append(policy.densification(partial(model.densify, name)))
         if policy.growth == "gradient":
             events.append(policy.opacity_reset(partial(model.reset_opacity, name)))
         if name == BASE:

@@ -1,7 +1,8 @@
-"""MCMC growth: dead primitives move to live ones, sets fill their size limit, positions drift (Kheradmand et al. 2024).
+"""Growth by MCMC (Kheradmand et al. 2024): the dead move to the living, sets fill their limit, positions drift.
 
-Gradients decide nothing: a primitive is drawn from with its opacity as probability, and shares what it shows with its
-copies. The equations are those of *3D Gaussian Splatting as Markov Chain Monte Carlo*, NeurIPS 2024.
+A primitive is drawn from with its opacity as probability, and shares what it shows with its copies: the equations are
+those of *3D Gaussian Splatting as Markov Chain Monte Carlo*, NeurIPS 2024. There gradients decide nothing. Guided
+growth draws by them too, so that copies go where the picture is wrong.
 """
 
 from __future__ import annotations
@@ -16,13 +17,15 @@ from torch import Tensor
 from envgs_bench.core.torch.rotation import rotation_matrices
 
 from ..training.schedule import Part
-from .densification import DensificationRecord
+from .densification import DensificationRecord, drawn_offsets
 from .parameters import GaussianParameters, RowDraft, inverse_sigmoid
 
 DEAD = 0.005  # opacity up to which a primitive is moved
 GROWTH = 1.05  # × the set that one growth leaves at most
 MOST_SHARES = 51  # in which one primitive is divided at once
 NOISE = 5e5  # × the positions' rate, of the noise along a primitive's own covariance
+EXCHANGED = 0.05  # share of the set, of what weighs least, that guided growth moves too
+APART = 0.5  # × an offset drawn from the shared Gaussian, by which guided growth's copies start apart
 GATE = 100.0  # how sharply the noise ends with opacity: sigmoid(GATE·(DEAD − opacity))
 
 
@@ -40,27 +43,36 @@ def shared(opacities: Tensor, scales: Tensor, shares: Tensor) -> tuple[Tensor, T
     return part[:, 0].to(opacities), (scales.double() * o / integral).to(scales)
 
 
-def relocate(parameters: GaussianParameters, most: int, generator: torch.Generator) -> DensificationRecord:
+def relocate(
+    parameters: GaussianParameters, most: int, generator: torch.Generator, guide: DensificationRecord | None = None
+) -> DensificationRecord:
     """Move what is dead to where live primitives are, then grow by a twentieth, up to `most`; the new, empty record.
 
     What was moved, and what it shares with, starts Adam's moments anew. A set that is larger than `most` loses its most
-    transparent primitives.
+    transparent primitives. With a `guide`, what the last steps found of the set: a primitive is drawn by its opacity ×
+    mean gradient, what they saw and weighs least moves too, and a copy starts apart from what it shares with.
     """
     draft = parameters.draft()
     if len(draft) > most:
-        draft.keep(draft.tensors["opacity_logits"].topk(most).indices.sort().values)
+        kept = draft.tensors["opacity_logits"].topk(most).indices.sort().values
+        draft.keep(kept)
+        if guide is not None:
+            guide.keep(kept)
     opacities = draft.tensors["opacity_logits"].sigmoid()
-    dead = opacities <= DEAD
-    if len(draft) and not bool(dead.all()):
-        rows = torch.nonzero(dead)[:, 0]
-        sources = _drawn(torch.where(dead, 0, opacities), len(rows), generator)
-        _divide(draft, sources)
-        draft.tensors = {name: values.index_copy(0, rows, values[sources]) for name, values in draft.tensors.items()}
+    moved, pull = opacities <= DEAD, torch.ones_like(opacities)
+    if guide is not None and len(draft):
+        moved = moved | _least_weighted(guide)
+        pull = guide.mean_gradient() if bool((guide.gradients > 0).any()) else pull
+    if len(draft) and not bool(moved.all()):
+        rows = torch.nonzero(moved)[:, 0]
+        chances = torch.where(moved, 0, opacities * pull)
+        copies, sources = _copies(draft, chances, len(rows), generator, apart=guide is not None)
+        draft.tensors = {name: values.index_copy(0, rows, copies[name]) for name, values in draft.tensors.items()}
         draft.origins[rows] = -1
+        pull = pull.index_copy(0, rows, pull[sources])
         new = min(most, math.ceil(GROWTH * len(draft))) - len(draft)
-        sources = _drawn(draft.tensors["opacity_logits"].sigmoid(), new, generator)
-        _divide(draft, sources)
-        draft.append(draft.rows(sources))
+        chances = draft.tensors["opacity_logits"].sigmoid() * pull
+        draft.append(_copies(draft, chances, new, generator, apart=guide is not None)[0])
     parameters.become(draft)
     return DensificationRecord(len(parameters), opacities.device)
 
@@ -96,14 +108,33 @@ class PositionNoise(Part):
         self._generator.set_state(state["generator"])
 
 
-def _drawn(opacities: Tensor, count: int, generator: torch.Generator) -> Tensor:
-    """`count` rows, with opacity as probability and with replacement."""
+def _least_weighted(guide: DensificationRecord) -> Tensor:
+    """A mask [N] of the twentieth that weighs least, of those that any step drew."""
+    weights = torch.where(guide.steps > 0, guide.mean_weight(), torch.inf)
+    least = torch.topk(weights, math.ceil(EXCHANGED * len(weights)), largest=False)
+    return torch.zeros_like(weights, dtype=torch.bool).index_fill(0, least.indices[least.values < torch.inf], True)
+
+
+def _copies(
+    draft: RowDraft, chances: Tensor, count: int, generator: torch.Generator, *, apart: bool
+) -> tuple[dict[str, Tensor], Tensor]:
+    """Fields of `count` copies of rows drawn by their chances [N], and the rows [count], which are divided for them."""
+    sources = _drawn(chances, count, generator)
+    _divide(draft, sources)
+    copies = draft.rows(sources)
+    if apart:
+        copies["means"] += APART * drawn_offsets(copies, generator)
+    return copies, sources
+
+
+def _drawn(chances: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """`count` rows, drawn by their chances [N] ≥ 0 of any sum, with replacement."""
     if not count:
-        return torch.zeros(0, dtype=torch.long, device=opacities.device)
-    total = opacities.double().cumsum(0).cpu()
+        return torch.zeros(0, dtype=torch.long, device=chances.device)
+    total = chances.double().cumsum(0).cpu()
     places = torch.rand(count, generator=generator, dtype=torch.float64) * total[-1]
     rows = torch.searchsorted(total, places, right=True).clamp_max(len(total) - 1)
-    return rows.to(opacities.device)
+    return rows.to(chances.device)
 
 
 def _divide(draft: RowDraft, sources: Tensor) -> None:

@@ -45,9 +45,9 @@ class TrainedSet:
         """Grow and shrink by the rule and what the last steps recorded, with `densify`'s arguments."""
         self.record = densify(self.parameters, self.record, rule, radius, generator, oversized)
 
-    def relocate(self, most: int, generator: torch.Generator) -> None:
-        """Grow to at most so many primitives by MCMC, with `relocate`'s arguments."""
-        self.record = relocate(self.parameters, most, generator)
+    def relocate(self, most: int, generator: torch.Generator, *, guided: bool) -> None:
+        """Grow to at most so many primitives by MCMC, which may be guided by what the last steps recorded."""
+        self.record = relocate(self.parameters, most, generator, self.record if guided else None)
 
     def keep(self, rows: Tensor) -> None:
         """Keep only the primitives that a mask [N] names, with what was recorded of them."""

@@ -20,12 +20,8 @@ from ..gaussians.policy import (
     Start,
     base_policy,
     initial_rates,
-    regular,
     slowed,
-    training_pixels,
-    while_small,
 )
-from ..settings import GaussianSettings
 from ..training.schedule import DISTURB_FLOOR, RESET_FLOOR, Every, Part, Schedule
 from .settings import ReflectionSettings
 
@@ -118,21 +114,14 @@ class Disturbance(Part):
 
 
 def reflecting_policy(s: ReflectionSettings, schedule: Schedule, scene: Scene | None) -> SetPolicy:
-    """The policy of a base set with β: it grows as 2DGS's while it is small, and then more slowly.
-
-    Small is said in pixels of one view. What a scene needs follows the detail that a view shows, and not their number.
-    """
+    """The policy of a base set with β: while reflections settle, one that grows by gradients does so more slowly."""
     start = Start(INITIAL_OPACITY, s.rule.initial_orientation, beta=s.initial_beta)
     rates = replace(initial_rates(s, schedule), beta=s.beta_lr * schedule.rate_scale)
     policy = base_policy(s, schedule, scene, start=start, rates=rates)
-    if policy.growth == "mcmc":  # moved more often, primitives are drawn from before their opacities have settled
+    if policy.growth != "gradient":
         return policy
     span = schedule.at(s.warm_up), schedule.at(s.disturb_until)
-    large = slowed(policy.interval, s.rule.settling_interval, *span)
-    if scene is None or s.rule.small_size == 0:
-        return replace(policy, interval=large)
-    until = int(s.rule.small_size * training_pixels(scene) / len(scene.train))
-    return replace(policy, interval=while_small(regular(schedule, GaussianSettings.densify_every), large, until))
+    return replace(policy, interval=slowed(policy.interval, s.rule.settling_interval, *span))
 
 
 def beta_of(model: GaussianModel) -> Tensor:

@@ -27,10 +27,6 @@ class ReflectionSettings(GaussianSettings):
     mono_weight: Amount = 0.05
     perceptual_weight: Amount = 0.0
 
-    densify_until: Steps = 18_000
-    densify_every: Steps = 300
-    pixels_per_primitive: Amount = 7.0
-
     warm_up: Steps = 3_000  # steps with the base set alone
     joint: bool = True  # reflected rays pass gradients on to the base set's normals and positions
     initial_beta: Weight = 0.1  # β that base primitives start with: 1e-3 where little reflects, to 0.1 where much does
@@ -69,6 +65,7 @@ class EnvGSSettings(SitesGroup, ReflectionSettings):
     env_densify_until: Steps = 21_000  # step before which the environment's densification and opacity resets end
     env_opacity_reset_every: Steps = 6_000  # steps between the environment's opacity resets; 0: never
     planes: Literal["none", "masks", "photographs"] = "none"  # flat mirrors and panes, proposed by the one or the other
+    consistency_weight: Amount = 0.0  # × the losses between a view and a neighbor (MaterialRefGS); 1 as published
     reflection_pilot: bool = False  # a pilot run finds out what mirrored rays explain; if nothing, train as 2DGS
 
     @property

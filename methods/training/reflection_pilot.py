@@ -24,14 +24,11 @@ from .pilot_run import smaller, train_briefly
 NEVER = 10**12  # a step that no run has
 PLAIN: dict[str, Any] = {  # of a base set that reflects nothing: what `2dgs_tuned` has in the place of EnvGS's
     "warm_up": NEVER,
-    "densify_every": 100,
-    "densify_until": 15_000,
-    "pixels_per_primitive": 10.0,
     "normal_weight": 0.05,
     "mono_weight": 0.0,
     "rotation_lr_final": 1e-3,
     "disturb_every": 0,
-    "prune_from": 14_000,  # `2dgs_lean`'s
+    "consistency_weight": 0.0,
 }
 
 WARM_UP = 3_000  # steps of a run of 30,000 with the base set alone: 60 of a pilot run

@@ -36,7 +36,7 @@ class Work:
         parameters: all that they move, by name.
         record: what later changes of the sets will ask: of the picture, the statistics, the camera, the step, and
             whether the step counts, a truth on the device.
-        restrain: after Adam, hold back what runs away: of the camera, the statistics, the step, and whether it counts.
+        drift: what moves after Adam, of whether the step counts, a truth on the device.
     """
 
     draw: Callable[[Camera, int], tuple[Rendering, dict[str, Statistics]]]
@@ -45,7 +45,7 @@ class Work:
     optimizers: Callable[[], Sequence[torch.optim.Optimizer]]
     parameters: Callable[[], Iterable[tuple[str, Tensor]]]
     record: Callable[[Rendering, Mapping[str, Statistics], Camera, int, Tensor], None]
-    restrain: Callable[[Camera, Mapping[str, Statistics], int, Tensor], None]
+    drift: Callable[[Tensor], None]
 
 
 class StepRunner:
@@ -124,7 +124,7 @@ class StepRunner:
         work.record(rendering, statistics, camera, step, counts)  # before Adam moves what was drawn
         optimizers = work.optimizers()
         self.skipped += step_together(optimizers, counts)
-        work.restrain(camera, statistics, step, counts)
+        work.drift(counts)
         for optimizer in optimizers:
             optimizer.zero_grad(set_to_none=True)
 

@@ -51,4 +51,4 @@ def test_every_seed_is_reached_in_turn_and_there_are_enough_for_a_knee() -> None
 def test_the_maps_budget_is_above_all_of_its_bounds() -> None:
     most = of_the_map("settings.max_primitives")[-1] + of_the_map("env_max_primitives")[-1]
     assert of_the_map("budget.primitives")[0] > 2 * most
-    assert of_the_map("pixels_per_primitive") == [0]
+    assert of_the_map("primitives_per_pixel") == [0]

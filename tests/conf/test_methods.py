@@ -32,20 +32,17 @@ from envgs_bench.records import ELSEWHERE
 from envgs_bench.settings import read_settings
 from envgs_bench.testing import tiny_scene
 
-BOUNDED = {"pixels_per_primitive": 10.0}
-LEAN = {"prune_error": 0.05, "prune_from": 14_000}
+LEAN = {"prune_error": 0.05}
 MIRRORED = TUNED | {
-    **{"rotation_lr_final": 1e-4, "normal_weight": 0.04, "normal_from": 7_000, "densify_until": 18_000},
-    **{"densify_every": 300, "pixels_per_primitive": 7.0, "mono_weight": 0.05, "map_levels": 7},
+    **{"rotation_lr_final": 1e-4, "normal_weight": 0.04, "normal_from": 7_000},
+    **{"mono_weight": 0.05, "map_levels": 7},
 }
 DIFFERENCES = {
     **{kind: {} for kind in BUILT_IN},
-    "2dgs_tuned": TUNED | BOUNDED,
-    "3dgs_tuned": TUNED | BOUNDED,
+    "2dgs_tuned": TUNED,
+    "3dgs_tuned": TUNED,
     "3igs_tuned": TUNED | {"sh_degree": 0},
-    "gaussian_shader_tuned": TUNED
-    | {"rotation_lr_final": 1e-4, "densify_until": 18_000, "densify_every": 300}
-    | {"pixels_per_primitive": 7.0, "mono_weight": 0.05},
+    "gaussian_shader_tuned": TUNED | {"rotation_lr_final": 1e-4, "mono_weight": 0.05},
     "ref_dgs": {
         "near_count": 50_000,
         "warm_up": 1_050,
@@ -58,12 +55,9 @@ DIFFERENCES = {
     "rt_splatting_tuned": MIRRORED | {"perceptual_weight": 0.0},
     "envgs_no_joint": {"joint": False},
     "envgs_planes": {"planes": "photographs"},
-    "2dgs_lean": TUNED | BOUNDED | LEAN,
-    "3dgs_lean": TUNED | BOUNDED | LEAN,
-    **{
-        f"{kind}_mcmc": TUNED | BOUNDED | {"densify_until": 25_000, "densify_every": 300, "rules": {"growth": "mcmc"}}
-        for kind in ("2dgs", "3dgs")
-    },
+    "2dgs_lean": TUNED | LEAN,
+    "3dgs_lean": TUNED | LEAN,
+    **{f"{kind}_mcmc": TUNED | {"rules": {"growth": "mcmc"}} for kind in ("2dgs", "3dgs")},
     "envgs_lean": {"prune_error": 0.05, "reflection_pilot": True},
 }
 ABLATIONS = {  # of the published recipe
@@ -274,7 +268,7 @@ def test_the_tuned_baselines_have_the_growth_and_the_colors_of_the_other_methods
     shared = dataclasses.asdict(ReflectionSettings()) | {"rotation_lr_final": 1e-3}
     for kind in ("2dgs", "3dgs"):
         published, tuned = (composed(name)["settings"] for name in (kind, f"{kind}_tuned"))
-        assert {key for key in published if published[key] != tuned[key]} == set(TUNED | BOUNDED)
+        assert {key for key in published if published[key] != tuned[key]} == set(TUNED)
         assert {key: tuned[key] for key in TUNED} == {key: shared[key] for key in TUNED}
 
 
@@ -404,7 +398,7 @@ def test_a_methods_settings_are_listed_with_defaults_and_comments(capsys: pytest
     rows = {line[0]: (line[1], line[2].strip()) for line in lines if len(line) == 3}
     assert rows["sh_degree"] == ("2", "degree of the view-dependent color's spherical harmonics, 0 to 3")
     assert rows["joint"] == ("true", "reflected rays pass gradients on to the base set's normals and positions")
-    assert rows["densify_until"] == ("18000", "step before which densification and opacity resets end")
+    assert rows["densify_until"] == ("25000", "step before which densification and opacity resets end")
     assert {field.name for field in dataclasses.fields(method_class("envgs").Settings)} <= set(rows)
 
 

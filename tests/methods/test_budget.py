@@ -24,7 +24,7 @@ from envgs_bench.testing import tiny_scene
 BASE_BYTES, ENV_BYTES = 4 * 38, 4 * 37
 BOTH = {"base": BASE_BYTES, "env": ENV_BYTES}
 NO_BOUND = {"base": 0, "env": 0}
-GROWS = with_rules(densify_threshold=1e-9, min_coverage=0.0, min_views=0.0, pixels_per_primitive=0.0)
+GROWS = with_rules(growth="gradient", densify_threshold=1e-9, min_coverage=0.0, min_views=0.0, primitives_per_pixel=0.0)
 REFLECTS = {"warm_up": 300, "densify_until": 30_000, **GROWS}
 METHODS: dict[str, dict[str, Any]] = {
     "2dgs": GROWS,
@@ -110,10 +110,23 @@ def test_no_moment_of_a_training_is_above_the_budget(
     assert used > 0.9  # the budget is what holds them, not a lack of growth
 
 
-def test_growth_that_fills_a_limit_stays_within_the_budget(monkeypatch: pytest.MonkeyPatch) -> None:
-    fills = {**with_rules(growth="mcmc"), "max_primitives": 5_000, "densify_until": 30_000}
-    monkeypatch.setitem(METHODS, "2dgs", fills)
-    test_no_moment_of_a_training_is_above_the_budget("2dgs", Budget(primitives=190), monkeypatch)
+@pytest.mark.parametrize(
+    ("growth", "kind", "budget"),
+    [
+        ("mcmc", "2dgs", Budget(primitives=190)),
+        ("guided", "2dgs", Budget(primitives=190)),
+        ("guided", "envmap", Budget(mb=0.051)),
+        ("guided", "envgs", Budget(primitives=330, mb=0.047)),
+        pytest.param("guided", "envgs", Budget(primitives=140), marks=pytest.mark.slow),
+        pytest.param("guided", "envgs_single_set", Budget(primitives=220), marks=pytest.mark.slow),
+    ],
+)
+def test_growth_that_fills_a_limit_stays_within_the_budget(
+    growth: str, kind: str, budget: Budget, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fills = {**METHODS[kind], **with_rules(growth=growth), "max_primitives": 5_000, "densify_until": 30_000}
+    monkeypatch.setitem(METHODS, kind, fills)
+    test_no_moment_of_a_training_is_above_the_budget(kind, budget, monkeypatch)
 
 
 @pytest.mark.parametrize("kind", METHODS)

@@ -128,7 +128,7 @@ def test_a_pruning_leaves_what_the_pictures_need(kind: str) -> None:
     method.training_step(tiny_scene().train[0], 30)
 
 
-@pytest.mark.parametrize("growth", ["gradient", "mcmc"])
+@pytest.mark.parametrize("growth", ["gradient", "mcmc", "guided"])
 def test_nothing_grows_after_a_pruning_and_an_interruption_forgets_none(growth: str) -> None:
     grows = {"densify_until": 30_000, "max_primitives": 250, "densify_threshold": 1e-9, "min_coverage": 0.0}
     grows |= {"rules": {"growth": growth, "min_views": 0.0}}
@@ -147,10 +147,13 @@ def test_nothing_grows_after_a_pruning_and_an_interruption_forgets_none(growth: 
             assert each.primitives()["base"] <= left < grown
 
 
+@pytest.mark.parametrize("growth", ["mcmc", "guided"])
 @pytest.mark.parametrize(("limit", "until", "pruned"), [(400, 30_000, False), (400, 10_000, True), (205, 30_000, True)])
-def test_prunings_wait_until_mcmc_has_filled_the_size_limit_or_ends(limit: int, until: int, pruned: bool) -> None:
+def test_prunings_wait_until_growth_has_filled_the_size_limit_or_ends(
+    growth: str, limit: int, until: int, pruned: bool
+) -> None:
     own = {"prune_error": 0.02, "prune_from": 10_000, "max_primitives": limit, "densify_until": until}
-    method = trained("2dgs", 1, rules={"growth": "mcmc"}, **own)
+    method = trained("2dgs", 1, rules={"growth": growth}, **own)
     assert ("prune" in due(method, 30)) == pruned
 
 

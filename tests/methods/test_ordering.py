@@ -29,7 +29,7 @@ from envgs_bench.stages.evaluation import normal_error
 
 ROOM = {"kind": "toy", "scene": "chrome_room"}
 # The bound by training pixels is meant for pictures, not for twenty of 64×48: it would be the number of points.
-PRIOR = {"mono_weight": 0.1, "pixels_per_primitive": 0.0}
+PRIOR = {"mono_weight": 0.1, "primitives_per_pixel": 0.0}
 
 
 @pytest.fixture(scope="module")

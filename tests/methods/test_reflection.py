@@ -181,7 +181,7 @@ def test_propagation_grows_what_reflects_and_holds_opacities():
     ("first", "expected"), [(6_000, [0.01, 0.02, 0.02]), (9_000, [0.01, 0.03, 0.2]), (0, [0.01, 0.03, 0.2])]
 )
 def test_beta_resets(first, expected):
-    method = trained_base(beta_reset_from=first, initial_beta=0.02)
+    method = trained_base(beta_reset_from=first, initial_beta=0.02, growth="gradient")  # with its opacity resets
     step = 600  # 6,000 of 30,000
     befall(method, step, due(method, step) & {"reset_beta"})
     found = method.model.sets["base"].parameters.tensors["beta_logits"].detach().sigmoid()[:, 0]
@@ -189,7 +189,7 @@ def test_beta_resets(first, expected):
 
 
 def test_the_opacity_reset_leaves_what_is_below():
-    method = trained_base()
+    method = trained_base(growth="gradient")
     parameters = method.model.sets["base"].parameters
     parameters.replace("opacity_logits", torch.logit(torch.tensor([0.005, 0.01, 0.8])))
     befall(method, 1, {"reset_base_opacity"})

@@ -13,6 +13,7 @@ from scipy.integrate import quad
 from torch import Tensor
 
 from envgs_bench.core.torch.rotation import rotation_matrices
+from envgs_bench.methods.gaussians.densification import DensificationRecord
 from envgs_bench.methods.gaussians.parameters import GaussianParameters, LearningRates, inverse_sigmoid
 from envgs_bench.methods.gaussians.relocation import MOST_SHARES, NOISE, PositionNoise, relocate, shared
 from envgs_bench.methods.registry import create_method
@@ -78,6 +79,48 @@ def test_opacity_is_how_likely_a_primitive_is_drawn() -> None:
     assert float(share) == pytest.approx(0.75, abs=0.03)
 
 
+def guide_of(gradients: Tensor, weights: Tensor, steps: float = 2.0) -> DensificationRecord:
+    record = DensificationRecord(len(gradients), gradients.device)
+    record.gradients, record.weights, record.steps = gradients, weights, torch.full_like(gradients, steps)
+    return record
+
+
+def test_guided_growth_draws_by_opacity_times_gradient() -> None:
+    """Of two, alike opaque, one has thrice the other's gradient: the dead are shared three to one."""
+    opacities = torch.full((4_002,), 0.001)
+    opacities[:2] = 0.5
+    parameters = parameters_of(opacities)
+    before = parameters.detached()["means"][:2].clone()
+    gradients = torch.zeros(4_002)
+    gradients[:2] = torch.tensor([0.3, 0.1])
+    relocate(parameters, 4_002, torch.Generator().manual_seed(1), guide_of(gradients, torch.ones(4_002)))
+    distances = torch.cdist(parameters.detached()["means"][2:], before)
+    assert float((distances[:, 0] < distances[:, 1]).float().mean()) == pytest.approx(0.75, abs=0.05)
+
+
+def test_guided_growth_moves_what_weighs_least_of_what_was_drawn_and_copies_start_apart() -> None:
+    """Of forty as opaque, two weigh least and one was never drawn; a twentieth is moved, and a twentieth grows."""
+    parameters = parameters_of(torch.full((40,), 0.5))
+    before = parameters.detached()["means"].clone()
+    weights = torch.linspace(1.0, 2.0, 40)
+    weights[[3, 4, 5]] = 0.0
+    record = guide_of(torch.ones(40), weights)
+    record.steps[5] = 0
+    relocate(parameters, 1_000, torch.Generator().manual_seed(1), record)
+    means = parameters.detached()["means"]
+    assert len(parameters) == 42
+    moved = torch.nonzero((means[:40] != before).any(1))[:, 0].tolist()
+    assert moved == [3, 4]
+    assert not (means[[3, 4, 40, 41], None] == before).all(2).any()
+
+
+def test_without_any_gradient_guided_growth_draws_by_opacity() -> None:
+    parameters = parameters_of(torch.full((20,), 0.5))
+    relocate(parameters, 1_000, torch.Generator().manual_seed(1), DensificationRecord(20, torch.device("cpu")))
+    assert len(parameters) == 21
+    assert bool(torch.isfinite(parameters.detached()["means"]).all())
+
+
 def test_moments_start_anew_where_opacities_were_shared() -> None:
     parameters = parameters_of(torch.tensor([0.9, 1e-4, 0.9, 0.9]))
     sum(value.sum() for value in parameters.tensors.values()).backward()
@@ -115,22 +158,25 @@ def test_nothing_is_reset_and_growth_ends_when_settings_say() -> None:
     assert found["densify_base"] == list(range(600, 25_000, 100))
 
 
-def test_a_size_limit_is_asked_for() -> None:
-    with pytest.raises(ValueError, match="growth mcmc fills a size limit: set max_primitives"):
-        create_method("3dgs", {"rules": {"growth": "mcmc"}})
+@pytest.mark.parametrize("growth", ["mcmc", "guided"])
+def test_a_size_limit_is_asked_for(growth: str) -> None:
+    with pytest.raises(ValueError, match=f"growth {growth} fills a size limit: set max_primitives"):
+        create_method("3dgs", {"rules": {"growth": growth}})
 
 
+@pytest.mark.parametrize("growth", ["mcmc", "guided"])
 @pytest.mark.parametrize(("kind", "steps"), [("2dgs", 40), ("3dgs", 120), ("envgs", 40)])
-def test_methods_that_grow_so_conform(kind: str, steps: int) -> None:
+def test_methods_that_grow_so_conform(kind: str, steps: int, growth: str) -> None:
     """Of 120 steps growths lie in either half, so that an interrupted training has to draw the same numbers."""
     own = {"env_grid": 2} if kind == "envgs" else {}
-    rules = {"growth": "mcmc", "densify_from": 0, "average_from": 0}
+    rules = {"growth": growth, "densify_from": 0, "average_from": 0}
     check_method(kind, {**SETTINGS, **own, "rules": rules}, steps=steps)
 
 
-def test_a_ball_is_learned_by_a_set_that_fills_its_limit() -> None:
+@pytest.mark.parametrize("growth", ["mcmc", "guided"])
+def test_a_ball_is_learned_by_a_set_that_fills_its_limit(growth: str) -> None:
     scene = mirror_ball()
-    method = create_method("2dgs", {**SETTINGS, "max_primitives": 700})
+    method = create_method("2dgs", {**SETTINGS, "max_primitives": 700, "rules": {"growth": growth}})
     method.initialize(scene, 150)
     assert gain_of_training(method, scene, 150) > 3
     assert method.primitives()["base"] == 700

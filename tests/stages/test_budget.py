@@ -84,7 +84,7 @@ def test_a_budget_that_the_method_cannot_stay_within_is_refused(
     assert problem in str(caught.value)
 
 
-GROWS = with_rules(densify_threshold=1e-9, min_coverage=0.0, min_views=0.0, pixels_per_primitive=0.0)
+GROWS = with_rules(densify_threshold=1e-9, min_coverage=0.0, min_views=0.0, primitives_per_pixel=0.0)
 STEPS = 200
 
 

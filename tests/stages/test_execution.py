@@ -91,7 +91,7 @@ def test_what_was_trained_without_is_a_result(monkeypatch: pytest.MonkeyPatch, t
     monkeypatch.setenv("ENVGS_BENCH_VGG16", "off")
     results = execute("envgs", WITH_PERCEPTUAL, 1, monkeypatch, tmp_path)
     assert results.metrics is not None
-    assert results.losses == ["normal", "rgb"]
+    assert results.losses == ["normal", "opacity", "rgb", "scale"]
     assert results.notes == ["data set tiny has only 5 training views, of which little can be learned"]
     assert "normal_degrees" not in results.metrics.not_computed
     assert results.dropped_losses == {

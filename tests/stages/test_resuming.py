@@ -102,12 +102,22 @@ def test_an_interrupted_training_ends_bitwise_where_it_would_have(kind: str, tmp
     assert len(whole.model.sets["base"].parameters) != len(tiny_scene().points)  # it was densified
 
 
-@pytest.mark.parametrize("kind", ["2dgs", pytest.param("envgs", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("kind", "growth"),
+    [
+        ("2dgs", "gradient"),
+        pytest.param("envgs", "gradient", marks=pytest.mark.slow),
+        pytest.param("envgs", "guided", marks=pytest.mark.slow),  # its size limit is full from the start
+    ],
+)
 def test_prunings_after_an_interruption_are_those_that_would_have_been(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: str, growth: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Prunings after steps 30, 60 and 90: one before and two after the interruption."""
-    monkeypatch.setitem(SETTINGS, kind, SETTINGS[kind] | {"prune_error": 0.05, "prune_from": 3_000})
+    rules = SETTINGS[kind].get("rules", {}) | {"growth": growth}
+    own: dict[str, Any] = {"prune_error": 0.05, "prune_from": 3_000, "rules": rules}
+    own |= {"max_primitives": len(tiny_scene().points)} if growth == "guided" else {}
+    monkeypatch.setitem(SETTINGS, kind, SETTINGS[kind] | own)
     whole, undisturbed = train(kind, tmp_path / "whole", ())
     parts, resumed = train(kind, tmp_path / "parts", INTERRUPTED_AFTER[:1])
     assert [step for step in range(1, STEPS + 1) if whole.monitor.prunes(step)] == [30, 60, 90]

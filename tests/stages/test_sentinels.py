@@ -28,9 +28,13 @@ STEPS = 150
 SCENES = ("glass", "facing_mirrors", "thin_rails", "sky_ball", "wavy_mirror", "lacquered_table")
 FAST = ("facing_mirrors", "views", "points_at_cameras")  # the others are marked slow
 LEFT = {  # dB over one color that are left of 150 steps; three views: −0.86 to −1.20, as they are drawn
-    **{"views": -1.4, "points_random": 0.1, "points_at_cameras": 0.1, "points_near_cameras": 0.1},
+    "views": -1.4,
+    "points_random": -0.1,  # −0.06 to 0.00, of three seeds, where growth is by gradients
 }
-AS_GIVEN = {"points_at_cameras": -4.0, "points_near_cameras": -1.5}  # dB, at most, with points as they are given
+AS_GIVEN = {  # dB, at most, with points as they are given; guided growth makes less of what is near a camera
+    "points_at_cameras": {"guided": -4.0, "gradient": -4.0},
+    "points_near_cameras": {"guided": -0.5, "gradient": -1.5},
+}
 
 
 @pytest.fixture(scope="module")
@@ -95,9 +99,10 @@ def test_the_worst_of_each_kind_of_data_leaves_something_to_learn(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("growth", ["guided", "gradient"])
 @pytest.mark.parametrize("kind", AS_GIVEN)
 def test_points_that_are_taken_as_they_are_given_break_a_training_which_says_so(
-    toy: Callable[[str], Scene], kind: str, tmp_path: Path
+    toy: Callable[[str], Scene], kind: str, growth: str, tmp_path: Path
 ) -> None:
     scene = worst(toy("chrome_room"), kind)
-    assert gain("envgs", scene, tmp_path, ["learns_nothing"]) < AS_GIVEN[kind]
+    assert gain("envgs", scene, tmp_path, ["learns_nothing"], rules={"growth": growth}) < AS_GIVEN[kind][growth]

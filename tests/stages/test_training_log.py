@@ -91,7 +91,7 @@ def test_curves_are_the_runs_own_and_pictures_those_of_the_model_as_it_stands(tm
     assert math.isfinite(training.seconds)
 
 
-TERMS = ("training/rgb", "training/normal", "training/mono", "training/perceptual")
+TERMS = {f"training/{term}" for term in ("rgb", "normal", "mono", "perceptual", "opacity", "scale")}
 
 
 def test_validation_views_are_looked_at_where_there_are_some(tmp_path: Path) -> None:
