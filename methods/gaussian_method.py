@@ -183,7 +183,7 @@ class GaussianMethod(Method):
         if s.exposure == "affine":
             self.runner.exposure = AffineExposure([view.name for view in scene.train], self.device)
             self.parts["exposure"] = self.runner.exposure
-        if s.rule.growth != "gradient":
+        if s.rule.growth == "mcmc":
             self.model.noise = PositionNoise(self.device, self.generator.initial_seed())
             self.parts["noise"] = self.model.noise
         for part in self.parts.values():

@@ -20,7 +20,7 @@ from .sites import COLUMNS, RATES, initial_sites
 
 INITIAL_OPACITY = 0.1  # of the base set's primitives
 
-SHAPES = 10_000  # primitives that the base set may have for a scene's shapes, however small its pictures are
+SHAPES = 100_000  # primitives that the base set may have for what shapes and mirrors show, however small pictures are
 PIXELS_OF_SHAPES = 10  # … if there are so many training pixels for each of these
 
 SLOW_DENSIFICATIONS = 10  # that a span of slower growth has at least

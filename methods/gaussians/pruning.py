@@ -92,7 +92,7 @@ def prune_to(drawn: DrawnViews, most: int) -> None:
 
 
 def _too_early(model: GaussianModel, step: int) -> bool:
-    """Whether the base set's opacities come back from a reset, or growth that fills a size limit has not done so yet."""
+    """Whether opacities come back from a reset, or growth that fills a size limit has not done so yet."""
     policy, most = model.policies[BASE], model.bound(BASE)
     grows = policy.growth != "gradient" and step < model.schedule.at(policy.grows_until)
     return policy.resets.recovers(step) or (grows and model.size(BASE) < FULL * most)
