@@ -17,7 +17,6 @@ from .gaussians.initialization import quantile_box, random_points_in_grid, rando
 from .gaussians.model import GaussianModel
 from .gaussians.policy import Resets, SetPolicy, regular
 from .gaussians.trained_set import TrainedSet
-from .lighting.consistency import Consistency
 from .lighting.disturbance import Disturbance, reflecting_policy
 from .lighting.planes import Planes
 from .lighting.reflection import BaseCopy, Origin, Reflection, Traced
@@ -27,7 +26,7 @@ from .training.reflection_pilot import PLAIN, WARM_UP, ReflectionOutcome, reflec
 from .training.schedule import ENV_RESET_FLOOR, RECOVERY, Schedule
 
 REFLECTION = "reflection"  # in `found`: what the pilot run on reflections has shown
-CONSISTENCY, PLANES = "consistency", "planes"  # in `parts`: a loss between views; flat mirrors and panes
+PLANES = "planes"  # in `parts`: flat mirrors and panes
 PER_CELL = 5  # K: random primitives in each cell of the box
 BOX_QUANTILE = 0.995  # share of the points' range, on each axis, that the box covers
 FAR = 4.0  # radius of a sphere around the box that primitives start on too, × half its diagonal
@@ -75,10 +74,6 @@ def compose(method: EnvGS, settings: EnvGSSettings) -> None:
     if settings.planes != "none":
         planes = method.parts[PLANES] = Planes(method.model, settings)
         method.reflection.over = planes.over
-    if settings.consistency_weight > 0:
-        own = lambda view: method.runner.views.on_device(view)  # noqa: E731
-        method.parts[CONSISTENCY] = Consistency(method.model, settings.consistency_weight, own)
-        method.runner.uses_graphs = False  # a graph would hold one view's neighbor
 
 
 def is_plain(method: EnvGS) -> bool:

@@ -65,7 +65,6 @@ class EnvGSSettings(SitesGroup, ReflectionSettings):
     env_densify_until: Steps = 21_000  # step before which the environment's densification and opacity resets end
     env_opacity_reset_every: Steps = 6_000  # steps between the environment's opacity resets; 0: never
     planes: Literal["none", "masks", "photographs"] = "none"  # flat mirrors and panes, proposed by the one or the other
-    consistency_weight: Amount = 0.0  # × the losses between a view and a neighbor (MaterialRefGS); 1 as published
     reflection_pilot: bool = False  # a pilot run finds out what mirrored rays explain; if nothing, train as 2DGS
 
     @property

@@ -28,7 +28,6 @@ PLAIN: dict[str, Any] = {  # of a base set that reflects nothing: what `2dgs_tun
     "mono_weight": 0.0,
     "rotation_lr_final": 1e-3,
     "disturb_every": 0,
-    "consistency_weight": 0.0,
     "prune_from": 14_000,  # `2dgs_lean`'s
 }
 
