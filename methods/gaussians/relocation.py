@@ -62,7 +62,7 @@ def relocate(
     moved, pull = opacities <= DEAD, torch.ones_like(opacities)
     if guide is not None and len(draft):
         moved = moved | _least_weighted(guide)
-        pull = guide.mean_gradient() if bool((guide.gradients > 0).any()) else pull
+        pull = guide.mean_gradient() if bool((~moved & (guide.gradients > 0)).any()) else pull
     if len(draft) and not bool(moved.all()):
         rows = torch.nonzero(moved)[:, 0]
         chances = torch.where(moved, 0, opacities * pull)

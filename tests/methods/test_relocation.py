@@ -114,11 +114,18 @@ def test_guided_growth_moves_what_weighs_least_of_what_was_drawn_and_copies_star
     assert not (means[[3, 4, 40, 41], None] == before).all(2).any()
 
 
-def test_without_any_gradient_guided_growth_draws_by_opacity() -> None:
-    parameters = parameters_of(torch.full((20,), 0.5))
-    relocate(parameters, 1_000, torch.Generator().manual_seed(1), DensificationRecord(20, torch.device("cpu")))
-    assert len(parameters) == 21
-    assert bool(torch.isfinite(parameters.detached()["means"]).all())
+@pytest.mark.parametrize("gradients", [0.0, 1.0])
+def test_without_any_gradient_of_what_stays_guided_growth_draws_by_opacity(gradients: float) -> None:
+    """Of 20 alike opaque, all are still, or one has a gradient that weighs least and moves: others are drawn from."""
+    sources = set()
+    for seed in range(40):
+        parameters = parameters_of(torch.full((20,), 0.5))
+        before = parameters.detached()["means"].clone()
+        guide = guide_of(torch.zeros(20), torch.linspace(1, 2, 20))
+        guide.gradients[0] = gradients
+        relocate(parameters, 20, torch.Generator().manual_seed(seed), guide)
+        sources.add(int((parameters.detached()["means"][0] - before).norm(dim=1).argmin()))
+    assert len(sources) > 10
 
 
 def test_moments_start_anew_where_opacities_were_shared() -> None:
