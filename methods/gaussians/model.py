@@ -179,7 +179,7 @@ class GaussianModel:
         if self.budget is not None:
             self.budget.decide()
         policy = self.policies[name]
-        if policy.growth != "gradient":
+        if policy.fills_limit:
             self.sets[name].relocate(self.bound(name), self.generator, guided=policy.growth == "guided")
             return
         rule = policy.rule.of_at_most(self.bound(name))
@@ -219,7 +219,7 @@ class GaussianModel:
 
     def losses(self) -> dict[str, Tensor]:
         """What a step minimizes of the sets themselves, weighted, by name: of growth that fills a size limit."""
-        if self.policies[BASE].growth == "gradient":
+        if not self.policies[BASE].fills_limit:
             return {}
         tensors = self.sets[BASE].parameters.tensors
         return {

@@ -152,6 +152,11 @@ class SetPolicy:
             return "split"
         return "prune" if self.resets.passed_first(step) else "keep"
 
+    @property
+    def fills_limit(self) -> bool:
+        """Whether the set grows until its size limit is full, and not where gradients are above a threshold."""
+        return self.growth != "gradient"
+
     def is_young(self, step: int) -> bool:
         return step <= self.young_until
 

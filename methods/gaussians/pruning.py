@@ -94,7 +94,7 @@ def prune_to(drawn: DrawnViews, most: int) -> None:
 def _too_early(model: GaussianModel, step: int) -> bool:
     """Whether opacities come back from a reset, or growth that fills a size limit has not done so yet."""
     policy, most = model.policies[BASE], model.bound(BASE)
-    grows = policy.growth != "gradient" and step < model.schedule.at(policy.grows_until)
+    grows = policy.fills_limit and step < model.schedule.at(policy.grows_until)
     return policy.resets.recovers(step) or (grows and model.size(BASE) < FULL * most)
 
 
@@ -107,7 +107,7 @@ def events_of(model: GaussianModel, prunings: Prunings | None, of_parts: Sequenc
         events.append(Every("prune", prunings, lambda step: every, *span, unless=partial(_too_early, model)))
     for name, policy in model.policies.items():
         events.append(policy.densification(partial(model.densify, name)))
-        if policy.growth == "gradient":
+        if not policy.fills_limit:
             events.append(policy.opacity_reset(partial(model.reset_opacity, name)))
         if name == BASE:
             events += of_parts

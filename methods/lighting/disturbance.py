@@ -118,7 +118,7 @@ def reflecting_policy(s: ReflectionSettings, schedule: Schedule, scene: Scene | 
     start = Start(INITIAL_OPACITY, s.rule.initial_orientation, beta=s.initial_beta)
     rates = replace(initial_rates(s, schedule), beta=s.beta_lr * schedule.rate_scale)
     policy = base_policy(s, schedule, scene, start=start, rates=rates)
-    if policy.growth != "gradient":
+    if policy.fills_limit:
         return policy
     span = schedule.at(s.warm_up), schedule.at(s.disturb_until)
     return replace(policy, interval=slowed(policy.interval, s.rule.settling_interval, *span))
