@@ -25,7 +25,8 @@ GROWTH = 1.05  # × the set that one growth leaves at most
 MOST_SHARES = 51  # in which one primitive is divided at once
 NOISE = 5e5  # × the positions' rate, of the noise along a primitive's own covariance
 EXCHANGED = 0.05  # share of the set, of what weighs least, that guided growth moves too
-APART = 0.5  # × an offset drawn from the shared Gaussian, by which guided growth's copies start apart
+SMALLER = 1.3  # by which guided growth divides the scales of all that share, for they will be in different places:
+APART = 0.7  # × an offset drawn from its own Gaussian, by which a copy starts apart
 GATE = 100.0  # how sharply the noise ends with opacity: sigmoid(GATE·(DEAD − opacity))
 
 
@@ -50,7 +51,8 @@ def relocate(
 
     What was moved, and what it shares with, starts Adam's moments anew. A set that is larger than `most` loses its most
     transparent primitives. With a `guide`, what the last steps found of the set: a primitive is drawn by its opacity ×
-    mean gradient, what they saw and weighs least moves too, and a copy starts apart from what it shares with.
+    mean gradient, what they saw and weighs least moves too, and a copy starts apart from what it shares with, both
+    smaller.
     """
     draft = parameters.draft()
     if len(draft) > most:
@@ -120,7 +122,7 @@ def _copies(
 ) -> tuple[dict[str, Tensor], Tensor]:
     """Fields of `count` copies of rows drawn by their chances [N], and the rows [count], which are divided for them."""
     sources = _drawn(chances, count, generator)
-    _divide(draft, sources)
+    _divide(draft, sources, smaller=SMALLER if apart else 1.0)
     copies = draft.rows(sources)
     if apart:
         copies["means"] += APART * drawn_offsets(copies, generator)
@@ -137,8 +139,8 @@ def _drawn(chances: Tensor, count: int, generator: torch.Generator) -> Tensor:
     return rows.to(chances.device)
 
 
-def _divide(draft: RowDraft, sources: Tensor) -> None:
-    """Let each of the rows `sources` have the opacity and scales of as many parts as it is named, and one."""
+def _divide(draft: RowDraft, sources: Tensor, *, smaller: float) -> None:
+    """Let each of the rows `sources` be one of as many parts as it is named, and one, of scales ÷ `smaller`."""
     shares = (torch.bincount(sources, minlength=len(draft)) + 1).clamp_max(MOST_SHARES)
     rows = torch.nonzero(shares > 1)[:, 0]
     tensors = draft.tensors
@@ -148,6 +150,6 @@ def _divide(draft: RowDraft, sources: Tensor) -> None:
     logits = inverse_sigmoid(opacities.clamp_min(DEAD))
     draft.tensors = tensors | {
         "opacity_logits": tensors["opacity_logits"].index_copy(0, rows, logits),
-        "log_scales": tensors["log_scales"].index_copy(0, rows, scales.log()),
+        "log_scales": tensors["log_scales"].index_copy(0, rows, (scales / smaller).log()),
     }
     draft.origins[rows] = -1

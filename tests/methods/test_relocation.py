@@ -114,6 +114,21 @@ def test_guided_growth_moves_what_weighs_least_of_what_was_drawn_and_copies_star
     assert not (means[[3, 4, 40, 41], None] == before).all(2).any()
 
 
+def test_what_guided_growth_shares_has_smaller_scales_than_equal_parts_in_one_place() -> None:
+    """A dead one moves to one of scale 0.2: both have equal parts' ÷ 1.3, 0.7 of such an offset apart."""
+    distances = []
+    for seed in range(200):
+        parameters = parameters_of(torch.tensor([0.5, 0.001]))
+        parameters.tensors["log_scales"].data.fill_(math.log(0.2))
+        guide = guide_of(torch.ones(2), torch.tensor([1.0, 0.0]))
+        relocate(parameters, 2, torch.Generator().manual_seed(seed), guide)
+        tensors = parameters.detached()
+        equal = float(shared(torch.tensor([0.5]), torch.tensor([[0.2, 0.2]]), torch.tensor([2]))[1][0, 0])
+        assert tensors["log_scales"].exp().flatten().tolist() == pytest.approx([equal / 1.3] * 4, rel=1e-5)
+        distances.append(float((tensors["means"][1] - tensors["means"][0]).norm()))
+    assert sum(d * d for d in distances) / 200 == pytest.approx(2 * (0.7 * equal / 1.3) ** 2, rel=0.25)
+
+
 @pytest.mark.parametrize("gradients", [0.0, 1.0])
 def test_without_any_gradient_of_what_stays_guided_growth_draws_by_opacity(gradients: float) -> None:
     """Of 20 alike opaque, all are still, or one has a gradient that weighs least and moves: others are drawn from."""
