@@ -24,6 +24,7 @@ from .kept.over_scenes import differences, mean_over_scenes, over_scenes
 from .kept.perturbed_file import read_perturbed
 from .kept.perturbed_tables import lag, recall, stability
 from .kept.runs_file import NoRunsError, read_kept
+from .kept.speed import read_speed, speed
 from .kept.tables import FULL, KeptRuns, PageTable, TableError, column_of, costs, difference, gains, programs, scores
 from .studies import STUDIES
 
@@ -34,6 +35,7 @@ KINDS: dict[str, PageTable] = {each.__name__: each for each in (scores, gains, c
 OF_OTHERS: dict[str, tuple[Callable[[Path], pd.DataFrame], Callable[..., str]]] = {  # of other files: how they are read
     **{table.__name__: (read_counts, table) for table in (false_alarms, found)},
     **{table.__name__: (read_perturbed, table) for table in (recall, lag, stability)},
+    speed.__name__: (read_speed, speed),
 }
 
 
