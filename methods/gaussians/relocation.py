@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -25,8 +25,6 @@ GROWTH = 1.05  # × the set that one growth leaves at most
 MOST_SHARES = 51  # in which one primitive is divided at once
 NOISE = 5e5  # × the positions' rate, of the noise along a primitive's own covariance
 EXCHANGED = 0.05  # share of the set, of what weighs least, that guided growth moves too
-SMALLER = 1.3  # by which guided growth divides the scales of all that share, for they will be in different places:
-APART = 0.7  # × an offset drawn from its own Gaussian, by which a copy starts apart
 GATE = 100.0  # how sharply the noise ends with opacity: sigmoid(GATE·(DEAD − opacity))
 
 
@@ -44,37 +42,52 @@ def shared(opacities: Tensor, scales: Tensor, shares: Tensor) -> tuple[Tensor, T
     return part[:, 0].to(opacities), (scales.double() * o / integral).to(scales)
 
 
-def relocate(
-    parameters: GaussianParameters, most: int, generator: torch.Generator, guide: DensificationRecord | None = None
-) -> DensificationRecord:
+class Sharing(NamedTuple):
+    """In what a primitive and its copies differ from equal parts in one place.
+
+    Attributes:
+        smaller: what their scales are divided by.
+        apart: × an offset drawn from its own Gaussian, by which a copy starts apart.
+    """
+
+    smaller: float = 1.0
+    apart: float = 0.0
+
+
+IN_ONE_PLACE = Sharing()
+PARTED = Sharing(smaller=1.3, apart=0.7)
+
+
+def relocate(parameters: GaussianParameters, most: int, generator: torch.Generator) -> DensificationRecord:
     """Move what is dead to where live primitives are, then grow by a twentieth, up to `most`; the new, empty record.
 
     What was moved, and what it shares with, starts Adam's moments anew. A set that is larger than `most` loses its most
-    transparent primitives. With a `guide`, what the last steps found of the set: a primitive is drawn by its opacity ×
-    mean gradient, what they saw and weighs least moves too, and a copy starts apart from what it shares with, both
-    smaller.
+    transparent primitives.
     """
     draft = parameters.draft()
-    if len(draft) > most:
-        kept = draft.tensors["opacity_logits"].topk(most).indices.sort().values
-        draft.keep(kept)
-        if guide is not None:
-            guide.keep(kept)
+    _cut(draft, most)
     opacities = draft.tensors["opacity_logits"].sigmoid()
-    moved, pull = opacities <= DEAD, torch.ones_like(opacities)
-    if guide is not None and len(draft):
-        moved = moved | _least_weighted(guide)
-        pull = guide.mean_gradient() if bool((~moved & (guide.gradients > 0)).any()) else pull
-    if len(draft) and not bool(moved.all()):
-        rows = torch.nonzero(moved)[:, 0]
-        chances = torch.where(moved, 0, opacities * pull)
-        copies, sources = _copies(draft, chances, len(rows), generator, apart=guide is not None)
-        draft.tensors = {name: values.index_copy(0, rows, copies[name]) for name, values in draft.tensors.items()}
-        draft.origins[rows] = -1
-        pull = pull.index_copy(0, rows, pull[sources])
-        new = min(most, math.ceil(GROWTH * len(draft))) - len(draft)
-        chances = draft.tensors["opacity_logits"].sigmoid() * pull
-        draft.append(_copies(draft, chances, new, generator, apart=guide is not None)[0])
+    _move_and_grow(draft, opacities <= DEAD, torch.ones_like(opacities), most, generator, IN_ONE_PLACE)
+    parameters.become(draft)
+    return DensificationRecord(len(parameters), opacities.device)
+
+
+def relocate_guided(
+    parameters: GaussianParameters, most: int, generator: torch.Generator, guide: DensificationRecord
+) -> DensificationRecord:
+    """As `relocate`, by what the last steps found of the set.
+
+    A primitive is drawn by its opacity × mean gradient, what they saw and weighs least moves too, and what shares is
+    parted.
+    """
+    draft = parameters.draft()
+    guide.keep(_cut(draft, most))
+    opacities = draft.tensors["opacity_logits"].sigmoid()
+    moved = (opacities <= DEAD) | _least_weighted(guide)
+    shown = bool((~moved & (guide.gradients > 0)).any())
+    _move_and_grow(
+        draft, moved, guide.mean_gradient() if shown else torch.ones_like(opacities), most, generator, PARTED
+    )
     parameters.become(draft)
     return DensificationRecord(len(parameters), opacities.device)
 
@@ -110,6 +123,31 @@ class PositionNoise(Part):
         self._generator.set_state(state["generator"])
 
 
+def _cut(draft: RowDraft, most: int) -> Tensor:
+    """Leave at most that many rows, the most opaque ones; those that are left, in order."""
+    kept = draft.tensors["opacity_logits"].topk(min(most, len(draft))).indices.sort().values
+    if len(kept) < len(draft):
+        draft.keep(kept)
+    return kept
+
+
+def _move_and_grow(
+    draft: RowDraft, moved: Tensor, pull: Tensor, most: int, generator: torch.Generator, sharing: Sharing
+) -> None:
+    """Make of the rows in the mask `moved` copies of others, then more copies; both drawn by opacity × pull [N] ≥ 0."""
+    if not len(draft) or bool(moved.all()):
+        return
+    rows = torch.nonzero(moved)[:, 0]
+    chances = torch.where(moved, 0, draft.tensors["opacity_logits"].sigmoid() * pull)
+    copies, sources = _copies(draft, chances, len(rows), generator, sharing)
+    draft.tensors = {name: values.index_copy(0, rows, copies[name]) for name, values in draft.tensors.items()}
+    draft.origins[rows] = -1
+    pull = pull.index_copy(0, rows, pull[sources])
+    new = min(most, math.ceil(GROWTH * len(draft))) - len(draft)
+    chances = draft.tensors["opacity_logits"].sigmoid() * pull
+    draft.append(_copies(draft, chances, new, generator, sharing)[0])
+
+
 def _least_weighted(guide: DensificationRecord) -> Tensor:
     """A mask [N] of the twentieth that weighs least, of those that any step drew."""
     weights = torch.where(guide.steps > 0, guide.mean_weight(), torch.inf)
@@ -118,14 +156,14 @@ def _least_weighted(guide: DensificationRecord) -> Tensor:
 
 
 def _copies(
-    draft: RowDraft, chances: Tensor, count: int, generator: torch.Generator, *, apart: bool
+    draft: RowDraft, chances: Tensor, count: int, generator: torch.Generator, sharing: Sharing
 ) -> tuple[dict[str, Tensor], Tensor]:
     """Fields of `count` copies of rows drawn by their chances [N], and the rows [count], which are divided for them."""
     sources = _drawn(chances, count, generator)
-    _divide(draft, sources, smaller=SMALLER if apart else 1.0)
+    _divide(draft, sources, sharing.smaller)
     copies = draft.rows(sources)
-    if apart:
-        copies["means"] += APART * drawn_offsets(copies, generator)
+    if sharing.apart:
+        copies["means"] += sharing.apart * drawn_offsets(copies, generator)
     return copies, sources
 
 
@@ -139,7 +177,7 @@ def _drawn(chances: Tensor, count: int, generator: torch.Generator) -> Tensor:
     return rows.to(chances.device)
 
 
-def _divide(draft: RowDraft, sources: Tensor, *, smaller: float) -> None:
+def _divide(draft: RowDraft, sources: Tensor, smaller: float) -> None:
     """Let each of the rows `sources` be one of as many parts as it is named, and one, of scales ÷ `smaller`."""
     shares = (torch.bincount(sources, minlength=len(draft)) + 1).clamp_max(MOST_SHARES)
     rows = torch.nonzero(shares > 1)[:, 0]
