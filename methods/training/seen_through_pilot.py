@@ -16,18 +16,19 @@ from torch import Tensor
 from torch.nn import functional
 
 from envgs_bench.core import Scene, View
-from envgs_bench.core.normal_prior import NormalPrior, normals_outside, share_of
+from envgs_bench.core.normal_prior import NormalPrior, normals_outside, pixels_in, share_of
 from envgs_bench.parts import TRANSMISSIVE
 
 from ..method import Method
 from .pilot_run import SHORTEST_RUN, smaller, train_briefly
-from .places import gained_by_place
+from .places import sums_by_place
 
 NORMALS = "normals"  # in what pilot runs have found
 HELD_OUT = 8  # every eighth training view, the fourth first, is drawn and not trained on
 CELLS = 16  # of a view along either axis, without normals or with them
 PLACE = 0.2  # × the scene radius: the edge of a place
-LEAST_GAIN = 0.5  # dB that a place gains without normals, from which on it has none
+LEAST_GAIN = 0.5  # dB that a place gains without normals, from which on it has none …
+LEAST_SHARE = 0.05  # … where so much of what views show of it is likely to lie behind
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,7 @@ def learned_normals(
 def better_without(scene: Scene, prior: NormalPrior, held: Method, free: Method) -> dict[str, Tensor]:
     """Train both methods on the training views, `free` without any normals; where it draws better, as `left_out`.
 
+    Of that only places of which views show some as what may lie behind: a matt wall gains in so short a run, too.
     Every eighth view is held out of both trainings. All views are drawn and compared, those that were trained on too.
 
     Args:
@@ -123,23 +125,31 @@ def better_without(scene: Scene, prior: NormalPrior, held: Method, free: Method)
     for method, views in ((held, small), (free, without)):
         trained = [view for index, view in enumerate(views) if index % HELD_OUT != HELD_OUT // 2]
         train_briefly(method, replace(scene, train=trained, test=[], val=[], normals=None))
-    drawn = (_drawn(view, held, free) for view in small)
-    points, before, after = (torch.cat(parts) for parts in zip(*drawn, strict=True))
-    gained = gained_by_place(points, before, after, PLACE * scene.radius) > LEAST_GAIN
-    left_out, sizes = {}, [view.camera.height * view.camera.width for view in small]
-    for view, pixels in zip(small, gained.split(sizes), strict=True):
+    drawn = (_drawn(view, prior, held, free) for view in small)
+    points, numbers = (torch.cat(parts, dim=-1) for parts in zip(*drawn, strict=True))
+    seen, behind, before, after = sums_by_place(points.T, numbers, PLACE * scene.radius)
+    gains = (before > 10 ** (LEAST_GAIN / 10) * after) & (behind > LEAST_SHARE * seen)
+    sizes = [view.camera.height * view.camera.width for view in small]
+    left_out = {}
+    for view, pixels in zip(small, gains.split(sizes), strict=True):
         shares = functional.adaptive_avg_pool2d(pixels.float().reshape(1, view.camera.height, -1), CELLS)[0]
         if (shares > 0.5).any():
-            left_out[view.name] = (shares > 0.5).cpu()
+            left_out[view.name] = shares > 0.5
     return left_out
 
 
 @torch.no_grad()
-def _drawn(view: View, held: Method, free: Method) -> tuple[Tensor, Tensor, Tensor]:
-    """Where `held` draws each pixel of the view [P, 3], and the squared errors [P] of both, on the CPU."""
+def _drawn(view: View, prior: NormalPrior, held: Method, free: Method) -> tuple[Tensor, Tensor]:
+    """Where `held` draws each pixel of a view [3, P], and of it four numbers [4, P], on the CPU.
+
+    They are 1, whether it may lie behind, and the squared errors of `held` and `free`.
+    """
     drawn, target = held.render(view.camera), view.rgb()
     origins, directions = view.camera.rays()
     points = origins + drawn.depth.cpu().reshape(*directions.shape[:2], 1) * directions
+    likely = prior.maybe_seen_through.get(view.name, torch.zeros(CELLS, CELLS, dtype=torch.bool))
+    behind = pixels_in(likely, *target.shape[:2]).float()
     colors = (drawn.color, free.render(view.camera).color)
-    before, after = ((color.clamp(0, 1).cpu() - target).square().mean(dim=-1).flatten() for color in colors)
-    return points.reshape(-1, 3), before, after
+    before, after = ((color.clamp(0, 1).cpu() - target).square().mean(dim=-1) for color in colors)
+    numbers = torch.stack([torch.ones_like(behind), behind, before, after])
+    return points.reshape(-1, 3).T, numbers.flatten(1)
