@@ -123,8 +123,8 @@ def _offer_perceptual(method: Method) -> list[None]:
         calls.append(None)
         return (image - target).abs().mean()
 
-    if method.needs.perceptual:
-        method.perceptual = perceptual
+    if name := method.needs.perceptual:
+        method.perceptual[name] = perceptual
     return calls
 
 

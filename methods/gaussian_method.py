@@ -64,7 +64,7 @@ class GaussianMethod(Method):
 
     def __init__(self, settings: GaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        self.found: dict[str, dict[str, Any]] = {}
+        self.found: dict[str, dict[str, float]] = {}
         self.drawn: DrawnViews | None = None
         self.model = GaussianModel(settings, self.axes, self.device, self.generator)
         self.model.policies = self.policies(self.model.schedule, None)
@@ -117,7 +117,7 @@ class GaussianMethod(Method):
             view: the training view, camera and normals on the method's device.
         """
         trusted = None if self.reflection is None else self.reflection.mono_weights
-        perceptual = self.perceptual if self.settings.perceptual_weight > 0 else None
+        perceptual = self.perceptual.get(self.settings.rule.perceptual_loss)
         terms = self.runner.loss.terms(rendering, target, view, step, trusted, perceptual) | self.model.losses()
         for part in self.parts.values():
             terms |= part.losses(rendering, view, step)
@@ -139,6 +139,7 @@ class GaussianMethod(Method):
         s = self.settings
         return Needs(
             perceptual=s.rule.perceptual_loss if s.perceptual_weight > 0 else None,
+            lpips=s.prune_error > 0,
             given=s.given,
             clearance=NEAR,
             agreed_normals=s.rule.normals == "agreed" and s.mono_weight > 0,
@@ -194,14 +195,13 @@ class GaussianMethod(Method):
         self.drawn = DrawnViews(self.model, self.draw, self.prepare, views.all_of(scene.train), views.all_of(some))
         prunings = None
         if s.prune_error > 0:
-            prunings = self.parts["prunings"] = Prunings(self.drawn, self.notes)
+            prunings = self.parts["prunings"] = Prunings(self.drawn, self.notes, self.perceptual.get("lpips"))
         of_parts = [event for part in self.parts.values() for event in part.events()]
         self.runner.start(schedule, s.rule.average_from, views, events_of(self.model, prunings, of_parts))
 
     def training_step(self, view: View, step: int) -> dict[str, Tensor]:
         # A perceptual loss is a large network's, which is worth all threads.
-        perceives = self.settings.perceptual_weight > 0
-        threads = nullcontext() if perceives else self.model.suited_threads(view.camera)
+        threads = nullcontext() if self.settings.perceptual_weight > 0 else self.model.suited_threads(view.camera)
         stream = on_own_stream(self.device) if self.device.type == "cuda" else nullcontext()
         with stream, threads:
             view = self.runner.views.on_device(view)

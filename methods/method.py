@@ -34,12 +34,14 @@ class Needs:
 
     Attributes:
         perceptual: which perceptual loss it trains with, a key of `envgs_bench.metrics.PERCEPTUAL_LOSSES`; None: none.
+        lpips: whether it looks at its own pictures of training views by LPIPS, the loss of that name.
         agreed_normals: whether it learns from normals in agreement: the harness then gives `Scene.normals`.
         given: what it uses of the data besides photographs, poses and points, where these have it: GIVEN's keys.
         clearance: nothing may be nearer to a camera, world units, as it would not be drawn.
     """
 
     perceptual: str | None = None
+    lpips: bool = False
     agreed_normals: bool = False
     given: tuple[str, ...] = ()
     clearance: float = 0.0
@@ -106,9 +108,9 @@ class Method(ABC):
         card: what reports show of it; None where they are to find a name and a color themselves.
         skipped_steps: training steps that were not applied because a loss or gradient was not finite; a number, or a
             tensor of one.
-        perceptual: the perceptual loss of two [H, W, 3] images in [0, 1], (image, target) -> scalar, differentiable
-            in the first. The harness sets it before `initialize` where `needs` names one and the network's weights
-            can be had; None otherwise, and the method then trains without it.
+        perceptual: the perceptual losses that `needs` names, by name: of two [H, W, 3] images in [0, 1], (image,
+            target) -> scalar, differentiable in the first. The harness adds them before `initialize` where the
+            network's weights can be had; where they cannot, the method does without.
         dropped_losses: a loss that the settings ask for and that cannot be computed here -> why, a loss of
             `envgs_bench.parts.LOSSES` under its key there; complete once `initialize` is done. The harness adds the
             perceptual loss where it has none to offer, the method what the scene lacks.
@@ -124,7 +126,7 @@ class Method(ABC):
         self.settings = settings
         self.device = torch.device(device)
         self.generator = torch.Generator().manual_seed(seed)  # on the CPU: the same numbers for every device
-        self.perceptual: Callable[[Tensor, Tensor], Tensor] | None = None
+        self.perceptual: dict[str, Callable[[Tensor, Tensor], Tensor]] = {}
         self.dropped_losses: dict[str, str] = {}
         self.notes: list[str] = []
 

@@ -142,13 +142,18 @@ def near_of(method: Method, scene: Scene) -> float:
 
 
 def offer_perceptual_loss(method: Method) -> None:
-    """Methods must not import metrics: those that use the perceptual loss are given it, if it can be had."""
-    if name := method.needs.perceptual:
+    """Methods must not import metrics: those that use perceptual losses are given them, if they can be had.
+
+    What a method trains without is said at once; what it does without LPIPS, it says itself.
+    """
+    needs = method.needs
+    for name in filter(None, dict.fromkeys([needs.perceptual, "lpips" if needs.lpips else None])):
         try:
-            method.perceptual = make_perceptual_loss(name, method.device)
+            method.perceptual[name] = make_perceptual_loss(name, method.device)
         except WeightsUnavailable as error:
-            method.dropped_losses[PERCEPTUAL] = str(error)
-            print(f"training without the perceptual loss: {error}", file=sys.stderr)
+            if name == needs.perceptual:
+                method.dropped_losses[PERCEPTUAL] = str(error)
+                print(f"training without the perceptual loss: {error}", file=sys.stderr)
 
 
 def scene_for(method: Method, diagnosis: Diagnosis) -> Scene:

@@ -25,7 +25,7 @@ class DrawnViews:
         draw: an image, and each set's statistics, from the model's prepared sets: as of `GaussianMethod.draw`.
         prepare: make the sets as they are, and all that images need besides.
         views: the training views on the model's device, from the first one at each call.
-        sample: some of them, which tell what a pruning costs: that is asked HALVINGS times a pruning.
+        sample: some of them, which tell how well the model draws, with a part of its primitives or all.
     """
 
     model: GaussianModel
@@ -35,8 +35,8 @@ class DrawnViews:
     sample: Callable[[], Iterable[View]]
 
     def pictures(self) -> Iterator[tuple[Rendering, View]]:
-        """Each view's picture from the prepared sets, and the view."""
-        for view in self.views():
+        """The sample's pictures from the prepared sets, each with its view."""
+        for view in self.sample():
             yield self.draw(view.camera, None)[0], view
 
     def squared_error(self, drawn: Mapping[str, Tensor]) -> float:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Any
+
+from torch import Tensor
 
 from envgs_bench.parts import BASE
 
@@ -20,39 +23,45 @@ PRUNE_EVERY, PRUNE_UNTIL = 1_500, 28_000  # steps of a run of 30,000: between tw
 
 
 class Prunings(Part):
-    """The prunings of one run: each as far as `prune` may go, until what they cost is more than their bound.
+    """The prunings of one run: each as far as `prune` may go, and none while views are drawn worse than their bound.
 
     Attributes:
         bound: what they may cost.
-        counts: primitives before the first pruning, and after each.
+        counts: primitives before the first pruning, and after each time that one was due.
     """
 
-    def __init__(self, drawn: DrawnViews, notes: list[str]) -> None:
+    def __init__(
+        self, drawn: DrawnViews, notes: list[str], lpips: Callable[[Tensor, Tensor], Tensor] | None = None
+    ) -> None:
         """
         Args:
             notes: where the method says what was found.
+            lpips: of a picture and its target, [H, W, 3] in [0, 1]; None: it is not to be had, and the bound is PSNR's.
         """
-        self._drawn, self._notes = drawn, notes
+        self._drawn, self._notes, self._lpips = drawn, notes, lpips
         self.bound = PruningBound()
         self.counts: list[int] = []
 
     def __call__(self, step: int) -> None:
         """Prune after this step, where the bound allows it."""
-        if not self.bound.ended:
-            self._drawn.prepare()
-            allowed = self.bound.allows(quality_of(self._drawn.pictures()))
-            self.counts = self.counts or [self._count()]
-            if allowed:
-                prune(self._drawn, self._drawn.model.settings.prune_error)
-                self.counts.append(self._count())
-            self._tell()
+        self._drawn.prepare()
+        allowed = self.bound.allows(quality_of(self._drawn.pictures(), self._lpips))
+        self.counts = self.counts or [self._count()]
+        if allowed:
+            prune(self._drawn, self._drawn.model.settings.prune_error)
+        self.counts.append(self._count())
+        self._tell()
 
     def _count(self) -> int:
         return sum(self._drawn.model.primitives().values())
 
     def _tell(self) -> None:
-        words = f"{PRUNINGS} {len(self.counts) - 1}: {self.counts[-1]:,} of {self.counts[0]:,} primitives are left; "
-        words += f"they ended as {self.bound.ended}" if self.bound.ended else "each went as far as training views allow"
+        due, done = len(self.counts) - 1, sum(b < a for a, b in pairwise(self.counts))
+        words = f"{PRUNINGS} {done} of {due}: {self.counts[-1]:,} of {self.counts[0]:,} primitives are left; "
+        if self.bound.beyond:
+            words += f"the last was left out, as training views lost {self.bound.beyond}; "
+        words += f"before it they had {self.bound.seen}"
+        words += "" if self._lpips else "; LPIPS was not asked, as VGG-16's weights are not here"
         self._notes[:] = [note for note in self._notes if not note.startswith(PRUNINGS)] + [words]
 
     def training_state(self) -> dict[str, Any]:

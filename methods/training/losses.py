@@ -21,6 +21,7 @@ from ..settings import GaussianSettings
 from .schedule import Schedule
 
 SSIM_SHARE = 0.2  # SSIM's part of the photometric loss, as in 3DGS
+PRUNED_SSIM_SHARE = 0.35  # … of a set that is pruned: fine texture, which goes first, is little of an error a pixel
 
 
 @dataclass(frozen=True)
@@ -31,10 +32,12 @@ class TrainingLoss:
     schedule: Schedule
     normal_weight: float = 1.0  # × L_mono: what the views' normals are worth
 
-    def began(self, step: int) -> tuple[bool, bool, bool]:
-        """Whether L_norm, L_mono and L_perc may count as of a step."""
+    def began(self, step: int) -> tuple[bool, bool, bool, bool]:
+        """Whether L_norm, L_mono and L_perc may count as of a step, and whether sets may be pruned."""
         s, at = self.settings, self.schedule.at
-        return step > at(s.normal_from), step > at(s.rule.mono_from), step > at(s.rule.perceptual_from)
+        starts = s.normal_from, s.rule.mono_from, s.rule.perceptual_from
+        normal, mono, perceives = (step > at(start) for start in starts)
+        return normal, mono, perceives, s.prune_error > 0 and step > at(s.prune_from)
 
     def terms(
         self,
@@ -54,8 +57,9 @@ class TrainingLoss:
             perceptual: what L_perc is of an image and its target; None without it.
         """
         s = self.settings
-        normal, mono, perceives = self.began(step)
-        terms = {"rgb": photometric_loss(rendering.color, target, backend=s.backend)}
+        normal, mono, perceives, pruned = self.began(step)
+        share = PRUNED_SSIM_SHARE if pruned else SSIM_SHARE
+        terms = {"rgb": photometric_loss(rendering.color, target, share, backend=s.backend)}
         weight = self._pixel_weights(rendering)
         if normal and s.normal_weight > 0:
             terms["normal"] = s.normal_weight * self._depth_error(rendering, view, weight)
@@ -65,7 +69,7 @@ class TrainingLoss:
                 confidence = weight if confidence is None else confidence * weight
             mono_weight = s.mono_weight * self.normal_weight * self.schedule.rate_scale
             terms[MONO] = mono_weight * self._mono_error(rendering, view.normal, confidence)
-        if perceives and perceptual:
+        if perceives and perceptual and s.perceptual_weight > 0:
             terms[PERCEPTUAL] = s.perceptual_weight * perceptual(rendering.color, target)
         return terms
 
@@ -130,10 +134,10 @@ def lacking_normals(scene: Scene) -> str:
     return f"only {those} of {count} training views have normals, and it counts at those alone"
 
 
-def photometric_loss(image: Tensor, target: Tensor, *, backend: str = "auto") -> Tensor:
-    """L_rgb = 0.8·mean |I − I_gt| + 0.2·(1 − SSIM), the SSIM by the core's `backend`."""
+def photometric_loss(image: Tensor, target: Tensor, ssim_share: float = SSIM_SHARE, *, backend: str = "auto") -> Tensor:
+    """L_rgb = (1 − s)·mean |I − I_gt| + s·(1 − SSIM), the SSIM by the core's `backend`."""
     difference = (image - target).abs().mean()
-    return (1 - SSIM_SHARE) * difference + SSIM_SHARE * (1 - ssim(image, target, backend=backend))
+    return (1 - ssim_share) * difference + ssim_share * (1 - ssim(image, target, backend=backend))
 
 
 def eroded(alpha: Tensor) -> Tensor:

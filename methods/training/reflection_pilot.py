@@ -28,7 +28,6 @@ PLAIN: dict[str, Any] = {  # of a base set that reflects nothing: what `2dgs_tun
     "mono_weight": 0.0,
     "rotation_lr_final": 1e-3,
     "disturb_every": 0,
-    "prune_from": 14_000,  # `2dgs_lean`'s
 }
 
 WARM_UP = 3_000  # steps of a run of 30,000 with the base set alone: 60 of a pilot run

@@ -32,7 +32,7 @@ from envgs_bench.records import ELSEWHERE
 from envgs_bench.settings import read_settings
 from envgs_bench.testing import tiny_scene
 
-LEAN = {"prune_error": 0.05, "prune_from": 14_000}
+LEAN = {"prune_error": 0.05}
 MIRRORED = TUNED | {
     **{"rotation_lr_final": 1e-4, "normal_weight": 0.04, "normal_from": 7_000},
     **{"mono_weight": 0.05, "map_levels": 7},

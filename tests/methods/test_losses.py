@@ -7,8 +7,11 @@ import pytest
 import torch
 from scipy import ndimage
 
+from envgs_bench.core import Rendering, Statistics
 from envgs_bench.core.ssim import ssim
+from envgs_bench.methods.settings import GaussianSettings
 from envgs_bench.methods.training.losses import (
+    TrainingLoss,
     eroded,
     nearness,
     normal_distance,
@@ -16,6 +19,8 @@ from envgs_bench.methods.training.losses import (
     photometric_loss,
     training_psnr,
 )
+from envgs_bench.methods.training.schedule import Schedule
+from envgs_bench.testing import tiny_scene
 
 
 def test_normal_loss_is_one_minus_cosine_and_spares_unknown_pixels():
@@ -46,6 +51,20 @@ def test_photometric_loss_is_the_stated_mixture():
     expected = 0.8 * (image - target).abs().mean() + 0.2 * (1 - ssim(image, target))
     torch.testing.assert_close(photometric_loss(image, target), expected)
     assert photometric_loss(target, target).item() == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.parametrize(("prune_error", "step", "share"), [(0.05, 71, 0.35), (0.05, 70, 0.2), (0.0, 71, 0.2)])
+def test_structure_counts_for_more_once_a_set_may_be_pruned(prune_error: float, step: int, share: float) -> None:
+    """`prune_from` is 21,000 of 30,000 steps: step 70 of 100."""
+    view = tiny_scene().train[0]
+    target = view.rgb()
+    image = torch.rand(target.shape, generator=torch.Generator().manual_seed(0))
+    settings = GaussianSettings(prune_error=prune_error, normal_weight=0.0, mono_weight=0.0)
+    flat = torch.zeros(target.shape[:2])
+    drawn = Rendering(image, flat, flat, image, flat[..., None], flat.int(), Statistics(flat))
+    terms = TrainingLoss(settings, Schedule(100)).terms(drawn, target, view, step, None, None)
+    expected = (1 - share) * (image - target).abs().mean() + share * (1 - ssim(image, target))
+    torch.testing.assert_close(terms, {"rgb": expected})
 
 
 def test_nearness():

@@ -203,7 +203,7 @@ def test_what_becomes_plain_has_the_settings_of_tuned_2dgs(
 ) -> None:
     set_environment(monkeypatch)
     method, baseline = (one_run("tuning", method=name).method.settings for name in (lean, full))
-    unused = {"mono_loss"} | ({"prune_from"} if baseline["prune_error"] == 0 else set())
+    unused = {"mono_loss"}
     shared = baseline.keys() & method.keys() - unused
     assert {key: (method | PLAIN)[key] for key in shared} == {key: baseline[key] for key in shared}
     assert PLAIN.keys() <= asdict(EnvGSSettings()).keys()

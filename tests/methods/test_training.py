@@ -161,7 +161,7 @@ class NotFinite(View):
 
 def test_a_perceptual_loss_counts_once_the_harness_sets_it(scene):
     method = make_method("2dgs", perceptual_weight=0.01, perceptual_from=15_000)
-    method.perceptual = lambda image, target: (image - target).square().mean()
+    method.perceptual["features"] = lambda image, target: (image - target).square().mean()
     losses = train(method, scene, 10)
     assert ["perceptual" in row for row in losses] == [False] * 5 + [True] * 5
 

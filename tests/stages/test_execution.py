@@ -34,9 +34,9 @@ def test_methods_that_want_it_are_given_the_perceptual_loss(monkeypatch: pytest.
     without = create_method("envgs", {"perceptual_weight": 0.0})
     for method in (wants, does_not, without):
         execution.offer_perceptual_loss(method)
-    assert wants.perceptual is loss
-    assert does_not.perceptual is None
-    assert without.perceptual is None
+    assert wants.perceptual == {"features": loss}
+    assert does_not.perceptual == {}
+    assert without.perceptual == {}
 
 
 def test_methods_are_given_the_perceptual_loss_that_they_name(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,6 +45,18 @@ def test_methods_are_given_the_perceptual_loss_that_they_name(monkeypatch: pytes
     for settings in ({}, {"rules": {"perceptual_loss": "lpips"}}):
         execution.offer_perceptual_loss(create_method("envgs", WITH_PERCEPTUAL | settings))
     assert named == ["features", "lpips"]
+
+
+def test_methods_that_prune_are_given_lpips(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(execution, "make_perceptual_loss", lambda name, device: name)
+    prunes, learns, both = (
+        create_method("envgs", {"perceptual_weight": weight, "prune_error": error})
+        for weight, error in ((0.0, 0.05), (0.01, 0.0), (0.01, 0.05))
+    )
+    for method in (prunes, learns, both):
+        execution.offer_perceptual_loss(method)
+    found = [sorted(method.perceptual) for method in (prunes, learns, both)]
+    assert found == [["lpips"], ["features"], ["features", "lpips"]]
 
 
 def test_without_weights_methods_train_without_it(
@@ -56,13 +68,17 @@ def test_without_weights_methods_train_without_it(
     monkeypatch.setattr(execution, "make_perceptual_loss", unavailable)
     method = create_method("envgs", WITH_PERCEPTUAL)
     execution.offer_perceptual_loss(method)
-    assert method.perceptual is None
+    assert method.perceptual == {}
     assert "training without the perceptual loss: no weights here" in capsys.readouterr().err
     assert method.dropped_losses == {"perceptual": "no weights here"}
     plain = create_method("2dgs")  # its weight is 0: nothing is missing
     execution.offer_perceptual_loss(plain)
     assert capsys.readouterr().err == ""
     assert plain.dropped_losses == {}
+    lean = create_method("2dgs", {"prune_error": 0.05})  # which loses no loss, and looks at PSNR alone
+    execution.offer_perceptual_loss(lean)
+    assert (lean.perceptual, lean.dropped_losses) == ({}, {})
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize(
