@@ -64,7 +64,7 @@ class GaussianMethod(Method):
 
     def __init__(self, settings: GaussianSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        self.found: dict[str, dict[str, float]] = {}
+        self.found: dict[str, dict[str, Any]] = {}
         self.drawn: DrawnViews | None = None
         self.model = GaussianModel(settings, self.axes, self.device, self.generator)
         self.model.policies = self.policies(self.model.schedule, None)

@@ -1,18 +1,19 @@
 """Which of a view's normals are learned: as agreed, and none of what is seen through a flat mirror or glass.
 
 What a flat mirror or a pane shows lies behind its normals, and so do here and there the pictures of a curved mirror.
-The one a base set draws as it draws any room, once no normals hold it to the glass. The other needs its normals. A
-pilot run of some steps tells them apart, on views that it has not seen.
+The one a base set draws as it draws any room, once no normals hold it to the glass. The other needs its normals. Two
+pilot runs of some steps tell where: one with all normals and one without any, compared place by place.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from envgs_bench.core import Scene, View
 from envgs_bench.core.normal_prior import NormalPrior, normals_outside, pixels_in, share_of
@@ -20,35 +21,14 @@ from envgs_bench.parts import TRANSMISSIVE
 
 from ..method import Method
 from .pilot_run import SHORTEST_RUN, smaller, train_briefly
+from .places import sums_by_place
 
 NORMALS = "normals"  # in what pilot runs have found
 HELD_OUT = 8  # every eighth training view, the fourth first, is drawn and not trained on
-LEAST_GAIN = 0.5  # dB; what lies behind has 1.2 and more, curved mirrors have 0.25 at most
-
-
-@dataclass(frozen=True)
-class SeenThroughOutcome:
-    """What leaving out the normals brought.
-
-    Attributes:
-        share: of what the training views show that was asked about.
-        gain: how much nearer to the views held out it was drawn, in dB; 0 where they show none of it.
-    """
-
-    share: float
-    gain: float
-
-    @property
-    def lies_behind(self) -> bool:
-        return self.gain > LEAST_GAIN
-
-    @property
-    def sentence(self) -> str:
-        found = (
-            f"pilot run before the first step: {self.share:.0%} of what the training views show may lie behind its "
-            f"normals, and is drawn {self.gain:+.2f} dB better without them; what does gains {LEAST_GAIN:+} dB and more"
-        )
-        return found + (": no normals are learned there" if self.lies_behind else "")
+CELLS = 16  # of a view along either axis, without normals or with them
+PLACE = 0.2  # × the scene radius: the edge of a place
+LEAST_GAIN = 0.5  # dB that a place gains without normals, from which on it has none …
+LEAST_SHARE = 0.05  # … where so much of what views show of it is likely to lie behind
 
 
 @dataclass(frozen=True)
@@ -80,10 +60,13 @@ class LearnedNormals:
         return cls(prior, cells, [*prior.notes, said])
 
     @classmethod
-    def by(cls, prior: NormalPrior, outcome: SeenThroughOutcome) -> LearnedNormals:
-        """Without the normals of what a pilot run found to lie behind them."""
-        cells = prior.maybe_seen_through if outcome.lies_behind else {}
-        return cls(prior, cells, [*prior.notes, outcome.sentence])
+    def by(cls, prior: NormalPrior, cells: Mapping[str, Tensor], views: int) -> LearnedNormals:
+        """Without the normals in the cells that pilot runs draw better so, of so many training views."""
+        said = (
+            f"pilot run before the first step: {share_of(cells, views):.0%} of what the training views show is drawn "
+            f"better by {LEAST_GAIN} dB and more without normals, and learns none"
+        )
+        return cls(prior, cells, [*prior.notes, said])
 
     def outside_glass(self, scene: Scene) -> LearnedNormals:
         """Without those of what the training views' masks call transmissive: what shows there lies behind them."""
@@ -109,9 +92,9 @@ class LearnedNormals:
 
 
 def learned_normals(
-    scene: Scene, steps: int, agreed: bool, found: dict[str, dict[str, float]], fresh: Callable[[], Method]
+    scene: Scene, steps: int, agreed: bool, found: dict[str, dict[str, Any]], fresh: Callable[[], Method]
 ) -> LearnedNormals:
-    """None of what lies behind them: by a pilot run where there may be much and the run is long enough for one.
+    """None of what lies behind them: by pilot runs where there may be much and the run is long enough for these.
 
     Args:
         agreed: whether the method learns from normals in agreement.
@@ -124,37 +107,49 @@ def learned_normals(
     if not prior.maybe_seen_through or steps < SHORTEST_RUN:
         return LearnedNormals.of(prior, len(scene.train))
     if NORMALS not in found:
-        found[NORMALS] = asdict(seen_through_pilot(scene, prior, fresh(), fresh()))
-    return LearnedNormals.by(prior, SeenThroughOutcome(**found[NORMALS]))
+        found[NORMALS] = better_without(scene, prior, fresh(), fresh())
+    return LearnedNormals.by(prior, found[NORMALS], len(scene.train))
 
 
-def seen_through_pilot(scene: Scene, prior: NormalPrior, held: Method, free: Method) -> SeenThroughOutcome:
-    """Train both methods on the training views, `free` without normals in what may be seen through; compare them there.
+def better_without(scene: Scene, prior: NormalPrior, held: Method, free: Method) -> dict[str, Tensor]:
+    """Train both methods on the training views, `free` without any normals; where it draws better, as `left_out`.
+
+    Of that only places of which views show some as what may lie behind: a matt wall gains in so short a run, too.
+    Every eighth view is held out of both trainings. All views are drawn and compared, those that were trained on too.
 
     Args:
         held, free: new, with the same settings and seed, that take normals as they are given.
     """
-    cells = prior.maybe_seen_through
-    starts = ((held, LearnedNormals(prior)), (free, LearnedNormals(prior, cells)))
-    with_normals, without = (_held_out_error(method, scene, learned, cells) for method, learned in starts)
-    gain = 10 * math.log10(with_normals / without) if with_normals > 0 and without > 0 else 0.0
-    return SeenThroughOutcome(share_of(cells, len(scene.train)), gain)
-
-
-def _held_out_error(method: Method, scene: Scene, learned: LearnedNormals, cells: Mapping[str, Tensor]) -> float:
-    """The sum of squared errors in the cells of the views held out, once the method has learned the others."""
-    small = [smaller(learned(view)) for view in scene.train]
-    held_out = [index % HELD_OUT == HELD_OUT // 2 for index in range(len(small))]
-    trained = [view for view, out in zip(small, held_out, strict=True) if not out]
-    train_briefly(method, replace(scene, train=trained, test=[], val=[], normals=None))
-    shown = (view for view, out in zip(small, held_out, strict=True) if out)
-    return sum(_error(method, view, cells) for view in shown)
+    small = [smaller(prior.agreed(view)) for view in scene.train]
+    without = [view if view.normal is None else replace(view, normal=torch.zeros_like(view.normal)) for view in small]
+    for method, views in ((held, small), (free, without)):
+        trained = [view for index, view in enumerate(views) if index % HELD_OUT != HELD_OUT // 2]
+        train_briefly(method, replace(scene, train=trained, test=[], val=[], normals=None))
+    drawn = (_drawn(view, prior, held, free) for view in small)
+    points, numbers = (torch.cat(parts, dim=-1) for parts in zip(*drawn, strict=True))
+    seen, behind, before, after = sums_by_place(points.T, numbers, PLACE * scene.radius)
+    gains = (before > 10 ** (LEAST_GAIN / 10) * after) & (behind > LEAST_SHARE * seen)
+    sizes = [view.camera.height * view.camera.width for view in small]
+    left_out = {}
+    for view, pixels in zip(small, gains.split(sizes), strict=True):
+        shares = functional.adaptive_avg_pool2d(pixels.float().reshape(1, view.camera.height, -1), CELLS)[0]
+        if (shares > 0.5).any():
+            left_out[view.name] = shares > 0.5
+    return left_out
 
 
 @torch.no_grad()
-def _error(method: Method, view: View, cells: Mapping[str, Tensor]) -> float:
-    """The sum of squared errors of the view's pixels in the cells."""
-    if view.name not in cells:
-        return 0.0
-    error = (method.render(view.camera).color.clamp(0, 1).cpu() - view.rgb()).square().mean(dim=-1)
-    return float(error[pixels_in(cells[view.name], *error.shape)].double().sum())
+def _drawn(view: View, prior: NormalPrior, held: Method, free: Method) -> tuple[Tensor, Tensor]:
+    """Where `held` draws each pixel of a view [3, P], and of it four numbers [4, P], on the CPU.
+
+    They are 1, whether it may lie behind, and the squared errors of `held` and `free`.
+    """
+    drawn, target = held.render(view.camera), view.rgb()
+    origins, directions = view.camera.rays()
+    points = origins + drawn.depth.cpu().reshape(*directions.shape[:2], 1) * directions
+    likely = prior.maybe_seen_through.get(view.name, torch.zeros(CELLS, CELLS, dtype=torch.bool))
+    behind = pixels_in(likely, *target.shape[:2]).float()
+    colors = (drawn.color, free.render(view.camera).color)
+    before, after = ((color.clamp(0, 1).cpu() - target).square().mean(dim=-1) for color in colors)
+    numbers = torch.stack([torch.ones_like(behind), behind, before, after])
+    return points.reshape(-1, 3).T, numbers.flatten(1)
