@@ -111,8 +111,10 @@ class KeptRuns:
     def caption(self, what: str) -> str:
         """Where the numbers come from: what they are, seeds, steps, views, device, commit and file."""
         first = self.rows.iloc[0]
-        seeds = sorted(self.rows["seed"].unique())
-        named = f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}"
+        seeds = sorted(map(int, self.rows["seed"].unique()))
+        without_gap = len(seeds) > 2 and seeds[-1] - seeds[0] == len(seeds) - 1
+        listed = f"{seeds[0]} to {seeds[-1]}" if without_gap else ", ".join(map(str, seeds))
+        named = f"seed{'s' * (len(seeds) > 1)} {listed}"
         commits = ", ".join(f"`{commit}`" for commit in sorted(self.rows["commit"].unique()))
         devices = ", ".join(sorted(self.rows["device"].unique()))
         return (
@@ -207,16 +209,16 @@ def costs(runs: KeptRuns) -> str:
 
 
 def programs(runs: KeptRuns) -> str:
-    """A row a method on one scene, whatever it ran on: scores, what it costs, and how a program's pictures agree."""
+    """A row a method and device on one scene: scores, what it costs, and how a program's pictures agree."""
     runs.of_one("scene")
     costs = (PRIMITIVES, TRAIN_SECONDS, OWN_SECONDS, FRAME_MS, AGREEMENT)
     columns = [*SCORES, *costs]
     rows = []
     for method in runs.methods:
-        own = KeptRuns(runs.name, runs.rows[runs.rows["method"] == method])
-        own.of_one("device")
-        cells = (_cell(column, runs.numbers.estimate(runs.scenes, method, FULL, column.metric)) for column in columns)
-        rows.append([f"`{method}`", own.rows.iloc[0]["device"], *cells])
+        for device, its in runs.rows[runs.rows["method"] == method].groupby("device"):
+            numbers = KeptRuns(runs.name, its).numbers
+            cells = (_cell(column, numbers.estimate(runs.scenes, method, FULL, column.metric)) for column in columns)
+            rows.append([f"`{method}`", str(device), *cells])
     first = runs.rows.iloc[0]
     what = f"`{first['scene']}`, {first['width']}×{first['height']} pixels"
     heads = ["method", "on", *(column.title for column in columns)]

@@ -106,7 +106,7 @@ def test_scores_are_means_over_seeds_and_the_mean_is_of_the_scenes(kept: Path) -
         f"{np.mean([each.mean() for each in values]):.2f}",
     ]
     assert "(3/4)" in table  # of EnvGS's four on sky_ball one failed
-    assert "1,500 steps, test views, protocol `envgs`, seeds 0, 1, 2, 3" in table
+    assert "1,500 steps, test views, protocol `envgs`, seeds 0 to 3;" in table
 
 
 def test_gains_are_paired_and_have_students_interval(kept: Path) -> None:
@@ -154,6 +154,13 @@ def test_programs_stand_beside_ours_on_one_scene_whatever_they_ran_on(tmp_path: 
     cells = dict(zip(*([cell.strip() for cell in line.strip("|").split("|")] for line in (head, row)), strict=True))
     assert (cells["on"], cells["own train s"], cells["agreement dB"]) == ("Another GPU", "12", "49.6")
     assert any(line.startswith("| `3dgs` |") for line in lines)
+    kept = (tmp_path / "runs.csv").read_text(encoding="utf-8").splitlines()
+    (ours,) = (line for line in kept if ",3dgs," in line)
+    with (tmp_path / "runs.csv").open("a", encoding="utf-8") as file:
+        file.write(ours.replace("made-up CPU", "another CPU") + "\n")
+    lines = filled(tmp_path, f"table: programs records=runs.csv scene={scene[0]}").splitlines()
+    on = [line.split("|")[2].strip() for line in lines if line.startswith("| `3dgs` |")]
+    assert on == ["another CPU, 2 threads", "made-up CPU, 2 threads"]
     write_runs(tmp_path / "runs", SCENES[1:], ("3dgs",), (0,), pictures=False)
     main(["report", str(tmp_path / "runs"), "--keep", str(tmp_path / "runs.csv")])
     with pytest.raises(TableError, match="several scene"):
