@@ -10,8 +10,8 @@
 | 48 of 160×120, 3,000 steps, likewise | 0, 1, 2 | 26.41, 26.31, 26.39 | 22.69, 22.68, 22.82 | 22.48, 22.26, 22.56 |
 | the same, growth that is guided | 0 | 27.14 | 23.65 | 23.76 |
 
-The paper's order is EnvGS, environment map, 2DGS. Guided growth gives 2DGS 1.3 dB and the environment map 0.9, which are
-level with it: an environment map knows nothing near.
+The paper's order is EnvGS, environment map, 2DGS. Guided growth gives 2DGS 1.3 dB and the environment map 0.9: they are
+level then, as an environment map knows nothing near.
 """
 
 from __future__ import annotations
