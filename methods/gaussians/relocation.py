@@ -84,10 +84,9 @@ def relocate_guided(
     guide.keep(_cut(draft, most))
     opacities = draft.tensors["opacity_logits"].sigmoid()
     moved = (opacities <= DEAD) | _least_weighted(guide)
-    shown = bool((~moved & (guide.gradients > 0)).any())
-    _move_and_grow(
-        draft, moved, guide.mean_gradient() if shown else torch.ones_like(opacities), most, generator, PARTED
-    )
+    pulls = bool((~moved & (guide.gradients > 0)).any())
+    pull = guide.mean_gradient() if pulls else torch.ones_like(opacities)
+    _move_and_grow(draft, moved, pull, most, generator, PARTED)
     parameters.become(draft)
     return DensificationRecord(len(parameters), opacities.device)
 

@@ -132,9 +132,9 @@ def better_without(scene: Scene, prior: NormalPrior, held: Method, free: Method)
     sizes = [view.camera.height * view.camera.width for view in small]
     left_out = {}
     for view, pixels in zip(small, gains.split(sizes), strict=True):
-        shares = functional.adaptive_avg_pool2d(pixels.float().reshape(1, view.camera.height, -1), CELLS)[0]
-        if (shares > 0.5).any():
-            left_out[view.name] = shares > 0.5
+        cells = functional.adaptive_avg_pool2d(pixels.float().reshape(1, view.camera.height, -1), CELLS)[0] > 0.5
+        if cells.any():
+            left_out[view.name] = cells
     return left_out
 
 
