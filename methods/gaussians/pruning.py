@@ -116,7 +116,8 @@ def events_of(model: GaussianModel, prunings: Prunings | None, of_parts: Sequenc
         events.append(Every("prune", prunings, lambda step: every, *span, unless=partial(_too_early, model)))
     for name, policy in model.policies.items():
         events.append(policy.densification(partial(model.densify, name)))
-        events.append(policy.opacity_reset(partial(model.reset_opacity, name)))
+        if not policy.fills_limit:
+            events.append(policy.opacity_reset(partial(model.reset_opacity, name)))
         if name == BASE:
             events += of_parts
     return events
