@@ -21,7 +21,7 @@ class SceneSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    validation: bool = False  # every eighth training view, from the fourth, is taken out: to choose settings by
+    validation: bool = False  # every eighth training view, from the first, is taken out: to choose settings by
     free_space: Length = 0.0  # nothing is nearer than this to any camera
     bounds: Length = 0.0  # half the edge of a cube around the world's origin that holds the surroundings
 

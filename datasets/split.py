@@ -13,8 +13,7 @@ from .errors import DatasetError
 
 Item = TypeVar("Item")
 
-TEST_EVERY = 8
-VALIDATION_EVERY, FIRST_VALIDATION = 8, 3  # by the training views' indices: 3, 11, 19 …
+TEST_EVERY = VALIDATION_EVERY = 8
 
 
 def split_views(views: list[View], source: str) -> tuple[list[View], list[View]]:
@@ -39,8 +38,12 @@ def split_views(views: list[View], source: str) -> tuple[list[View], list[View]]
 
 
 def validation_of(train: Sequence[Item]) -> list[Item]:
-    """Those of the training views, or of what they are made from, that may validate: every eighth, the fourth first."""
-    return list(train[FIRST_VALIDATION::VALIDATION_EVERY])
+    """Those of the training views, or of what they are made from, that may validate: every eighth, from the first.
+
+    As test views are chosen of all. So where views follow a path, its end validates too, and is as hard as that of the
+    test views: from its end a camera sees what no other one does.
+    """
+    return list(train[::VALIDATION_EVERY])
 
 
 def taken_out(train: Sequence[View], val: Sequence[View]) -> list[View]:
@@ -63,9 +66,10 @@ def with_validation(scene: Scene) -> Scene:
         DatasetError: there are too few training views.
     """
     val = scene.val or without_normals(validation_of(scene.train))
-    if not val:
+    train = taken_out(scene.train, val)
+    if not train:
         raise DatasetError(
-            f"dataset.validation=true: {scene.name} has {len(scene.train)} training views, expected at least "
-            f"{FIRST_VALIDATION + 1}"
+            f"dataset.validation=true: {scene.name} has {len(scene.train)} for training and validation, expected "
+            "at least two: one validates, and the others are learned from"
         )
-    return replace(scene, train=taken_out(scene.train, val), val=val)
+    return replace(scene, train=train, val=val)

@@ -15,7 +15,7 @@ from ..source import Source
 from ..store.cache import cached_scene
 from .settings import SampledSettings
 
-VERSION = 2  # raise it with every change that alters a scene
+VERSION = 3  # raise it with every change that alters a scene
 
 
 def load_sampled(settings: Mapping[str, Any], cache_dir: Path) -> Scene:

@@ -28,7 +28,7 @@ from ..store.scene_file import on_disk
 from .capture import cached_capture, files_of, refuse_missing
 from .settings import BlenderSettings
 
-VERSION = 4  # raise it with every change that alters a scene
+VERSION = 5  # raise it with every change that alters a scene
 TRANSFORMS = ("transforms_train.json", "transforms_test.json")
 POINTS = "points3d.ply"  # what 3DGS writes beside such a scene
 BOX, CAMERAS_OUT = (

@@ -23,7 +23,7 @@ from ..source import Source
 from .capture import cached_capture, make_scene, refuse_missing
 from .settings import ColmapSettings
 
-VERSION = 6  # raise it with every change that alters a scene
+VERSION = 7  # raise it with every change that alters a scene
 
 
 def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:

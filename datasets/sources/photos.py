@@ -24,7 +24,7 @@ from ..store.contents import digest_of
 from .capture import cached_capture, make_scene
 from .settings import PhotosSettings
 
-VERSION = 5  # raise it with every change that alters a scene
+VERSION = 6  # raise it with every change that alters a scene
 MODEL_VERSION = 1  # and this with every change that alters a reconstruction
 
 

@@ -24,7 +24,7 @@ from ..store.contents import digest_of
 from .capture import cached_capture, files_of, make_scene, refuse_missing
 from .settings import TransformsSettings
 
-VERSION = 5  # raise it with every change that alters a scene
+VERSION = 6  # raise it with every change that alters a scene
 MODEL_VERSION = 2  # and this with every change that alters a model
 FEATURE_SIZE = 3200  # pixels along the longer side, for finding features: COLMAP's own
 NGP_SCALE, NGP_OFFSET = 0.33, 0.5  # instant-ngp's defaults; aabb_scale enlarges its box [0, 1]³ around the middle

@@ -13,7 +13,7 @@ from .settings import ToySettings
 if TYPE_CHECKING:
     from envgs_bench.core import Scene
 
-VERSION = 10  # raise it with every change that alters a scene
+VERSION = 11  # raise it with every change that alters a scene
 
 
 def load_toy(settings: Mapping[str, Any], cache_dir: Path) -> Scene:

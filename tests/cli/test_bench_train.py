@@ -135,7 +135,7 @@ def test_stops_before_an_interruption_are_printed_and_kept(
     [
         (
             ["dataset.kind=fakes.datasets:tiny_elsewhere"],
-            "dataset.validation=true: elsewhere has 2 training views, expected at least 4",
+            "dataset.validation=true: elsewhere has 1 for training and validation, expected at least two",
         ),
         (["method=renders", "path=."], "method=renders: another program drew its pictures"),
         (["method=nothing"], "there is no method 'nothing'"),

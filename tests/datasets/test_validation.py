@@ -58,11 +58,11 @@ def zip_masks(a: View, b: View) -> list[tuple[torch.Tensor, torch.Tensor]]:
     return [(a.masks[region], b.masks[region]) for region in a.masks]
 
 
-def test_every_eighth_training_view_validates_from_the_fourth(toys: tuple[Scene, Scene, Scene]) -> None:
+def test_every_eighth_training_view_validates_from_the_first(toys: tuple[Scene, Scene, Scene]) -> None:
     whole, parted, _ = toys
     names = [view.name for view in whole.train]
-    assert [view.name for view in parted.val] == [names[3], names[11], names[19]]
-    assert [view.name for view in parted.train] == [n for i, n in enumerate(names) if i not in (3, 11, 19)]
+    assert [view.name for view in parted.val] == [names[0], names[8], names[16]]
+    assert [view.name for view in parted.train] == [n for i, n in enumerate(names) if i not in (0, 8, 16)]
     assert not whole.val
 
 
@@ -119,7 +119,7 @@ def load(root: Path, **settings: Any) -> Scene:
 
 def test_a_capture_s_validation_views_keep_masks_and_lose_guessed_normals(capture: Path) -> None:
     scene = load(capture, normal_estimator=f"{__name__}:guess")
-    assert [view.name for view in scene.val] == ["004"]  # 000 and 008 test
+    assert [view.name for view in scene.val] == ["001"]  # 000 and 008 test
     assert scene.val[0].masks["foreground"].any()
     assert scene.val[0].normal is None
     assert all(view.normal is not None for view in scene.train)
@@ -138,9 +138,9 @@ def test_a_rendered_scene_s_validation_views_have_the_normals_beside_them(tmp_pa
     given = export_scene(toy, tmp_path / "blender", "blender")
     whole = load_scene({**given, "train_normals": learned}, tmp_path / "cache")
     parted = load_scene({**given, "train_normals": learned, "validation": True}, tmp_path / "cache")
-    expected = [f"train_{toy.train[index].name}" for index in (3, 11, 19)]
+    expected = [f"train_{toy.train[index].name}" for index in (0, 8, 16)]
     assert [view.name for view in parted.val] == expected
-    assert all(torch.equal(view.normal, toy.train[i].normal) for view, i in zip(parted.val, (3, 11, 19), strict=True))
+    assert all(torch.equal(view.normal, toy.train[i].normal) for view, i in zip(parted.val, (0, 8, 16), strict=True))
     assert all((view.normal is not None) == learned for view in [*whole.train, *parted.train])
 
 
@@ -155,12 +155,14 @@ def own_source(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 def test_a_source_of_ones_own_is_split_alike(tmp_path: Path) -> None:
     given = {"kind": f"{__name__}:own_source", "validation": True, "free_space": 0.5, "bounds": 4}
     scene = load_scene({**given, "count": 12}, tmp_path)
-    assert [view.name for view in scene.val] == ["3", "11"]
+    assert [view.name for view in scene.val] == ["0", "8"]
     assert all(view.normal is None for view in scene.val)  # nothing says that they are exact
     assert (scene.free_space, scene.bounds) == (0.5, 4)
-    assert [view.name for view in load_scene({**given, "count": 4}, tmp_path).val] == ["3"]
-    with pytest.raises(DatasetError, match=r"validation=true: tiny has 3 training views, expected at least 4"):
-        load_scene({**given, "count": 3}, tmp_path)
+    assert [view.name for view in load_scene({**given, "count": 2}, tmp_path).val] == ["0"]
+    with pytest.raises(
+        DatasetError, match=r"validation=true: tiny has 1 for training and validation, expected at least two"
+    ):
+        load_scene({**given, "count": 1}, tmp_path)
 
 
 def test_facts_are_carried_and_change_no_cached_scene(capture: Path) -> None:

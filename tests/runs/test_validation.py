@@ -22,10 +22,10 @@ def test_validation_views_are_scored_and_timed_in_place_of_test_views(
     assert record.metrics is not None
     assert record.timing is not None
     scored = [row.view for row in record.metrics.per_view]
-    assert scored == ["view5"]  # the fourth of the training views, which begin with view2
+    assert scored == ["view2"]  # the first of the training views
     assert [row.view for row in record.timing.per_view] == scored
     folder = only_folder(tmp_path / "runs")
-    assert [path.name for path in (folder / "renders").iterdir()] == ["view5.png"]
+    assert [path.name for path in (folder / "renders").iterdir()] == ["view2.png"]
     assert read_settings(folder).dataset["validation"] is True
     again = redraw(folder, get_protocol("strict"), tmp_path / "again", "cpu")
     assert again.scored_on == "validation"

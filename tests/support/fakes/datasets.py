@@ -24,9 +24,9 @@ def tiny(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
 
 
 def tiny_elsewhere(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
-    """As `tiny`, with other test views."""
+    """As `tiny`, with other test views, and with one training view."""
     scene = tiny(settings, cache_dir)
-    return replace(scene, name="elsewhere", train=scene.test, test=scene.train)
+    return replace(scene, name="elsewhere", train=scene.test[:1], test=scene.train)
 
 
 def garden(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
