@@ -3,11 +3,13 @@
 The file is a zip, each member compressed by LZMA, that `numpy.load` opens: `header.json`, and an array a member. The
 header holds what is no array and says what the arrays are:
 
-    {"layout": 1, "method": "EnvGS", "state": {"sets": {"base": {"set": {"count": 57600, "fields": …}}, …},
+    {"layout": 2, "method": "EnvGS", "state": {"sets": {"base": {"set": {"count": 57600, "fields": …}}, …},
      "radius": 4.1, "near": 0.2, "background": {"tensor": "float32", "shape": [3]}}}
 
-Arrays are named after their place in it, `sets.base.sh_dc.npy`. Of the tensors outside of sets, those in STEPS are
-quantized, the others are kept as they are. The same model makes the same bytes.
+Arrays are named after their place in it, `sets.base.sh_dc.npy`. One of more than PART bytes is a member a part, so that
+parts are compressed at once: `sets.base.sh_rest.0.npy`, `….1.npy`, …, which are flat and follow each other. Layout 1,
+which is read too, had one member for every array. Of the tensors outside of sets, those in STEPS are quantized, the
+others are kept as they are. The same model makes the same bytes.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import math
 import os
 import zipfile
 from collections.abc import Iterator, Mapping
+from itertools import count, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -26,14 +29,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from envgs_bench.core.threads import workers
 from envgs_bench.regular_file import require_regular
 
+from .lzma_zip import zip_of
 from .planes import planes_of_steps, values_of
 from .quantized_set import Arrays, dequantize, quantize
 
 FILE_NAME = "model.npz"
 HEADER = "header.json"
-LAYOUT = 1
+LAYOUT = 2
+READ = (1, LAYOUT)
+PART = 1 << 19  # bytes: smaller parts compress less, larger ones keep fewer processors busy
 STEPS = {  # of tensors outside of sets
     "texels": 1 / 16,  # logits of a cube map's colors, which are then off by 1/128 at most
     "map_colors": 1 / 128,  # of a cube map that learns them
@@ -41,7 +48,6 @@ STEPS = {  # of tensors outside of sets
     "lines": 1 / 32,
 }
 SET, TENSOR = "set", "tensor"  # the keys of a header's nodes that stand for arrays
-TIME = (1980, 1, 1, 0, 0, 0)  # of every member: the earliest that a zip knows
 
 MOST_HEADER_BYTES = 1 << 20
 MOST_EXPANSION = 100  # numbers that a file may promise for each of its bytes; a trained model has 3 to 5
@@ -59,14 +65,10 @@ def encode(method: str, state: Mapping[str, Any]) -> bytes:
     arrays: Arrays = {}
     tree = {name: _reduced(name, value, arrays) for name, value in state.items()}
     header = {"layout": LAYOUT, "method": method, "state": tree}
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_LZMA) as archive:
-        _add(archive, HEADER, json.dumps(header).encode())
-        for name, values in arrays.items():
-            content = io.BytesIO()
-            np.lib.format.write_array(content, np.ascontiguousarray(values), allow_pickle=False)
-            _add(archive, f"{name}.npy", content.getvalue())
-    return stream.getvalue()
+    members = {HEADER: json.dumps(header).encode()}
+    for name, values in arrays.items():
+        members |= {f"{part}.npy": _npy(content) for part, content in _parts(name, np.ascontiguousarray(values))}
+    return zip_of(members, workers())
 
 
 def write_compact(folder: Path, method: str, state: Mapping[str, Any]) -> Path:
@@ -92,8 +94,8 @@ def read_compact(folder: Path, method: str) -> State:
         with zipfile.ZipFile(path) as archive:
             header = json.loads(_content(archive, HEADER, MOST_HEADER_BYTES))
             written_by, layout = header["method"], header["layout"]
-            if layout != LAYOUT:
-                raise ValueError(f"its layout is {layout}, this version reads {LAYOUT}")
+            if layout not in READ:
+                raise ValueError(f"its layout is {layout}, this version reads {' and '.join(map(str, READ))}")
             _check_promises(header["state"], archive, size)
             state = {name: _restored(name, node, archive) for name, node in header["state"].items()}
     except Exception as error:  # zipfile, LZMA and NumPy raise whatever foreign bytes lead them to
@@ -169,11 +171,42 @@ def _product(lengths: list[int]) -> int:
     return math.prod(lengths)
 
 
+def _parts(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """The arrays that this one becomes, by their names: itself, or flat ones of PART bytes."""
+    if values.nbytes <= PART:
+        yield name, values
+        return
+    flat, length = values.reshape(-1), PART // values.itemsize
+    for index, start in enumerate(range(0, len(flat), length)):
+        yield f"{name}.{index}", flat[start : start + length]
+
+
 def _array(archive: zipfile.ZipFile, name: str, kind: str, shape: list[int]) -> NDArray[Any]:
-    """The member's array, which has to have this type and shape."""
-    values = np.lib.format.read_array(io.BytesIO(_content(archive, f"{name}.npy")), allow_pickle=False)
-    if values.dtype != kind or list(values.shape) != shape:
+    """The array, of one member or of several, which has to have this type and shape."""
+    names = set(archive.namelist())
+    if f"{name}.0.npy" in names:
+        numbers = takewhile(lambda index: f"{name}.{index}.npy" in names, count())
+        parts = [_npy_of(archive, f"{name}.{index}", kind) for index in numbers]
+        values = np.concatenate([part.reshape(-1) for part in parts])
+        if len(values) != _product(shape):
+            raise ValueError(f"{name} has {len(values):,} numbers in its parts, the header says {shape}")
+        return values.reshape(shape)
+    values = _npy_of(archive, name, kind)
+    if list(values.shape) != shape:
         raise ValueError(f"{name} is {values.dtype} {list(values.shape)}, the header says {kind} {shape}")
+    return values
+
+
+def _npy(values: NDArray[Any]) -> bytes:
+    content = io.BytesIO()
+    np.lib.format.write_array(content, values, allow_pickle=False)
+    return content.getvalue()
+
+
+def _npy_of(archive: zipfile.ZipFile, name: str, kind: str) -> NDArray[Any]:
+    values: NDArray[Any] = np.lib.format.read_array(io.BytesIO(_content(archive, f"{name}.npy")), allow_pickle=False)
+    if values.dtype != kind:
+        raise ValueError(f"{name} is {values.dtype} {list(values.shape)}, the header says {kind}")
     return values
 
 
@@ -182,9 +215,3 @@ def _content(archive: zipfile.ZipFile, name: str, most: int | None = None) -> by
     if most is not None and member.file_size > most:
         raise ValueError(f"{name} has {member.file_size:,} bytes, more than the {most:,} that it may have")
     return archive.read(member)  # no more than `file_size` bytes, and only where its checksum is right
-
-
-def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:
-    member = zipfile.ZipInfo(name, TIME)
-    member.compress_type = zipfile.ZIP_LZMA
-    archive.writestr(member, content)

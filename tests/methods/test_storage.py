@@ -27,6 +27,7 @@ from envgs_bench.methods.gaussians.parameters import GaussianParameters, Learnin
 from envgs_bench.methods.registry import create_method
 from envgs_bench.methods.storage import compact
 from envgs_bench.methods.storage.layouts import LAYOUTS
+from envgs_bench.methods.storage.lzma_zip import zip_of
 from envgs_bench.methods.storage.ply import read_ply
 from envgs_bench.methods.storage.quantized_set import dequantize, quantize
 from envgs_bench.methods.storage.splats import decode_splats, encode_splats
@@ -182,7 +183,7 @@ def test_a_compact_file_is_read_with_numpy_and_its_documentation_alone(tmp_path:
         fields = header["state"]["sets"]["base"]["set"]["fields"]
         planes = file["sets.base.sh_rest"].astype(np.int64)
         levels = file["sets.base.beta_logits"]
-    assert (header["layout"], header["method"], header["state"]["near"]) == (1, "EnvGS", 0.25)
+    assert (header["layout"], header["method"], header["state"]["near"]) == (2, "EnvGS", 0.25)
     whole = sum(plane << (8 * n) for n, plane in enumerate(planes)) + fields["sh_rest"]["least"]
     rest = whole * fields["sh_rest"]["step"]
     state = compact.read_compact(tmp_path, "EnvGS")
@@ -190,6 +191,63 @@ def test_a_compact_file_is_read_with_numpy_and_its_documentation_alone(tmp_path:
     assert np.array_equal(rest.astype(np.float32), state["sets"]["base"]["sh_rest"])
     betas = np.sort(torch.sigmoid(tensors["beta_logits"]).numpy().ravel())
     assert np.abs(np.sort(levels.ravel() / 255) - betas).max() <= 0.5001 / 255
+
+
+def in_parts(monkeypatch: pytest.MonkeyPatch) -> tuple[bytes, dict[str, bytes]]:
+    """A file most of whose arrays are cut into parts, and the members of the file in layout 1 that holds the same."""
+    with monkeypatch.context() as patch:
+        patch.setattr(compact, "PART", 700)
+        content = compact.encode("EnvGS", STATE | {"matrix": torch.arange(400.0).reshape(20, 20)})
+    members: dict[str, bytes] = {}
+    with zipfile.ZipFile(io.BytesIO(content)) as archive, np.load(io.BytesIO(content)) as file:
+        header = json.loads(archive.read("header.json"))
+        described = header["state"]["sets"]["base"]["arrays"]
+        shapes = {f"sets.base.{name}": shape for name, (_, *shape) in described.items()}
+        for name, shape in (shapes | {"matrix": [20, 20], "background": [3]}).items():
+            parts = [file[part] for part in file.files if part == name or part.startswith(f"{name}.")]
+            stream = io.BytesIO()
+            np.save(stream, np.concatenate([part.ravel() for part in parts]).reshape(shape))
+            members[f"{name}.npy"] = stream.getvalue()
+        assert {"matrix.2.npy", "sets.base.sh_rest.2.npy"} <= set(archive.namelist())
+    return content, {"header.json": json.dumps(header | {"layout": 1}).encode()} | members
+
+
+def test_arrays_in_parts_are_what_they_were_in_one_member(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    content, members = in_parts(monkeypatch)
+    new, old, plain = (tmp_path / name for name in ("new", "old", "plain"))
+    for folder in (new, old):
+        folder.mkdir()
+    compact.write_compact(plain, "EnvGS", STATE)
+    states = [compact.read_compact(written(*given), "EnvGS") for given in ((new, content), (old, archive_of(members)))]
+    whole = compact.read_compact(plain, "EnvGS")["sets"]["base"]
+    for state in states:
+        assert torch.equal(state["matrix"], torch.arange(400.0).reshape(20, 20))
+        assert all(torch.equal(state["sets"]["base"][name], value) for name, value in whole.items())
+
+
+def test_a_part_that_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    content, _ = in_parts(monkeypatch)
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        members = {name: archive.read(name) for name in archive.namelist() if name != "matrix.1.npy"}
+    with pytest.raises(ValueError, match=r"matrix has 175 numbers in its parts, the header says \[20, 20\]"):
+        compact.read_compact(written(tmp_path, archive_of(members)), "EnvGS")
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(members=st.dictionaries(st.text("ab.é", min_size=1), st.binary(max_size=3000), max_size=5))
+def test_zips_are_what_pythons_library_reads(members: dict[str, bytes]) -> None:
+    content = zip_of(members, 2)
+    assert content == zip_of(members, 1)
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        assert archive.testzip() is None
+        assert {name: archive.read(name) for name in archive.namelist()} == members
+        assert all(info.compress_type == zipfile.ZIP_LZMA for info in archive.infolist())
+        assert sum(info.compress_size for info in archive.infolist()) <= len(content)
+
+
+def test_zips_are_as_small_as_pythons_librarys() -> None:
+    members = {"rows": np.random.default_rng(0).binomial(8, 0.5, 60_000).astype(np.uint8).tobytes()}
+    assert len(zip_of(members, 1)) < 1.005 * len(archive_of(members))
 
 
 # Damaged and made-up files
@@ -231,7 +289,7 @@ def set_of(count: object, shape: list[object]) -> dict[str, object]:
         (archive_of({"header.json": b"[" * 100_000}), "RecursionError"),
         (archive_of({"header.json": b" " * 2_000_000}), "more than the 1,048,576 that it may have"),
         (archive_of({"header.json": b"{}"}), "KeyError"),
-        (changed(layout=2), "its layout is 2, this version reads 1"),
+        (changed(layout=3), "its layout is 3, this version reads 1 and 2"),
         (changed(state=set_of(10**12, [1, 3])), "it promises 3,000,000,000,000 numbers, and has"),
         (changed(state=set_of(2, [-1, 3])), "expected whole numbers"),
         (changed(state=set_of("many", [1, 3])), "expected whole numbers"),
