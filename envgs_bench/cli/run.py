@@ -38,6 +38,9 @@ data sets as YAML files), hydra/launcher=joblib (jobs in parallel).
 Exit status: 0 all runs ok, 1 some not, 2 wrong arguments, 130 interrupted.
 """
 
+# How arguments begin with which this process starts no run itself: Hydra only shows something, or a launcher runs them.
+ELSEWHERE = ("-c", "--cfg", "-i", "--info", "--hydra-help", "--version", "hydra/launcher=", "+hydra/launcher=")
+
 
 def main(arguments: Sequence[str]) -> int:
     """Run the jobs that `arguments` describe; the exit status."""
@@ -50,6 +53,10 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--dry-run", action="store_true", help="list the runs, those that are done, and the hours left")
     options, overrides = parser.parse_known_args(arguments)
+    if not options.dry_run and not any(one.startswith(ELSEWHERE) for one in overrides):
+        from envgs_bench.runs.started_run import starter_here
+
+        starter_here()  # it imports what runs need, while this process reads and checks what they are
     from .application import run
 
     return run(overrides, dry=options.dry_run)

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from .starter import FORKS, NUMBER, Request, environment_of_starter
+from .starter import NUMBER, Request, environment_of_starter
 
 CHANGING = ("ENVGS_BENCH_SWEEP", "ENVGS_BENCH_PAGE", "HYDRA_")  # how variables begin that a sweep itself sets
 
@@ -62,6 +62,11 @@ def _surroundings() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if not name.startswith(CHANGING)}
 
 
+def may_fork(device: str) -> bool:
+    """Whether a run on "cpu" or "cuda" may be a fork."""
+    return device == "cpu"
+
+
 class StartedRun:
     """The process of a run, in a process group of its own that its number names.
 
@@ -89,9 +94,8 @@ class StartedRun:
         ends = tuple(written for _, written in outputs)
         self.stdout, self.stderr = (os.fdopen(read, "rb") for read, _ in outputs)
         try:
-            given = {**os.environ, **environment}
-            forked = FORKS and device == "cpu"
-            Request(str(folder), os.getcwd(), given, forked, (*ends, lock, *handles)).send(self._starter.channel)
+            given, handles = {**os.environ, **environment}, (*ends, lock, *handles)
+            Request(str(folder), os.getcwd(), given, may_fork(device), handles).send(self._starter.channel)
         except OSError:
             pass  # it has ended, which is found below
         finally:

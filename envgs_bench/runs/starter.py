@@ -1,8 +1,9 @@
 """Starter: a process that imports what a run imports, and forks a run's process whenever its job asks for one.
 
 `python -m envgs_bench.runs.starter <socket>`, started by the process whose jobs it serves (`started_run.py`), which it
-ends with. Of a request it makes a run's process, says its number, and says how it ended, one after the other. A fork
-costs a hundredth of the imports. No GPU is looked at here, and a run on one is started anew: forks were tried on CPUs.
+ends with. It imports while that one still reads its arguments. Of a request it makes a run's process, says its number,
+and says how it ended, one after the other. A fork costs a hundredth of the imports. No GPU is looked at here, and a run
+on one is started anew: forks were tried on CPUs.
 """
 
 from __future__ import annotations
@@ -23,8 +24,7 @@ from typing import Any, NoReturn
 
 from .processes import JOB_VARIABLE, LOCK_VARIABLE, RUN_VARIABLE, end_with
 
-# A fork of a program with threads may wait for a lock forever, and only Linux' libraries start none as they are loaded.
-FORKS = sys.platform == "linux"
+LINUX = sys.platform == "linux"  # elsewhere libraries start threads as they are loaded, or refuse to be forked
 WORKER = f"{__package__}.worker"
 # What most runs import beyond the worker, as they come to it.
 IMPORTED = (WORKER, "scipy.spatial", "scipy.ndimage", "kornia.color", "skimage.metrics", "PIL.PngImagePlugin")
@@ -41,7 +41,7 @@ class Request:
         folder: the run's, as it is to be written into the environment.
         directory: the working directory.
         environment: all of it.
-        forked: whether it is a fork that has imported all, or a program that begins anew.
+        forked: whether it may be a fork that has imported all, and needs not be a program that begins anew.
         handles: open files: standard output, standard error, the run's lock, and what else the process keeps.
     """
 
@@ -72,13 +72,14 @@ def main(arguments: list[str]) -> int:
     end_with(int(os.environ[JOB_VARIABLE]))
     channel = socket.socket(fileno=int(arguments[0]))
     channel.set_inheritable(False)
+    if LINUX:
+        _import_all()
+    forks = LINUX and len(os.listdir("/proc/self/task")) == 1  # with threads, a fork may wait for a lock forever
     while (request := Request.received(channel)) is not None:
-        if request.forked:
-            _import_all()
         starter, number = os.getpid(), os.fork()
         if not number:
             channel.close()
-            _become(request, starter)
+            _become(request, starter, forks and request.forked)
         with suppress(OSError):  # it did so itself, or has ended
             os.setpgid(number, number)
         for handle in request.handles:
@@ -90,9 +91,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _import_all() -> None:
-    """Import what runs need, once. What fails here fails in the run as well, whose log says why."""
-    if WORKER in sys.modules:
-        return
+    """Import what runs need. What fails here fails in the run as well, whose log says why."""
     for name in IMPORTED:
         with suppress(Exception):
             importlib.import_module(name)
@@ -102,8 +101,8 @@ def _import_all() -> None:
     gc.freeze()  # a collection in a fork would copy each page that it marks
 
 
-def _become(request: Request, starter: int) -> NoReturn:
-    """Be the process of a run."""
+def _become(request: Request, starter: int, forked: bool) -> NoReturn:
+    """Be the process of a run: this fork, or a program that begins anew."""
     try:
         with suppress(OSError):
             os.setpgid(0, 0)
@@ -115,7 +114,7 @@ def _become(request: Request, starter: int) -> NoReturn:
         own = {RUN_VARIABLE: request.folder, JOB_VARIABLE: str(starter), LOCK_VARIABLE: str(lock)}
         os.environ.clear()
         os.environ.update(request.environment | own)
-        if not request.forked:
+        if not forked:
             for handle in request.handles[2:]:
                 os.set_inheritable(handle, True)
             os.execv(sys.executable, [sys.executable, "-P", "-u", "-m", WORKER, request.folder])
