@@ -27,7 +27,7 @@ from .processes import JOB_VARIABLE, LOCK_VARIABLE, RUN_VARIABLE, end_with
 LINUX = sys.platform == "linux"  # elsewhere libraries start threads as they are loaded, or refuse to be forked
 WORKER = f"{__package__}.worker"
 # What most runs import beyond the worker, as they come to it.
-IMPORTED = (WORKER, "scipy.spatial", "scipy.ndimage", "kornia.color", "skimage.metrics", "PIL.PngImagePlugin")
+IMPORTED = (WORKER, "scipy.spatial", "scipy.ndimage", "kornia.color", "PIL.PngImagePlugin")
 ROOM = 4096  # bytes of the longest path: what the environment keeps free for the run's folder
 ENV_START, ENV_END = 47, 48  # in /proc/self/stat, counted from the field behind the program's name (Linux' proc(5))
 NUMBER = struct.Struct("q")

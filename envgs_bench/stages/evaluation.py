@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from envgs_bench.core import Scene, View
+from envgs_bench.core import Rendering, Scene, View
 from envgs_bench.methods.method import Method
 from envgs_bench.metrics import Protocol
 from envgs_bench.records import MaskedScores, Metrics, ScoredOn, Scores
@@ -36,18 +36,19 @@ def evaluate(
     folder: Path,
     report: EventListener,
     alignment: Alignment | None = None,
+    see: Callable[[View, Rendering], None] | None = None,
 ) -> tuple[Metrics, dict[str, MaskedScores]]:
     """Scores of `views` and of every region that their masks name.
 
     Leaves the pictures of `pictures.save_view` in `folder`. Where a view brings exact normals, `normal_degrees` is
     added to its scores: see `normal_error`. Where one does not, `not_computed` says so. With an alignment
-    `psnr_aligned` is added.
+    `psnr_aligned` is added. `see` is shown each view with what was drawn of it.
 
     Raises:
         Diverged: a render is not finite.
     """
     with Background(method.device) as background:
-        pairs = _drawn(method, views, folder, report, alignment, background)
+        pairs = _drawn(method, views, folder, report, alignment, background, see)
         metrics, masked = score_pairs(pairs, protocol, method.device)
     without = [view.name for view in views if view.normal is None]
     if without:
@@ -70,6 +71,7 @@ def _drawn(
     report: EventListener,
     alignment: Alignment | None,
     background: Background,
+    see: Callable[[View, Rendering], None] | None,
 ) -> Iterator[Pair]:
     unit = depth_unit([view.camera for view in views])
     for number, view in enumerate(views):
@@ -79,6 +81,8 @@ def _drawn(
         if not torch.isfinite(image).all():
             share = float((~torch.isfinite(image)).float().mean())
             raise Diverged(f"the render of view {view.name} is not finite in {share:.1%} of its values")
+        if see:
+            see(view, rendering)
         background.begin(save_view, folder, view, rendering, unit)
         others = _normal_errors(view, rendering.normal.cpu())
         if alignment:

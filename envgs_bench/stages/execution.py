@@ -30,7 +30,7 @@ from .budget import FrameLimit, limited_method
 from .cost import cost_of, with_files
 from .evaluation import evaluate, evaluate_unseen, scored_views
 from .events import EventListener
-from .fixed_rays import sampled
+from .fixed_rays import FixedRays
 from .loading import check_scene, load_for_run
 from .perturbations import perturbed_settings
 from .pose_alignment import alignment_of
@@ -118,13 +118,13 @@ def execute(
             results.cost = cost_of(method, training)
             method.save(folder / CHECKPOINT)
     results.cost = cost_of(method, training)  # now: what the scoring takes of memory is not the training's
-    alignment = alignment_of(settings, scene, protocol)
+    alignment, rays = alignment_of(settings, scene, protocol), FixedRays(views)
     with Background(method.device) as background:
         packing = background.begin(with_files, results.cost, method, folder / CHECKPOINT)
         try:
             report({"stage": "preparing"})
             method.prepare()
-            results.metrics, results.masked = evaluate(method, views, protocol, folder, report, alignment)
+            results.metrics, results.masked = evaluate(method, views, protocol, folder, report, alignment, rays.see)
             if settings.score_on == "test":
                 results.unseen = evaluate_unseen(method, scene, protocol, folder, report)
         finally:
@@ -132,7 +132,7 @@ def execute(
     if not frames:  # of a budget of frames, those that decided are the record's
         report({"stage": "timing"})
         results.timing = time_frames(method, views, settings.timing)
-    write_samples(folder, sampled(method, scene, views))
+    write_samples(folder, rays.samples(method, scene.radius))
     snapshots.remove()
 
 

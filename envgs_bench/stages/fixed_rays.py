@@ -12,40 +12,52 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from envgs_bench.core import Scene, View
+from envgs_bench.core import Rendering, View
 from envgs_bench.fixed_rays import FixedRaySamples
 from envgs_bench.methods.method import Method, Monitor
 from envgs_bench.parts import REFLECTIVE
 
-VIEWS = 8  # drawn again for the samples, evenly spaced among the scored ones
+VIEWS = 8  # at most, evenly spaced among the scored ones
 PIXELS = 4096  # of all of them together
 REFLECTED = 1024  # reflected rays
 OFFSET = 1e-3  # a reflected ray starts this far above the surface, × scene radius
 
 
-def sampled(method: Method, scene: Scene, views: Sequence[View]) -> FixedRaySamples:
-    """Samples of a prepared method along rays of `views` of the scene."""
-    chosen = views[:: -(-len(views) // VIEWS)]
-    depths, normals = [], []
-    rays = []  # reflected, their origins and directions
-    for view in chosen:
-        rendering = method.render(view.camera.to(method.device))
-        picked = _some(view.camera.width * view.camera.height, PIXELS // len(chosen))
-        depths.append(rendering.depth.cpu().reshape(-1)[picked])
-        normals.append(functional.normalize(rendering.normal.cpu().reshape(-1, 3)[picked], dim=-1))
-        rays.append(_reflected_rays(view, scene.radius))
-    origins, directions = (torch.cat(parts) for parts in zip(*rays, strict=True))
-    few = _some(len(origins), REFLECTED)
-    reflected = None
-    if len(few):
-        monitor = method.monitor or Monitor()
-        reflected = monitor.reflected(origins[few].to(method.device), directions[few].to(method.device))
-    return FixedRaySamples(
-        radius=scene.radius,
-        depth=torch.cat(depths).numpy(),
-        normal=torch.cat(normals).numpy(),
-        reflected=None if reflected is None else reflected.cpu().numpy(),
-    )
+class FixedRays:
+    """Takes its samples of camera rays from the renderings that are scored, as they are drawn."""
+
+    def __init__(self, views: Sequence[View]) -> None:
+        self._chosen = views[:: -(-len(views) // VIEWS)]
+        self._seen: dict[str, tuple[Tensor, Tensor]] = {}  # view -> depths [N], unit normals [N, 3]
+
+    def see(self, view: View, rendering: Rendering) -> None:
+        """Sample this rendering, if its view is one of those that are sampled."""
+        if all(view is not chosen for chosen in self._chosen):
+            return
+        picked = _some(view.camera.width * view.camera.height, PIXELS // len(self._chosen))
+        normals = rendering.normal.cpu().reshape(-1, 3)[picked]
+        self._seen[view.name] = rendering.depth.cpu().reshape(-1)[picked], functional.normalize(normals, dim=-1)
+
+    def samples(self, method: Method, radius: float) -> FixedRaySamples:
+        """What was seen of all views, and what the prepared method shows along reflected rays.
+
+        Args:
+            radius: the scene's, world units.
+        """
+        depths, normals = zip(*(self._seen[view.name] for view in self._chosen), strict=True)
+        rays = [_reflected_rays(view, radius) for view in self._chosen]
+        origins, directions = (torch.cat(parts) for parts in zip(*rays, strict=True))
+        few = _some(len(origins), REFLECTED)
+        reflected = None
+        if len(few):
+            monitor = method.monitor or Monitor()
+            reflected = monitor.reflected(origins[few].to(method.device), directions[few].to(method.device))
+        return FixedRaySamples(
+            radius=radius,
+            depth=torch.cat(depths).numpy(),
+            normal=torch.cat(normals).numpy(),
+            reflected=None if reflected is None else reflected.cpu().numpy(),
+        )
 
 
 def _reflected_rays(view: View, radius: float) -> tuple[Tensor, Tensor]:

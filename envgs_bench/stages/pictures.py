@@ -16,6 +16,7 @@ from envgs_bench.core import Camera, Rendering, View
 from envgs_bench.run_folder import exact_normal_path, layer_path, mask_path, render_path, target_path
 
 ERROR_GAIN = 4.0  # an error of a quarter of the range and more is white
+LEVEL = 4  # of zlib: two and a half times as fast as the usual 6, and files a twentieth larger
 
 
 def save_view(folder: Path, view: View, rendering: Rendering, unit: float) -> None:
@@ -82,7 +83,7 @@ def depth_unit(cameras: Sequence[Camera]) -> float:
 def save_png(path: Path, image: Tensor) -> None:
     """Write [H, W], [H, W, 1] or [H, W, 3] values in [0, 1] as an 8-bit PNG: see `as_bytes`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(as_bytes(image)).save(path)
+    Image.fromarray(as_bytes(image)).save(path, compress_level=LEVEL)
 
 
 def as_bytes(image: Tensor) -> NDArray[np.uint8]:

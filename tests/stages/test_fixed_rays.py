@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +13,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from envgs_bench.core import Camera, Rendering, Scene
-from envgs_bench.fixed_rays import read_samples_if_any, write_samples
+from envgs_bench.fixed_rays import FixedRaySamples, read_samples_if_any, write_samples
 from envgs_bench.methods.registry import create_method
 from envgs_bench.parts import REFLECTIVE
-from envgs_bench.stages.fixed_rays import OFFSET, REFLECTED, sampled
+from envgs_bench.stages.fixed_rays import OFFSET, REFLECTED, FixedRays
 from envgs_bench.testing import tiny_scene
 
 
@@ -37,6 +38,14 @@ class Records:
         return 0.5 + directions / 2
 
 
+def sampled(method: Any, scene: Scene) -> FixedRaySamples:
+    """Samples of a method whose renderings of the test views, and of others, are looked at."""
+    rays = FixedRays(scene.test)
+    for view in (*scene.train, *scene.test):
+        rays.see(view, method.render(view.camera))
+    return rays.samples(method, scene.radius)
+
+
 def before_a_mirror() -> Scene:
     """The tiny scene with a mirror in the plane through the world's origin that its test camera looks at squarely, but
     for the left column of pixels."""
@@ -56,7 +65,7 @@ def test_a_plane_mirror_sends_rays_as_from_the_cameras_mirror_image() -> None:
     scene = before_a_mirror()
     (view,) = scene.test
     method = Records(scene)
-    found = sampled(method, scene, scene.test)
+    found = sampled(method, scene)
     origins, directions = method.rays
     count = view.camera.height * (view.camera.width - 1)
     assert len(origins) == min(count, REFLECTED)
@@ -72,8 +81,8 @@ def test_seeds_are_sampled_along_the_same_rays_and_files_are_small(tmp_path: Pat
     scene = before_a_mirror()
     first, second = Records(scene), Records(scene)
     second.method.generator.manual_seed(7)
-    written = sampled(first, scene, scene.test)
-    again = sampled(second, scene, scene.test)
+    written = sampled(first, scene)
+    again = sampled(second, scene)
     torch.testing.assert_close(first.rays, second.rays, atol=0, rtol=0)
     write_samples(tmp_path, written)
     stored = read_samples_if_any(tmp_path)
@@ -91,11 +100,11 @@ def test_methods_with_reflections_say_what_rays_see(kind: str, traces: bool) -> 
     scene = before_a_mirror()
     method = create_method(kind, settings)
     method.initialize(scene, 30_000)
-    assert sampled(method, scene, scene.test).reflected is None  # reflections have not begun
+    assert sampled(method, scene).reflected is None  # reflections have not begun
     method.initialize(scene, 1)
     method.training_step(scene.train[0], 1)
-    found = sampled(method, scene, scene.test).reflected
+    found = sampled(method, scene).reflected
     assert (found is not None) == traces
     if found is not None:
         assert found.std() > 0 or kind == "envmap"  # the map is gray as yet
-    assert sampled(method, tiny_scene(), tiny_scene().test).reflected is None  # it is not known what reflects
+    assert sampled(method, tiny_scene()).reflected is None  # it is not known what reflects
