@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 
 DESCRIPTION = """\
 Train, render, score and time methods on data sets; one folder and one record.json a run.
@@ -40,6 +41,7 @@ Exit status: 0 all runs ok, 1 some not, 2 wrong arguments, 130 interrupted.
 
 # How arguments begin with which this process starts no run itself: Hydra only shows something, or a launcher runs them.
 ELSEWHERE = ("-c", "--cfg", "-i", "--info", "--hydra-help", "--version", "hydra/launcher=", "+hydra/launcher=")
+NVIDIA = Path("/dev/nvidiactl")  # there where Linux has NVIDIA's driver
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -53,7 +55,9 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--dry-run", action="store_true", help="list the runs, those that are done, and the hours left")
     options, overrides = parser.parse_known_args(arguments)
-    if not options.dry_run and not any(one.startswith(ELSEWHERE) for one in overrides):
+    # With an NVIDIA GPU a run begins anew, and would wait for these imports.
+    forked = "device=cpu" in overrides or not NVIDIA.exists()
+    if forked and not options.dry_run and not any(one.startswith(ELSEWHERE) for one in overrides):
         from envgs_bench.runs.started_run import starter_here
 
         starter_here()  # it imports what runs need, while this process reads and checks what they are

@@ -24,7 +24,9 @@ from typing import Any, NoReturn
 
 from .processes import JOB_VARIABLE, LOCK_VARIABLE, RUN_VARIABLE, end_with
 
-LINUX = sys.platform == "linux"  # elsewhere libraries start threads as they are loaded, or refuse to be forked
+# A fork of a program with threads may wait for a lock forever. Only Linux' libraries start none as they are loaded, but
+# for OpenBLAS, which ends its own before a fork.
+LINUX = sys.platform == "linux"
 WORKER = f"{__package__}.worker"
 # What most runs import beyond the worker, as they come to it.
 IMPORTED = (WORKER, "scipy.spatial", "scipy.ndimage", "kornia.color", "PIL.PngImagePlugin")
@@ -74,12 +76,11 @@ def main(arguments: list[str]) -> int:
     channel.set_inheritable(False)
     if LINUX:
         _import_all()
-    forks = LINUX and len(os.listdir("/proc/self/task")) == 1  # with threads, a fork may wait for a lock forever
     while (request := Request.received(channel)) is not None:
         starter, number = os.getpid(), os.fork()
         if not number:
             channel.close()
-            _become(request, starter, forks and request.forked)
+            _become(request, starter, LINUX and request.forked)
         with suppress(OSError):  # it did so itself, or has ended
             os.setpgid(number, number)
         for handle in request.handles:

@@ -28,8 +28,6 @@ for name in {imported}:
 print(asked, len(os.listdir("/proc/self/task")))
 """
 
-WAITING = "import threading, time; threading.Thread(target=time.sleep, args=(600,), daemon=True).start()"
-
 
 @pytest.fixture(autouse=True)
 def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -70,20 +68,6 @@ def test_one_process_starts_all_runs_of_a_job_process(tmp_path: Path, monkeypatc
     assert started_run.starter_here() is not starter
     assert starter.process.returncode is not None
     started_run.starter_here().end()
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere nothing is forked")
-@pytest.mark.parametrize("threads", [0, 1])
-def test_a_starter_with_threads_forks_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int) -> None:
-    monkeypatch.setattr(started_run, "_starter", None)
-    (tmp_path / "sitecustomize.py").write_text(WAITING if threads else "")
-    monkeypatch.setenv("OMP_WAIT_POLICY", "PASSIVE")  # as the command has it
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    code, said = ended(tmp_path, "cpu")
-    started_run.starter_here().end()
-    assert code == 1
-    assert "worker.py" in said
-    assert ("starter.py" in said) is not bool(threads)
 
 
 def test_a_run_is_found_by_its_folder_and_ends_with_its_starter(tmp_path: Path, start: Start) -> None:
