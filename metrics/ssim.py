@@ -1,15 +1,17 @@
-"""SSIM as a number: the loss's own map, in float64 and where the pictures lie."""
+"""SSIM as a number, by scikit-image. The loss is core's own, differentiable, with the same window and constants."""
 
 from __future__ import annotations
 
+import numpy as np
 from torch import Tensor
 
-from envgs_bench.core.ssim import K1, K2, SIGMA, WINDOW, ssim_map
+from envgs_bench.core.ssim import K1, K2, SIGMA, WINDOW
 from envgs_bench.parts import MetricCard
 
 from .metric import Metric
 
 _BORDER_IN_WORDS = {"zero": "zero padding", "valid": "on the valid interior"}
+_BORDER = WINDOW // 2  # pixels; scikit-image's window ends at 3.5 σ, which is here
 
 
 def ssim(prediction: Tensor, target: Tensor, padding: str, mask: Tensor | None = None) -> float | None:
@@ -23,13 +25,26 @@ def ssim(prediction: Tensor, target: Tensor, padding: str, mask: Tensor | None =
     Returns:
         A value in [−1, 1]; None where the mask holds no window's center.
     """
-    similarity = ssim_map(prediction.double(), target.double(), padding, backend="torch")
+    from skimage.metrics import structural_similarity  # takes 0.3 s: for those that score
+
+    zeros = _BORDER if padding == "zero" else 0
+    _, padded = structural_similarity(
+        *(np.pad(image.double().cpu(), ((zeros, zeros), (zeros, zeros), (0, 0))) for image in (target, prediction)),
+        gaussian_weights=True,
+        sigma=SIGMA,
+        use_sample_covariance=False,
+        K1=K1,
+        K2=K2,
+        data_range=1,
+        channel_axis=2,
+        full=True,
+    )
+    similarity = padded[_BORDER:-_BORDER, _BORDER:-_BORDER]  # beyond, scikit-image reflects the image
     if mask is None:
         return float(similarity.mean())
-    inside = mask
+    inside = mask.cpu().numpy()
     if padding == "valid":
-        border = WINDOW // 2
-        inside = inside[border:-border, border:-border]
+        inside = inside[_BORDER:-_BORDER, _BORDER:-_BORDER]
     return float(similarity[inside].mean()) if inside.any() else None
 
 

@@ -29,7 +29,7 @@ from .processes import JOB_VARIABLE, LOCK_VARIABLE, RUN_VARIABLE, end_with
 LINUX = sys.platform == "linux"
 WORKER = f"{__package__}.worker"
 # What most runs import beyond the worker, as they come to it.
-IMPORTED = (WORKER, "scipy.spatial", "scipy.ndimage", "kornia.color", "PIL.PngImagePlugin")
+IMPORTED = (WORKER, "scipy.spatial", "scipy.ndimage", "kornia.color", "skimage.metrics", "PIL.PngImagePlugin")
 ROOM = 4096  # bytes of the longest path: what the environment keeps free for the run's folder
 ENV_START, ENV_END = 47, 48  # in /proc/self/stat, counted from the field behind the program's name (Linux' proc(5))
 NUMBER = struct.Struct("q")
