@@ -32,7 +32,7 @@ class View:
 
     def rgb(self, device: torch.device | str = "cpu") -> Tensor:
         """The image as [H, W, 3] float32 in [0, 1], sRGB."""
-        return self.image.to(device).float() / 255
+        return self.image.to(device) / 255
 
     def pixels_on(self, device: torch.device | str) -> View:
         """The view with its image and normals there, all else where it is."""

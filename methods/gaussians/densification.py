@@ -65,7 +65,7 @@ class DensificationRecord:
         self.gradients += criterion
         self.steps += weights > 0 if counts is None else counts
         self.weights += weights
-        self.squares += weights.square()
+        self.squares.addcmul_(weights, weights)
 
     def keep(self, rows: Tensor) -> None:
         """Keep only the primitives that a mask [N] names."""
@@ -98,12 +98,13 @@ def screen_criterion(statistics: Statistics, camera: Camera) -> Tensor:
     A center at depth t moves by f/t pixels a unit, so ∂L/∂x_ndc = W/(2f)·t·∂L/∂x, and alike for y.
     """
     assert statistics.position_gradients is not None
-    # Filled in where the camera is: copying two numbers to a GPU waits for it.
-    half_size = torch.stack([camera.intrinsics.new_full((), size / 2) for size in (camera.width, camera.height)])
-    rows = camera.world_to_camera[:2, :3] * (half_size / camera.intrinsics.diagonal()[:2])[:, None]
+    rows = camera.world_to_camera[:2, :3] / camera.intrinsics.diagonal()[:2, None]
+    for row, size in zip(rows, (camera.width, camera.height), strict=True):
+        row *= size / 2
     x, y, z = statistics.position_gradients.unbind(dim=1)
     # Written out: a matrix product this narrow takes cuBLAS many times as long.
-    return torch.hypot(*(x * by_x + y * by_y + z * by_z for by_x, by_y, by_z in rows))
+    moved = ((x * by_x).addcmul_(y, by_y).addcmul_(z, by_z) for by_x, by_y, by_z in rows)
+    return torch.hypot(*moved)
 
 
 def spatial_criterion(statistics: Statistics, camera: Camera) -> Tensor:

@@ -66,6 +66,7 @@ class GaussianModel:
         self.radius = 1.0
         self.near = NEAR
         self.background = torch.zeros(3, device=device)
+        self.nothing = torch.zeros((), device=device)  # `torch.where` fills a new one for each number that it is given
         self.budget: SharedBudget | None = None
         self.left: dict[str, int] = {}
 
@@ -222,9 +223,10 @@ class GaussianModel:
         if not self.policies[BASE].fills_limit:
             return {}
         tensors = self.sets[BASE].parameters.tensors
-        return {
-            "opacity": OPACITY_WEIGHT * tensors["opacity_logits"].sigmoid().mean(),
-            "scale": SCALE_WEIGHT / self.radius * tensors["log_scales"].exp().mean(),
+        opacities, scales = tensors["opacity_logits"].sigmoid(), tensors["log_scales"].exp()
+        return {  # means as sums, whose gradient is no tensor of its own
+            "opacity": OPACITY_WEIGHT / opacities.numel() * opacities.sum(),
+            "scale": SCALE_WEIGHT / self.radius / scales.numel() * scales.sum(),
         }
 
     def record(
@@ -242,7 +244,7 @@ class GaussianModel:
                 base = self.sets[BASE].parameters.tensors
                 shape = base["means"], base["quaternions"], base["log_scales"].exp()
                 learned.append(in_view(*shape, camera, self.near))
-            self.sets[name].record.add(*(torch.where(counts, values, 0.0) for values in learned))
+            self.sets[name].record.add(*(torch.where(counts, values, self.nothing) for values in learned))
         if self.budget is not None:
             given = self.contributions(rendering, step)
             self.budget.measure({name: torch.where(counts, amount, 0.0) for name, amount in given.items()})

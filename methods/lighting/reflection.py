@@ -80,16 +80,19 @@ class Reflection(Part):
             origins, directions, beta = self.rays(base, camera, step)
             reflection, statistics = self.light.color(origins, directions, step, beta)
             beta = beta[..., None]
-            blended, reflected = torch.lerp(base.color, reflection, beta), reflection * (beta > 0)  # Eq. 5
+            blended = torch.lerp(base.color, reflection, beta)  # Eq. 5
         else:
             origins, directions, beta = self.rays(*finer(base, camera, points), step)
             reflection, statistics = self.light.color(origins, directions, step, beta)
             beta = beta[..., None]
             blended = averaged(torch.lerp(repeated(base.color, points), reflection, beta), points)
-            reflected = averaged(reflection * (beta > 0), points)
             for seen in statistics.values():
                 seen.weights = seen.weights / points**2  # in pixels, as the base's
-        layers = {BASE: base.color, REFLECTION: reflected, BETA: base.extras}
+        layers = {BASE: base.color}
+        if step is None:  # nobody looks at a training step's
+            reflected = reflection * (beta > 0)
+            layers[REFLECTION] = reflected if points == 1 else averaged(reflected, points)
+        layers[BETA] = base.extras
         picture = replace(base, color=blended, layers=layers)
         return picture if self.over is None else self.over(picture, camera, step), statistics
 
@@ -270,4 +273,4 @@ class Traced(Light):
         threshold = self._settings.rule.beta_threshold
         if beta is None or threshold == 0:
             return FAINTEST
-        return (threshold / beta.detach().clamp_min(threshold)).clamp(FAINTEST, BRIGHTEST)
+        return threshold / beta.detach().clamp(threshold / BRIGHTEST, threshold / FAINTEST)

@@ -136,8 +136,8 @@ def lacking_normals(scene: Scene) -> str:
 
 def photometric_loss(image: Tensor, target: Tensor, ssim_share: float = SSIM_SHARE, *, backend: str = "auto") -> Tensor:
     """L_rgb = (1 − s)·mean |I − I_gt| + s·(1 − SSIM), the SSIM by the core's `backend`."""
-    difference = (image - target).abs().mean()
-    return (1 - ssim_share) * difference + ssim_share * (1 - ssim(image, target, backend=backend))
+    difference = torch.linalg.vector_norm(image - target, 1) / image.numel()  # of abs, too, in one pass
+    return torch.lerp(difference, 1 - ssim(image, target, backend=backend), ssim_share)
 
 
 def eroded(alpha: Tensor) -> Tensor:
@@ -154,9 +154,10 @@ def normal_loss(normal: Tensor, reference: Tensor, weight: Tensor | None = None)
         reference: [H, W, 3] unit normals in the same frame; zero where unknown: such pixels count as no error.
         weight: [H, W] weight of a pixel's error, 1 where None.
     """
-    known = reference.detach().any(-1).to(normal)
-    error = known - (normal * reference).sum(-1)
-    return (error if weight is None else error * weight).mean()
+    known = reference.detach().any(-1)
+    if weight is None:
+        return known.mean(dtype=normal.dtype) - (normal * reference).sum() / known.numel()
+    return ((known.to(normal) - (normal * reference).sum(-1)) * weight).mean()
 
 
 def normal_distance(normal: Tensor, reference: Tensor, weight: Tensor | None = None) -> Tensor:
