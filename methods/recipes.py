@@ -54,6 +54,7 @@ class Rules:
     perceptual_loss: Literal["features", "lpips"] = "features"  # L_perc: the L1 distance of VGG-16's features, or LPIPS
     perceptual_from: Steps = 0  # step after which L_perc counts
 
+    joint_from: Amount = 1.0  # × initial_beta: where β is below, reflected rays do not move the surface; 0: everywhere
     settling_interval: Count = 5  # × densify_every between warm_up and disturb_until; less in a short run
     beta_threshold: Share = 1 / 255  # what moves a pixel less is not traced: rays of an image, what others leave
     ray_offset: Amount = 1e-3  # a reflected ray starts this far above the surface, × scene radius
@@ -84,6 +85,7 @@ PUBLISHED: dict[str, Any] = {  # the adaptive control of 3DGS, its colors and it
     "min_views": 0.0,
     "normals": "as_given",
     "mono_loss": "cos",
+    "joint_from": 0.0,
     "beta_threshold": 0.0,
 }
 OF_3DGS: dict[str, Any] = PUBLISHED | {

@@ -99,8 +99,8 @@ class Reflection(Part):
     def rays(self, base: Rendering, camera: Camera, step: int | None) -> tuple[Tensor, Tensor, Tensor]:
         """Origins, directions and β of `reflect`: in training of every surface, in an image where it is visible."""
         s = self._settings
-        if not s.joint:
-            base = replace(base, normal=base.normal.detach(), depth=base.depth.detach())
+        if step is not None:
+            base = self._taught(base)
         least = s.rule.reflect_alpha
         if least > 0 and (step is None or self._reflects_less(step)):
             base = replace(base, extras=base.extras * (base.alpha > least)[..., None])
@@ -130,6 +130,18 @@ class Reflection(Part):
         if s.rule.mono_floor == 1:
             return None
         return (rendering.extras.detach()[..., 0] / s.initial_beta).clamp(s.rule.mono_floor, 1)
+
+    def _taught(self, base: Rendering) -> Rendering:
+        """The base with normals and depths that pass gradients on only where reflected rays may move its surface.
+
+        Where β is below its start, little reflects, and a reflection that explains little turns the surface at random.
+        """
+        s, detached = self._settings, replace(base, normal=base.normal.detach(), depth=base.depth.detach())
+        if not s.joint:
+            return detached
+        reflects = base.extras[..., :1].detach() >= s.rule.joint_from * s.initial_beta
+        normal = torch.where(reflects, base.normal, detached.normal)
+        return replace(base, normal=normal, depth=torch.where(reflects[..., 0], base.depth, detached.depth))
 
     def _reflects_less(self, step: int) -> bool:
         return step > self._model.schedule.at(self._settings.rule.reflect_alpha_from)

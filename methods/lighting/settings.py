@@ -20,7 +20,7 @@ class ReflectionSettings(GaussianSettings):
 
     group: ClassVar[str] = "reflection"
 
-    rotation_lr_final: Rate = 1e-4  # learning rate of the quaternions at the end: low, as a mirror doubles each degree
+    rotation_lr_final: Rate = 3e-4  # learning rate of the quaternions at the end: low, as a mirror doubles each degree
     scale_lr: Rate = 1e-2
 
     normal_from: Steps = 7_000

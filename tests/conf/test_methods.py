@@ -34,7 +34,7 @@ from envgs_bench.testing import tiny_scene
 
 LEAN = {"prune_error": 0.05}
 MIRRORED = TUNED | {
-    **{"rotation_lr_final": 1e-4, "normal_weight": 0.04, "normal_from": 7_000},
+    **{"rotation_lr_final": 3e-4, "normal_weight": 0.04, "normal_from": 7_000},
     **{"mono_weight": 0.05, "map_levels": 7},
 }
 DIFFERENCES = {
@@ -42,7 +42,7 @@ DIFFERENCES = {
     "2dgs_tuned": TUNED,
     "3dgs_tuned": TUNED,
     "3igs_tuned": TUNED | {"sh_degree": 0},
-    "gaussian_shader_tuned": TUNED | {"rotation_lr_final": 1e-4, "mono_weight": 0.05},
+    "gaussian_shader_tuned": TUNED | {"rotation_lr_final": 3e-4, "mono_weight": 0.05},
     "ref_dgs": {
         "near_count": 50_000,
         "warm_up": 1_050,

@@ -31,6 +31,21 @@ def test_joint_optimization_lets_gradients_through(joint):
         assert normal.grad.abs().sum() > 0
 
 
+@pytest.mark.parametrize("least", [0.0, 0.5, 1.0])
+def test_reflected_rays_move_the_surface_where_it_reflects_more_than_at_the_start(least):
+    """Pixels whose β is at least that share of initial_beta have gradients."""
+    camera = make_camera()
+    shown = mirror(camera, torch.tensor([0.0, 0.0, -1.0]), -4.0)
+    beta = torch.rand(HEIGHT, WIDTH, generator=torch.Generator().manual_seed(0))
+    rendering = make_rendering(shown.depth, shown.normal.clone().requires_grad_(), shown.alpha, beta)
+    method = EnvMap(EnvMapSettings(envmap_size=4, initial_beta=0.3, rules={"joint_from": least}))
+    origins, directions, _ = method.reflection.rays(rendering, camera, 1)
+    weights = torch.rand(HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(1))
+    (weights * (origins + directions)).sum().backward()
+    moved = rendering.normal.grad.abs().sum(-1) > 0
+    assert torch.equal(moved, beta >= least * 0.3)
+
+
 @pytest.mark.parametrize(("step", "filtered"), [(None, True), (50, False), (51, True)])
 def test_pixels_of_little_alpha_do_not_reflect_late_in_training_and_in_images(step, filtered):
     """From half of a run of 100 steps on, alpha must be above 0.75; so far 0.01 is enough."""

@@ -145,8 +145,8 @@ def test_positions_decay_log_linearly():
     assert schedule.rate(1000, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-6)
 
 
-def test_rotation_rates_of_reflective_methods_decay_to_a_tenth():
-    """A tenth of the rotation rate remains at the end; 2DGS keeps its own."""
+def test_rotation_rates_of_reflective_methods_decay_to_three_tenths():
+    """Three tenths of the rotation rate remain at the end; 2DGS keeps its own."""
     rates = {}
     for kind in ("2dgs", "envgs"):
         method = create_method(kind)
@@ -154,7 +154,7 @@ def test_rotation_rates_of_reflective_methods_decay_to_a_tenth():
         method.model.set_learning_rates(30_000)
         groups = method.model.sets["base"].parameters.optimizer.param_groups
         rates[kind] = next(group["lr"] for group in groups if group["name"] == "quaternions")
-    assert rates == {"2dgs": pytest.approx(1e-3), "envgs": pytest.approx(1e-4)}
+    assert rates == {"2dgs": pytest.approx(1e-3), "envgs": pytest.approx(3e-4)}
 
 
 @pytest.mark.parametrize(("steps", "scale"), [(60_000, 1), (30_000, 1), (7500, 2), (300, 10), (10, 10)])
