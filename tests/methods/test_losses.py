@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from scipy import ndimage
+from torch.nn import functional
 
 from envgs_bench.core import Rendering, Statistics
 from envgs_bench.core.ssim import ssim
@@ -51,6 +52,16 @@ def test_photometric_loss_is_the_stated_mixture():
     expected = 0.8 * (image - target).abs().mean() + 0.2 * (1 - ssim(image, target))
     torch.testing.assert_close(photometric_loss(image, target), expected)
     assert photometric_loss(target, target).item() == pytest.approx(0, abs=1e-6)
+
+
+def test_losses_of_a_photograph_are_summed_to_float32s_precision():
+    generator = torch.Generator().manual_seed(0)
+    image, target = (torch.rand(3, 240_000, generator=generator).T.view(400, 600, 3) for _ in range(2))  # as drawn
+    expected = (image.double() - target.double()).abs().mean().item()
+    assert photometric_loss(image, target, 0.0).item() == pytest.approx(expected, rel=1e-6)
+    unit, other = (functional.normalize(picture.double() - 0.5, dim=-1) for picture in (image, target))
+    expected = (1 - (unit * other).sum(-1)).mean().item()
+    assert normal_loss(unit.float(), other.float()).item() == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize(("prune_error", "step", "share"), [(0.05, 71, 0.35), (0.05, 70, 0.2), (0.0, 71, 0.2)])
