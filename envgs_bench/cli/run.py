@@ -55,12 +55,12 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--dry-run", action="store_true", help="list the runs, those that are done, and the hours left")
     options, overrides = parser.parse_known_args(arguments)
-    # With an NVIDIA GPU a run begins anew, and would wait for these imports.
+    # With an NVIDIA GPU a run begins anew, and has no use of these imports.
     forked = "device=cpu" in overrides or not NVIDIA.exists()
     if forked and not options.dry_run and not any(one.startswith(ELSEWHERE) for one in overrides):
         from envgs_bench.runs.started_run import starter_here
 
-        starter_here()  # it imports what runs need, while this process reads and checks what they are
+        starter_here(ahead=True)  # it imports what runs need, while this process reads and checks what they are
     from .application import run
 
     return run(overrides, dry=options.dry_run)

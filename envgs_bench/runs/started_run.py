@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from .starter import NUMBER, Request, environment_of_starter
+from .starter import AHEAD, LINUX, NUMBER, Request, environment_of_starter
 
 CHANGING = ("ENVGS_BENCH_SWEEP", "ENVGS_BENCH_PAGE", "HYDRA_")  # how variables begin that a sweep itself sets
 
@@ -18,12 +18,20 @@ CHANGING = ("ENVGS_BENCH_SWEEP", "ENVGS_BENCH_PAGE", "HYDRA_")  # how variables 
 class Starter:
     """The process that starts the runs of this one (`starter.py`), and the socket that it is asked through."""
 
-    def __init__(self) -> None:
+    def __init__(self, ahead: bool = False) -> None:
         self.surroundings = _surroundings()
         self.channel, other = socket.socketpair()
         with other:
             self.process = subprocess.Popen(
-                [sys.executable, "-P", "-u", "-m", f"{__package__}.starter", str(other.fileno())],
+                [
+                    sys.executable,
+                    "-P",
+                    "-u",
+                    "-m",
+                    f"{__package__}.starter",
+                    str(other.fileno()),
+                    *([AHEAD] if ahead and LINUX else []),
+                ],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -47,14 +55,18 @@ class Starter:
 _starter: Starter | None = None  # of this process
 
 
-def starter_here() -> Starter:
-    """The starter of this process; a new one where there is none, or where libraries would read something else now."""
+def starter_here(ahead: bool = False) -> Starter:
+    """The starter of this process; a new one where there is none, or where libraries would read something else now.
+
+    Args:
+        ahead: a new one imports at once what runs need; else when the first fork is asked for.
+    """
     global _starter
     if _starter is not None and not _starter.serves:
         _starter.end()
         _starter = None
     if _starter is None:
-        _starter = Starter()
+        _starter = Starter(ahead)
     return _starter
 
 

@@ -28,6 +28,7 @@ from .processes import JOB_VARIABLE, LOCK_VARIABLE, RUN_VARIABLE, end_with
 # for OpenBLAS, which ends its own before a fork.
 LINUX = sys.platform == "linux"
 WORKER = f"{__package__}.worker"
+AHEAD = "ahead"  # the argument with which it imports before anybody asks
 # What most runs import beyond the worker, as they come to it.
 IMPORTED = (WORKER, "scipy.spatial", "scipy.ndimage", "kornia.color", "skimage.metrics", "PIL.PngImagePlugin")
 ROOM = 4096  # bytes of the longest path: what the environment keeps free for the run's folder
@@ -74,13 +75,16 @@ def main(arguments: list[str]) -> int:
     end_with(int(os.environ[JOB_VARIABLE]))
     channel = socket.socket(fileno=int(arguments[0]))
     channel.set_inheritable(False)
-    if LINUX:
+    if AHEAD in arguments:
         _import_all()
     while (request := Request.received(channel)) is not None:
+        forked = LINUX and request.forked
+        if forked:
+            _import_all()
         starter, number = os.getpid(), os.fork()
         if not number:
             channel.close()
-            _become(request, starter, LINUX and request.forked)
+            _become(request, starter, forked)
         with suppress(OSError):  # it did so itself, or has ended
             os.setpgid(number, number)
         for handle in request.handles:
@@ -92,7 +96,9 @@ def main(arguments: list[str]) -> int:
 
 
 def _import_all() -> None:
-    """Import what runs need. What fails here fails in the run as well, whose log says why."""
+    """Import what runs need, once. What fails here fails in the run as well, whose log says why."""
+    if WORKER in sys.modules:
+        return
     for name in IMPORTED:
         with suppress(Exception):
             importlib.import_module(name)

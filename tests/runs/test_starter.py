@@ -70,6 +70,19 @@ def test_one_process_starts_all_runs_of_a_job_process(tmp_path: Path, monkeypatc
     started_run.starter_here().end()
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere nothing is forked, nor imported ahead")
+@pytest.mark.parametrize(("ahead", "device"), [(False, "cuda"), (False, "cpu"), (True, "cuda")])
+def test_no_run_that_begins_anew_waits_for_imports(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ahead: bool, device: str
+) -> None:
+    monkeypatch.setattr(started_run, "_starter", None)
+    starter = started_run.starter_here(ahead)
+    ended(tmp_path, device)
+    libraries = Path(f"/proc/{starter.process.pid}/maps").read_text()
+    starter.end()
+    assert ("libtorch" in libraries) == (ahead or device == "cpu")
+
+
 def test_a_run_is_found_by_its_folder_and_ends_with_its_starter(tmp_path: Path, start: Start) -> None:
     process = start("method.kind=fakes.methods:Waits", "steps=1000")
     until(lambda: training(tmp_path))
