@@ -24,7 +24,7 @@ from .pilot_run import SHORTEST_RUN, smaller, train_briefly
 from .places import sums_by_place
 
 NORMALS = "normals"  # in what pilot runs have found
-HELD_OUT = 8  # every eighth training view, the fourth first, is drawn and not trained on
+HELD_OUT = 8  # every eighth training view, from the fifth, is drawn and not trained on
 CELLS = 16  # of a view along either axis, without normals or with them
 PLACE = 0.2  # × the scene radius: the edge of a place
 LEAST_GAIN = 0.5  # dB that a place gains without normals, from which on it has none …
