@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from .starter import AHEAD, LINUX, NUMBER, Request, environment_of_starter
+from .starter import AHEAD, FORKS, NUMBER, Request, environment_of_starter
 
 CHANGING = ("ENVGS_BENCH_SWEEP", "ENVGS_BENCH_PAGE", "HYDRA_")  # how variables begin that a sweep itself sets
 
@@ -21,17 +21,10 @@ class Starter:
     def __init__(self, ahead: bool = False) -> None:
         self.surroundings = _surroundings()
         self.channel, other = socket.socketpair()
+        told = [AHEAD] if ahead else []
         with other:
             self.process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-P",
-                    "-u",
-                    "-m",
-                    f"{__package__}.starter",
-                    str(other.fileno()),
-                    *([AHEAD] if ahead and LINUX else []),
-                ],
+                [sys.executable, "-P", "-u", "-m", f"{__package__}.starter", str(other.fileno()), *told],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -74,11 +67,6 @@ def _surroundings() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if not name.startswith(CHANGING)}
 
 
-def may_fork(device: str) -> bool:
-    """Whether a run on "cpu" or "cuda" may be a fork."""
-    return device == "cpu"
-
-
 class StartedRun:
     """The process of a run, in a process group of its own that its number names.
 
@@ -106,8 +94,9 @@ class StartedRun:
         ends = tuple(written for _, written in outputs)
         self.stdout, self.stderr = (os.fdopen(read, "rb") for read, _ in outputs)
         try:
-            given, handles = {**os.environ, **environment}, (*ends, lock, *handles)
-            Request(str(folder), os.getcwd(), given, may_fork(device), handles).send(self._starter.channel)
+            given = {**os.environ, **environment}
+            forked = FORKS and device == "cpu"
+            Request(str(folder), os.getcwd(), given, forked, (*ends, lock, *handles)).send(self._starter.channel)
         except OSError:
             pass  # it has ended, which is found below
         finally:

@@ -1,9 +1,9 @@
 """Starter: a process that imports what a run imports, and forks a run's process whenever its job asks for one.
 
 `python -m envgs_bench.runs.starter <socket>`, started by the process whose jobs it serves (`started_run.py`), which it
-ends with. It imports while that one still reads its arguments. Of a request it makes a run's process, says its number,
-and says how it ended, one after the other. A fork costs a hundredth of the imports. No GPU is looked at here, and a run
-on one is started anew: forks were tried on CPUs.
+ends with. It imports before its first fork, or at once where it is told to. Of a request it makes a run's process, says
+its number, and says how it ended, one after the other. A fork costs a hundredth of the imports. No GPU is looked at
+here, and a run on one is started anew: forks were tried on CPUs.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from .processes import JOB_VARIABLE, LOCK_VARIABLE, RUN_VARIABLE, end_with
 
 # A fork of a program with threads may wait for a lock forever. Only Linux' libraries start none as they are loaded, but
 # for OpenBLAS, which ends its own before a fork.
-LINUX = sys.platform == "linux"
+FORKS = sys.platform == "linux"
 WORKER = f"{__package__}.worker"
 AHEAD = "ahead"  # the argument with which it imports before anybody asks
 # What most runs import beyond the worker, as they come to it.
@@ -44,7 +44,7 @@ class Request:
         folder: the run's, as it is to be written into the environment.
         directory: the working directory.
         environment: all of it.
-        forked: whether it may be a fork that has imported all, and needs not be a program that begins anew.
+        forked: whether it is a fork that has imported all, or a program that begins anew.
         handles: open files: standard output, standard error, the run's lock, and what else the process keeps.
     """
 
@@ -75,16 +75,15 @@ def main(arguments: list[str]) -> int:
     end_with(int(os.environ[JOB_VARIABLE]))
     channel = socket.socket(fileno=int(arguments[0]))
     channel.set_inheritable(False)
-    if AHEAD in arguments:
+    if FORKS and AHEAD in arguments:
         _import_all()
     while (request := Request.received(channel)) is not None:
-        forked = LINUX and request.forked
-        if forked:
+        if request.forked:
             _import_all()
         starter, number = os.getpid(), os.fork()
         if not number:
             channel.close()
-            _become(request, starter, forked)
+            _become(request, starter)
         with suppress(OSError):  # it did so itself, or has ended
             os.setpgid(number, number)
         for handle in request.handles:
@@ -108,7 +107,7 @@ def _import_all() -> None:
     gc.freeze()  # a collection in a fork would copy each page that it marks
 
 
-def _become(request: Request, starter: int, forked: bool) -> NoReturn:
+def _become(request: Request, starter: int) -> NoReturn:
     """Be the process of a run: this fork, or a program that begins anew."""
     try:
         with suppress(OSError):
@@ -121,7 +120,7 @@ def _become(request: Request, starter: int, forked: bool) -> NoReturn:
         own = {RUN_VARIABLE: request.folder, JOB_VARIABLE: str(starter), LOCK_VARIABLE: str(lock)}
         os.environ.clear()
         os.environ.update(request.environment | own)
-        if not forked:
+        if not request.forked:
             for handle in request.handles[2:]:
                 os.set_inheritable(handle, True)
             os.execv(sys.executable, [sys.executable, "-P", "-u", "-m", WORKER, request.folder])
