@@ -1,4 +1,4 @@
-"""How long what is waited for takes, beside what is wanted, from a CSV of times measured with nothing beside."""
+"""How long what is waited for takes, beside what is wanted, from a CSV of times measured alone on a GPU."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def speed(rows: pd.DataFrame, name: str) -> str:
     heads = ["what takes time", "pixels", "primitives", "measured", "wanted, at most"]
     measured_on = sorted({*zip(rows["device"], rows["commit"], strict=True)})
     places = "; ".join(f"{device}, commit `{commit}`" for device, commit in measured_on)
-    return f"{as_markdown(heads, lines)}\n*{places}, nothing beside. Source: `{name}`.*\n"
+    return f"{as_markdown(heads, lines)}\n*{places}, nothing else on that GPU. Source: `{name}`.*\n"
 
 
 def _time(value: float, unit: str) -> str:

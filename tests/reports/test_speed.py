@@ -36,7 +36,7 @@ def test_what_misses_by_most_comes_first_and_what_has_no_goal_last(tmp_path: Pat
 
 
 def test_the_caption_says_where_and_of_which_commits(tmp_path: Path) -> None:
-    caption = "*H100, commit `def`; H200, commit `abc`, nothing beside. Source: `"
+    caption = "*H100, commit `def`; H200, commit `abc`, nothing else on that GPU. Source: `"
     assert caption in filled(tmp_path, HEAD + ROWS)
 
 
