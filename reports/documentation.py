@@ -19,6 +19,7 @@ from pathlib import Path
 import pandas as pd
 
 from .kept.counts import false_alarms, found, read_counts
+from .kept.lengths import lengths
 from .kept.originals import BESIDE_ORIGINALS, MarksError, read_marks, read_words
 from .kept.over_scenes import differences, mean_over_scenes, over_scenes
 from .kept.perturbed_file import read_perturbed
@@ -36,6 +37,7 @@ OF_OTHERS: dict[str, tuple[Callable[[Path], pd.DataFrame], Callable[..., str]]] 
     **{table.__name__: (read_counts, table) for table in (false_alarms, found)},
     **{table.__name__: (read_perturbed, table) for table in (recall, lag, stability)},
     speed.__name__: (read_speed, speed),
+    lengths.__name__: (read_kept, lengths),  # of several numbers of steps
 }
 
 

@@ -111,6 +111,7 @@ class KeptRuns:
     def caption(self, what: str) -> str:
         """Where the numbers come from: what they are, seeds, steps, views, device, commit and file."""
         first = self.rows.iloc[0]
+        steps = " and ".join(f"{count:,}" for count in sorted(map(int, self.rows["steps"].unique())))
         seeds = sorted(map(int, self.rows["seed"].unique()))
         without_gap = len(seeds) > 2 and seeds[-1] - seeds[0] == len(seeds) - 1
         listed = f"{seeds[0]} to {seeds[-1]}" if without_gap else ", ".join(map(str, seeds))
@@ -118,7 +119,7 @@ class KeptRuns:
         commits = ", ".join(f"`{commit}`" for commit in sorted(self.rows["commit"].unique()))
         devices = ", ".join(sorted(self.rows["device"].unique()))
         return (
-            f"*{what}. {int(first['steps']):,} steps, {first['split']} views, protocol `{first['protocol']}`, "
+            f"*{what}. {steps} steps, {first['split']} views, protocol `{first['protocol']}`, "
             f"{named}; {devices}, commit {commits}. Source: `{self.name}`.*"
         )
 
@@ -144,25 +145,24 @@ def scores(runs: KeptRuns, metric: str = "psnr", region: str = FULL) -> str:
     """A row a method, a column a scene and their mean; the best of each column is bold."""
     column = column_of(metric, region)
     places = places_of(runs.having(column))
-    cells = {
-        (method, place): runs.numbers.estimate(place, method, column.region, column.metric)
-        for method in runs.methods
-        for place in places
-    }
-    rows = []
-    for method in runs.methods:
-        printed = []
-        for place in places:
-            found = {each: cells[each, place] for each in runs.methods}
-            values = {each: column.printed(cell.mean) for each, cell in found.items() if cell.mean and cell.complete}
-            best = (max if column.better == "higher" else min)(values.values(), default=None)
-            printed.append(_cell(column, found[method], values.get(method) == best and column.ranked))
-        rows.append([f"`{method}`", *printed])
+    rows = [[f"`{method}`", *cells] for method, cells in printed(runs, column, places).items()]
     heads = [heading(place) for place in places]
     what = f"{column.axis[:1].upper()}{column.axis[1:]}"
     if runs.rows["seed"].nunique() > 1:
         what += ", mean over seeds ± their standard deviation"
     return f"{as_markdown(['method', *heads], rows)}\n{runs.caption(what)}\n"
+
+
+def printed(runs: KeptRuns, column: Column, places: Sequence[tuple[str, ...]]) -> dict[str, list[str]]:
+    """Method -> its cell of each place; the best of each place is bold."""
+    cells: dict[str, list[str]] = {method: [] for method in runs.methods}
+    for place in places:
+        found = {each: runs.numbers.estimate(place, each, column.region, column.metric) for each in runs.methods}
+        values = {each: column.printed(cell.mean) for each, cell in found.items() if cell.mean and cell.complete}
+        best = (max if column.better == "higher" else min)(values.values(), default=None)
+        for method, cell in found.items():
+            cells[method].append(_cell(column, cell, values.get(method) == best and column.ranked))
+    return cells
 
 
 def gains(runs: KeptRuns, of: str, metric: str = "psnr", region: str = FULL) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reports_runs import write_failure, write_runs
+from reports_runs import record, run_folder, write_failure, write_record, write_runs
 from scipy import stats
 
 from envgs_bench.cli.main import main
@@ -55,15 +55,15 @@ def test_a_row_has_the_records_numbers_and_the_command(kept: Path) -> None:
     found = rows(kept)
     assert len(found) == len(records) == 25
     by_run = {(row["scene"], row["method"], row["seed"]): row for row in found}
-    for record in records:
-        row = by_run[record.dataset, record.method, str(record.seed)]
-        assert row["command"] == f"envgs-bench run method={record.method} dataset={record.dataset} seed={record.seed}"
-        if record.metrics is None or record.cost is None:
+    for one in records:
+        row = by_run[one.dataset, one.method, str(one.seed)]
+        assert row["command"] == f"envgs-bench run method={one.method} dataset={one.dataset} seed={one.seed}"
+        if one.metrics is None or one.cost is None:
             assert (row["status"], row["psnr"]) == ("diverged", "")
             continue
-        assert float(row["psnr"]) == pytest.approx(record.metrics.mean["psnr"], rel=1e-5)
-        assert float(row["psnr_near_field"]) == pytest.approx(record.masked["near_field"].scores["psnr"], rel=1e-5)
-        assert float(row["primitives"]) == sum(record.cost.primitives.values())
+        assert float(row["psnr"]) == pytest.approx(one.metrics.mean["psnr"], rel=1e-5)
+        assert float(row["psnr_near_field"]) == pytest.approx(one.masked["near_field"].scores["psnr"], rel=1e-5)
+        assert float(row["primitives"]) == sum(one.cost.primitives.values())
 
 
 def test_kept_again_the_file_is_the_same_and_a_new_run_takes_the_old_ones_place(kept: Path, tmp_path: Path) -> None:
@@ -107,6 +107,25 @@ def test_scores_are_means_over_seeds_and_the_mean_is_of_the_scenes(kept: Path) -
     ]
     assert "(3/4)" in table  # of EnvGS's four on sky_ball one failed
     assert "1,500 steps, test views, protocol `envgs`, seeds 0 to 3;" in table
+
+
+def test_longer_runs_stand_beside_those_of_the_same_seed(kept: Path, tmp_path: Path) -> None:
+    """Seed 1 of one scene was run for longer: of the shorter runs, means of three seeds, that seed alone is shown."""
+    longer = {"envgs": 31.5, "2dgs": 20.25}
+    for method, psnr in longer.items():
+        content = record(SCENES[0], method, 1, steps=9000)
+        content["metrics"]["mean"]["psnr"] = psnr
+        write_record(run_folder(tmp_path / "longer", SCENES[0], method, 1), content)
+    assert main(["report", str(tmp_path / "longer"), "--keep", str(kept / "runs.csv")]) == 0
+    table = filled(kept, "table: lengths records=runs.csv steps=1500,9000")
+    frame = read_kept(kept / "runs.csv")
+    shorter = frame[(frame.scene == SCENES[0]) & (frame.seed == 1) & (frame.steps == 1500)].set_index("method").psnr
+    cells = [f"{shorter[method]:.2f} → {longer[method]:.2f}" for method in ("2dgs", "envgs")]
+    lines = [line for line in table.replace("*", "").splitlines() if line.startswith("| ")]
+    assert lines == ["| scene | `2dgs` | `envgs` |", "| :-- | --: | --: |", f"| `chrome_room` | {' | '.join(cells)} |"]
+    assert "→ **31.50** |" in table
+    assert "1,500 and 9,000 steps, test views, protocol `envgs`, seed 1;" in table
+    assert "*Not measured: " in filled(kept, "table: lengths records=runs.csv steps=1500,12000")
 
 
 def test_gains_are_paired_and_have_students_interval(kept: Path) -> None:
