@@ -29,6 +29,7 @@ COSTS = (PRIMITIVES, ENV_PRIMITIVES, TRAIN_SECONDS, FRAME_MS)
 COLUMNS = {column.metric: column for column in (*SCORES, NORMALS, *COSTS)}
 FULL = "full"
 NOTHING = "–"
+MOST_COLUMNS = 6  # of means and deviations, that a page shows without scrolling
 PageTable = Callable[..., str]  # of KeptRuns and what else a comment says, by name -> Markdown
 
 
@@ -142,15 +143,21 @@ def heading(place: tuple[str, ...]) -> str:
 
 
 def scores(runs: KeptRuns, metric: str = "psnr", region: str = FULL) -> str:
-    """A row a method, a column a scene and their mean; the best of each column is bold."""
+    """A row a method, a column a scene and their mean, or the other way where these are too many to stand in a row.
+
+    The best of each scene is bold.
+    """
     column = column_of(metric, region)
     places = places_of(runs.having(column))
     rows = [[f"`{method}`", *cells] for method, cells in printed(runs, column, places).items()]
-    heads = [heading(place) for place in places]
+    wide = len(places) > MOST_COLUMNS
+    lines = [["scene" if wide else "method", *(heading(place) for place in places)], *rows]
+    if wide:
+        lines = [list(line) for line in zip(*lines, strict=True)]
     what = f"{column.axis[:1].upper()}{column.axis[1:]}"
     if runs.rows["seed"].nunique() > 1:
         what += ", mean over seeds ± their standard deviation"
-    return f"{as_markdown(['method', *heads], rows)}\n{runs.caption(what)}\n"
+    return f"{as_markdown(lines[0], lines[1:])}\n{runs.caption(what)}\n"
 
 
 def printed(runs: KeptRuns, column: Column, places: Sequence[tuple[str, ...]]) -> dict[str, list[str]]:

@@ -109,6 +109,20 @@ def test_scores_are_means_over_seeds_and_the_mean_is_of_the_scenes(kept: Path) -
     assert "1,500 steps, test views, protocol `envgs`, seeds 0 to 3;" in table
 
 
+def test_scenes_that_are_too_many_for_columns_are_rows(tmp_path: Path) -> None:
+    scenes = [f"toy/scene_{number}" for number in range(6)]
+    for number, scene in enumerate(scenes):
+        for method in ("2dgs", "envgs"):
+            content = record(scene, method, 0)
+            content["metrics"]["mean"]["psnr"] = 20.0 + number + (method == "envgs")
+            write_record(run_folder(tmp_path / "runs", scene, method, 0), content)
+    assert main(["report", str(tmp_path / "runs"), "--keep", str(tmp_path / "runs.csv")]) == 0
+    table = filled(tmp_path, "table: scores records=runs.csv metric=psnr").replace("*", "")
+    assert "| scene | `2dgs` | `envgs` |" in table
+    assert all(f"| `scene_{number}` | {20 + number}.00 | {21 + number}.00 |" in table for number in range(6))
+    assert "| mean | 22.50 | 23.50 |" in table
+
+
 def test_longer_runs_stand_beside_those_of_the_same_seed(kept: Path, tmp_path: Path) -> None:
     """Seed 1 of one scene was run for longer: of the shorter runs, means of three seeds, that seed alone is shown."""
     longer = {"envgs": 31.5, "2dgs": 20.25}
