@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import reduce
+
 import pandas as pd
 
 from .runs_file import NoRunsError
-from .tables import FULL, KeptRuns, as_markdown, column_of, heading, places_of, printed
+from .tables import FULL, KeptRuns, arranged, capital, column_of, places_of, printed
 
 ALIKE = ["scene", "method", "seed"]
 
@@ -18,19 +20,17 @@ def lengths(rows: pd.DataFrame, name: str, steps: str, metric: str = "psnr", reg
         steps: the lengths, `7000,30000`.
     """
     column = column_of(metric, region)
-    parts = [KeptRuns.chosen(name, rows, {"steps": count}) for count in steps.split(",")]
-    shared = set.intersection(*(set(part.rows[ALIKE].itertuples(index=False, name=None)) for part in parts))
-    if not shared:
+    parts = [KeptRuns.chosen(name, rows, {"steps": count}).rows for count in steps.split(",")]
+    runs = [pd.MultiIndex.from_frame(part[ALIKE]) for part in parts]
+    shared = reduce(pd.MultiIndex.intersection, runs)
+    if shared.empty:
         raise NoRunsError(f"{name} has no run of one scene, method and seed with each of steps={steps}")
-    same = [part.rows[[run in shared for run in part.rows[ALIKE].itertuples(index=False, name=None)]] for part in parts]
-    runs = [KeptRuns(name, each) for each in same]
-    places = places_of(runs[0].having(column))
-    tables = [printed(each, column, places) for each in runs]
-    methods = runs[0].methods
-    lines = [
-        [heading(place), *(" → ".join(table[method][row] for table in tables) for method in methods)]
-        for row, place in enumerate(places)
-    ]
-    what = f"{column.axis[:1].upper()}{column.axis[1:]}, after fewer → after more steps of the same seed"
-    heads = ["scene", *(f"`{method}`" for method in methods)]
-    return f"{as_markdown(heads, lines)}\n{KeptRuns(name, pd.concat(same)).caption(what)}\n"
+    same = [KeptRuns(name, part[own.isin(shared)]) for part, own in zip(parts, runs, strict=True)]
+    places = places_of(same[0].having(column))
+    tables = [printed(each, column, places) for each in same]
+    cells = {
+        method: list(map(" → ".join, zip(*(table[method] for table in tables), strict=True))) for method in tables[0]
+    }
+    what = f"{capital(column.axis)}, after fewer → after more steps of the same seed"
+    caption = KeptRuns(name, pd.concat([each.rows for each in same])).caption(what)
+    return f"{arranged(places, cells, down=True)}\n{caption}\n"

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..numbers.intervals import mean_interval, sample_interval, share_interval
 from ..tables.columns import Column
-from .tables import FULL, NOTHING, KeptRuns, TableError, as_markdown, column_of
+from .tables import FULL, NOTHING, KeptRuns, TableError, as_markdown, capital, column_of
 
 LEVEL_DB = 0.1  # behind by no more is level
 MANY = 12  # scenes, of which a bootstrap holds what it says
@@ -16,13 +16,12 @@ HEADS = ("scenes", "mean", "ahead on", f"behind by {LEVEL_DB} dB at most on", "w
 def over_scenes(runs: KeptRuns, of: str, region: str = FULL) -> str:
     """A row each other method: `of` less it in PSNR, dB. A scene counts once, as the mean of its seeds."""
     column = column_of("psnr", region)
-    axis = column.axis
     rows = []
     for other in runs.methods:
         if other != of:
             gained = differences(runs, of, other, column)
             rows.append([f"`{other}`", str(len(gained)), *_cells(gained, column), str(_failed(runs, other))])
-    what = f"{axis[:1].upper()}{axis[1:]}, of `{of}` less the row's method, a scene counting once"
+    what = f"{capital(column.axis)}, of `{of}` less the row's method, a scene counting once"
     what += f"; brackets are 95 % intervals over scenes; failed runs of `{of}`: {_failed(runs, of)}"
     return f"{as_markdown([f'`{of}` less', *HEADS], rows)}\n{runs.caption(what)}\n"
 

@@ -39,7 +39,7 @@ class TableError(ValueError):
 
 @dataclass(frozen=True)
 class KeptRuns:
-    """Rows of one file that may share a table: of one number of steps, of test or of validation views.
+    """Rows of one file that may share a table: of test or of validation views, of one number of steps or of lengths.
 
     Attributes:
         name: of the file, for the caption.
@@ -149,15 +149,24 @@ def scores(runs: KeptRuns, metric: str = "psnr", region: str = FULL) -> str:
     """
     column = column_of(metric, region)
     places = places_of(runs.having(column))
-    rows = [[f"`{method}`", *cells] for method, cells in printed(runs, column, places).items()]
-    wide = len(places) > MOST_COLUMNS
-    lines = [["scene" if wide else "method", *(heading(place) for place in places)], *rows]
-    if wide:
-        lines = [list(line) for line in zip(*lines, strict=True)]
-    what = f"{column.axis[:1].upper()}{column.axis[1:]}"
+    table = arranged(places, printed(runs, column, places), down=len(places) > MOST_COLUMNS)
+    what = capital(column.axis)
     if runs.rows["seed"].nunique() > 1:
         what += ", mean over seeds ± their standard deviation"
-    return f"{as_markdown(lines[0], lines[1:])}\n{runs.caption(what)}\n"
+    return f"{table}\n{runs.caption(what)}\n"
+
+
+def arranged(places: Sequence[tuple[str, ...]], cells: Mapping[str, Sequence[str]], *, down: bool) -> str:
+    """Each method's cells of the places: a row a method, or a row a place where these go down."""
+    heads = ["scene" if down else "method", *(heading(place) for place in places)]
+    lines = [heads, *([f"`{method}`", *own] for method, own in cells.items())]
+    head, *rows = [list(line) for line in zip(*lines, strict=True)] if down else lines
+    return as_markdown(head, rows)
+
+
+def capital(words: str) -> str:
+    """Words that begin a caption."""
+    return words[:1].upper() + words[1:]
 
 
 def printed(runs: KeptRuns, column: Column, places: Sequence[tuple[str, ...]]) -> dict[str, list[str]]:
@@ -184,7 +193,7 @@ def gains(runs: KeptRuns, of: str, metric: str = "psnr", region: str = FULL) -> 
         if other != of
     ]
     heads = [heading(place) for place in places]
-    what = f"{column.axis[:1].upper()}{column.axis[1:]}, of `{of}` less the row's method, paired by seed"
+    what = f"{capital(column.axis)}, of `{of}` less the row's method, paired by seed"
     what += "; brackets are 95 % intervals, bold where they exclude 0"
     return f"{as_markdown([f'`{of}` less', *heads], rows)}\n{runs.caption(what)}\n"
 
