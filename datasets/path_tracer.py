@@ -61,7 +61,10 @@ class PathTracer:
         self._integrator = self._mitsuba.load_dict({"type": "path", "max_depth": DEPTH})
 
     def light(self, camera: Camera, supersampling: int, seed: int) -> Array:
-        """The view [H, W, 3], linear: a pixel is its area's mean over supersampling² paths, well spread over it."""
+        """The view [H, W, 3], linear: a pixel is its area's mean over supersampling² paths, well spread over it.
+
+        A GPU traces all of them at once: see `MOST_PATHS` for the memory that they take.
+        """
         sampler = {"type": "multijitter", "sample_count": supersampling**2}
         sensor = self._mitsuba.load_dict(self._sensor(camera) | {"sampler": sampler})
         return self._rendered(sensor, supersampling**2, seed)

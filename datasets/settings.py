@@ -54,7 +54,7 @@ def parse_dataset_settings(model: type[Settings], given: Mapping[str, Any]) -> S
             elif problem["type"] == "missing":
                 lines.append(f"dataset.{key}: is missing; give it as dataset.{key}=…")
             else:
-                lines.append(f"dataset.{key}={problem['input']!r}: {problem['msg']}")
+                lines.append(f"dataset.{key}={problem['input']!r}: {problem['msg'].removeprefix('Value error, ')}")
         raise DatasetError("\n".join(lines)) from error
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, Scene, View
 
+from ..path_tracer import Tracer
 from ..progress import streamed
 from ..split import split_views, taken_out, validation_of
 from ..store.scene_file import on_disk
@@ -41,14 +42,15 @@ def make_scene(choice: ToySettings, name: str) -> Scene:
     for_scene, for_light, for_points, *for_views, for_normals = (np.random.default_rng(stream) for stream in streams)
     description = SCENES[choice.scene](for_scene)
     world = World(description.parts, description.sky, description.bounces)
-    paint = _painter(world, for_light)
+    paint = _painter(world, for_light, choice.tracer)
+    cores = 1 if choice.tracer == "gpu" else None  # so many threads as the tracer is for
     cameras = cameras_around(description.orbit, choice.views, choice.width, choice.height)
 
     def make_view(index: int) -> View:
         image = paint(cameras[index], choice.supersampling, for_views[index])
         return _view(world, cameras[index], f"{index:04d}", image)
 
-    views = without_slivers(on_disk(streamed("tracing views", make_view, range(choice.views))))
+    views = without_slivers(on_disk(streamed("tracing views", make_view, range(choice.views), cores)))
     train, test = split_views(views, name)
     val = validation_of(train)  # with exact normals, as test views
     val = with_covisible(world, val, taken_out(train, val))
@@ -101,10 +103,10 @@ def with_covisible(world: World, views: list[View], train: list[View]) -> list[V
     return on_disk(streamed("comparing views", compared, views))
 
 
-def _painter(world: World, for_light: np.random.Generator) -> Painter:
+def _painter(world: World, for_light: np.random.Generator, tracer: Tracer) -> Painter:
     """What makes a camera's picture: Mitsuba where something is of metal or under a coat, otherwise our own tracer."""
     if world.fresnel:
-        return PathTraced(world.parts, world.sky).picture
+        return PathTraced(world.parts, world.sky, tracer).picture
     bake(world, for_light)
     return partial(picture, world)
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from envgs_bench.core import Camera
 
 from ..formats.srgb import to_srgb
-from ..path_tracer import Bsdf, PathTracer, Texture, TracedSurface
+from ..path_tracer import Bsdf, PathTracer, Texture, TracedSurface, Tracer
 from .shapes import tessellate
 from .world import Array, Part
 
@@ -19,12 +19,17 @@ class PathTraced:
     What `World` bakes and approximates is simulated: shadows of the sun, color that one surface throws on another,
     light that mirrors gather (caustics), reflection that grows toward grazing.
 
+    Args:
+        parts: surfaces, of which none is of glass.
+        sky: [H, W, 3] linear radiance from infinity.
+        tracer: where Mitsuba works; that of a GPU is for one thread.
+
     Raises:
-        DatasetError: Mitsuba is not installed.
+        DatasetError: Mitsuba is not installed, or has no such GPU.
     """
 
-    def __init__(self, parts: list[Part], sky: Array) -> None:
-        self._tracer = PathTracer([_traced(part) for part in parts], sky)
+    def __init__(self, parts: list[Part], sky: Array, tracer: Tracer = "cpu") -> None:
+        self._tracer = PathTracer([_traced(part) for part in parts], sky, tracer)
 
     def picture(self, camera: Camera, supersampling: int, rng: np.random.Generator) -> NDArray[np.uint8]:
         """The view [H, W, 3], sRGB: a pixel is its area's mean of linear light, over supersampling² paths."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, get_args
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from ..settings import SourceSettings
 
@@ -35,3 +35,15 @@ class ToySettings(SourceSettings):
     normal_noise: Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)] = 0.0  # mean angle of training views, °
     seed: Annotated[int, Field(ge=0)] = 0  # for textures, sky, light, pixels, points and normals
     supersampling: Annotated[int, Field(ge=1)] = 3  # rays along each side of a pixel
+    tracer: Literal["cpu", "gpu"] = "cpu"  # where Mitsuba traces pictures; but for noise they are the same
+
+    @field_validator("tracer")
+    @classmethod
+    def _traces_paths(cls, tracer: str, info: ValidationInfo) -> str:
+        scene = info.data.get("scene")
+        if tracer == "gpu" and scene in PRESETS["toy"]:
+            raise ValueError(
+                f"{scene} is ray-traced, which the CPU alone does; give dataset.tracer=cpu, or a scene that is "
+                f"path-traced: {', '.join(PRESETS['path_traced'])}"
+            )
+        return tracer

@@ -27,10 +27,11 @@ def load_toy(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         DatasetError: an unknown key, or a value out of range.
     """
     choice = parse_dataset_settings(ToySettings, settings)
+    unsaid = {"tracer"} if choice.tracer == "cpu" else set()  # scenes that are cached stay those of their settings
     name = choice.name or f"toy/{choice.scene}"
     from ..store.cache import cached_scene  # with torch, which settings are checked without
 
-    key = {"source": "toy", "version": VERSION, **choice.model_dump(), "name": name}
+    key = {"source": "toy", "version": VERSION, **choice.model_dump(exclude=unsaid), "name": name}
 
     def make() -> Scene:
         from .making import make_scene  # which takes 1 s to import: most runs find their scene in the cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,10 @@ import torch
 from toy_scenes import coarse_toys
 
 from envgs_bench.core import Camera
-from envgs_bench.datasets import DatasetError, load_scene
+from envgs_bench.datasets import DatasetError, load_scene, path_tracer, progress
 from envgs_bench.datasets.formats.srgb import to_linear
+from envgs_bench.datasets.registry import check_source
+from envgs_bench.datasets.toy import path_traced
 from envgs_bench.datasets.toy.cameras import look_at
 from envgs_bench.datasets.toy.path_traced import PathTraced
 from envgs_bench.datasets.toy.render import geometry, picture
@@ -21,6 +24,7 @@ from envgs_bench.datasets.toy.world import Part, World
 
 WHITE = np.ones((4, 8, 3))
 CENTERS = [(2.5, 1.0, 1.5), (-2.0, 2.0, 0.7)]
+TINY = {"kind": "toy", "scene": "copper_table", "width": 24, "height": 18, "views": 3, "supersampling": 2}
 
 
 def camera_of(center: tuple[float, float, float], width: int = 64, height: int = 48) -> Camera:
@@ -105,9 +109,8 @@ def test_regions_part_all_surfaces() -> None:
 
 @pytest.mark.parametrize("name", ["copper_table", "brushed_patio"])
 def test_a_scene_is_made_the_same_each_time(tmp_path: Path, name: str) -> None:
-    toy = {"kind": "toy", "scene": name, "width": 24, "height": 18, "views": 3, "supersampling": 2}
     with coarse_toys():
-        once, again = (load_scene(toy, tmp_path / folder) for folder in ("a", "b"))
+        once, again = (load_scene({**TINY, "scene": name}, tmp_path / folder) for folder in ("a", "b"))
     for ours, theirs in zip(once.train, again.train, strict=True):
         assert torch.equal(ours.image, theirs.image)
         assert set(ours.masks) == {"reflective", "near_field", "mirror", "coated", "diffuse"}
@@ -117,4 +120,50 @@ def test_a_scene_is_made_the_same_each_time(tmp_path: Path, name: str) -> None:
 def test_without_mitsuba_it_is_said_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mitsuba", None)
     with coarse_toys(), pytest.raises(DatasetError, match=r"pip install 'envgs-bench\[mitsuba\]'"):
-        load_scene({"kind": "toy", "scene": "copper_table", "width": 24, "height": 18, "views": 3}, tmp_path)
+        load_scene(TINY, tmp_path)
+
+
+def test_a_gpu_is_told_to_trace_by_one_thread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here the CPU takes its place: what it is asked for is the same scene, kept apart from the CPU's own."""
+    told, threads = [], set()
+
+    class Recorded(path_tracer.PathTracer):
+        def __init__(
+            self, surfaces: list[path_tracer.TracedSurface], sky: np.ndarray, tracer: path_tracer.Tracer
+        ) -> None:
+            told.append(tracer)
+            super().__init__(surfaces, sky)
+
+        def light(self, camera: Camera, supersampling: int, seed: int) -> np.ndarray:
+            threads.add(threading.get_ident())
+            return super().light(camera, supersampling, seed)
+
+    monkeypatch.setattr(path_traced, "PathTracer", Recorded)
+    monkeypatch.setattr(progress.os, "cpu_count", lambda: 3)
+    with coarse_toys():
+        ours = load_scene(TINY, tmp_path)
+        assert (told, len(threads)) == (["cpu"], 3)
+        threads.clear()
+        load_scene({**TINY, "tracer": "cpu"}, tmp_path)  # which is cached
+        theirs = load_scene({**TINY, "tracer": "gpu"}, tmp_path)
+    assert (told, len(threads)) == (["cpu", "gpu"], 1)
+    assert len(list((tmp_path / "scenes").iterdir())) == 2
+    for one, other in zip((*ours.train, *ours.test), (*theirs.train, *theirs.test), strict=True):
+        assert torch.equal(one.image, other.image)
+
+
+def test_without_such_a_gpu_it_is_said_what_to_give(tmp_path: Path) -> None:
+    pytest.importorskip("mitsuba")
+    if torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with coarse_toys(), pytest.raises(DatasetError, match=r"dataset\.tracer=cpu"):
+        load_scene({**TINY, "tracer": "gpu"}, tmp_path)
+
+
+def test_no_gpu_traces_what_mitsuba_does_not(tmp_path: Path) -> None:
+    given = {**TINY, "scene": "chrome_room", "tracer": "gpu"}
+    told = r"dataset\.tracer='gpu': chrome_room is ray-traced, .* give dataset\.tracer=cpu, or .* brushed_patio"
+    with pytest.raises(DatasetError, match=told):
+        check_source(given)
+    with pytest.raises(DatasetError, match=told):
+        load_scene(given, tmp_path)
