@@ -19,6 +19,7 @@ from pathlib import Path
 import pandas as pd
 
 from .kept.counts import false_alarms, found, read_counts
+from .kept.kept_runs import FULL, KeptRuns, TableError, column_of
 from .kept.lengths import lengths
 from .kept.originals import BESIDE_ORIGINALS, MarksError, read_marks, read_words
 from .kept.over_scenes import differences, mean_over_scenes, over_scenes
@@ -26,7 +27,7 @@ from .kept.perturbed_file import read_perturbed
 from .kept.perturbed_tables import lag, recall, stability
 from .kept.runs_file import NoRunsError, read_kept
 from .kept.speed import read_speed, speed
-from .kept.tables import FULL, KeptRuns, PageTable, TableError, column_of, costs, difference, gains, programs, scores
+from .kept.tables import NOTHING, PageTable, costs, difference, gains, programs, scores
 from .studies import STUDIES
 
 TABLE = re.compile(r"(<!-- table: (\w+) (.*?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
@@ -107,10 +108,16 @@ def _number(asked: str, folder: Path) -> str:
     column = column_of(rest.get("metric", "psnr"), region)
     if missing := [key for key in ("of", "less") if key not in rest]:
         raise TableError(f"say {missing[0]}=<method>")
+    of, less, having = rest["of"], rest["less"], runs.having(column)
     if rest.get("over") == "scenes":
-        return mean_over_scenes(differences(runs, rest["of"], rest["less"], column), column)
-    found = runs.compared(column, rest["of"], rest["less"], runs.having(column))
-    return difference(column, found).replace("*", "")
+        text = mean_over_scenes(differences(runs, of, less, column), column)
+    else:
+        text = difference(column, runs.compared(column, of, less, having)).replace("*", "")
+    if text == NOTHING:
+        raise TableError(
+            f"{runs.name}: no scene has {column.metric} of region={region} of both {of!r} and {less!r} here"
+        )
+    return text
 
 
 def _chosen(asked: str, folder: Path) -> tuple[KeptRuns, dict[str, str]]:

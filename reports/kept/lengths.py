@@ -6,8 +6,9 @@ from functools import reduce
 
 import pandas as pd
 
+from .kept_runs import FULL, KeptRuns, column_of
 from .runs_file import NoRunsError
-from .tables import FULL, KeptRuns, arranged, capital, column_of, places_of, printed
+from .tables import arranged, capital, places_of, printed
 
 ALIKE = ["scene", "method", "seed"]
 

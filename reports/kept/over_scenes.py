@@ -6,7 +6,8 @@ import numpy as np
 
 from ..numbers.intervals import mean_interval, sample_interval, share_interval
 from ..tables.columns import Column
-from .tables import FULL, NOTHING, KeptRuns, TableError, as_markdown, capital, column_of
+from .kept_runs import FULL, KeptRuns, TableError, column_of
+from .tables import NOTHING, as_markdown, capital
 
 LEVEL_DB = 0.1  # behind by no more is level
 MANY = 12  # scenes, of which a bootstrap holds what it says
@@ -16,6 +17,7 @@ HEADS = ("scenes", "mean", "ahead on", f"behind by {LEVEL_DB} dB at most on", "w
 def over_scenes(runs: KeptRuns, of: str, region: str = FULL) -> str:
     """A row each other method: `of` less it in PSNR, dB. A scene counts once, as the mean of its seeds."""
     column = column_of("psnr", region)
+    runs.having(column)
     rows = []
     for other in runs.methods:
         if other != of:

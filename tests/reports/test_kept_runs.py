@@ -15,9 +15,9 @@ from scipy import stats
 from envgs_bench.cli.main import main
 from envgs_bench.records import find_runs, read_record
 from envgs_bench.reports.documentation import fill_page
+from envgs_bench.reports.kept.kept_runs import TableError, column_of
 from envgs_bench.reports.kept.over_scenes import mean_over_scenes
 from envgs_bench.reports.kept.runs_file import FACTS, RunsFileError, read_kept
-from envgs_bench.reports.kept.tables import TableError, column_of
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "envgs_bench" / "docs"
@@ -107,6 +107,19 @@ def test_scores_are_means_over_seeds_and_the_mean_is_of_the_scenes(kept: Path) -
     ]
     assert "(3/4)" in table  # of EnvGS's four on sky_ball one failed
     assert "1,500 steps, test views, protocol `envgs`, seeds 0 to 3;" in table
+
+
+def test_a_metric_of_two_words_is_found_inside_regions(tmp_path: Path) -> None:
+    for method, degrees in (("2dgs", 23.4), ("envgs", 2.2)):
+        content = record(SCENES[0], method, 0)
+        content["metrics"]["mean"]["normal_degrees"] = 40.0
+        content["masked"]["near_field"]["normal_degrees"] = degrees
+        write_record(run_folder(tmp_path / "runs", SCENES[0], method, 0), content)
+    assert main(["report", str(tmp_path / "runs"), "--keep", str(tmp_path / "runs.csv")]) == 0
+    table = filled(tmp_path, "table: scores records=runs.csv metric=normal_degrees region=near_field")
+    assert "| `2dgs` | 23.4 |" in table
+    assert "| `envgs` | **2.2** |" in table
+    assert "near-field region" in table
 
 
 def test_scenes_that_are_too_many_for_columns_are_rows(tmp_path: Path) -> None:
@@ -208,11 +221,34 @@ def test_programs_stand_beside_ours_on_one_scene_whatever_they_ran_on(tmp_path: 
         ("table: sums records=runs.csv", "no table 'sums', but scores, gains, costs, over_scenes"),
         ("table: gains records=runs.csv of=envgz", "no method 'envgz' here, but"),
         ("table: scores records=runs.csv colour=red", "cannot be asked so"),
+        ("table: scores records=runs.csv region=glass", "no psnr of region=glass here, but of full, near_field, refl"),
+        ("table: scores records=runs.csv metric=normal_degrees", "no normal_degrees here, but psnr, ssim"),
+        ("table: gains records=runs.csv of=envgs region=glass", "no psnr of region=glass here"),
+        ("table: over_scenes records=runs.csv of=envgs region=glass", "no psnr of region=glass here"),
+        ("table: lengths records=runs.csv steps=1500 region=glass", "no psnr of region=glass here"),
+        ("table: gains records=runs.csv of=envgs method=envgs", "no run that is chosen has a number"),
     ],
 )
 def test_what_cannot_be_filled_is_said(kept: Path, comment: str, message: str) -> None:
     with pytest.raises(TableError, match=message):
         filled(kept, comment)
+
+
+@pytest.mark.parametrize(
+    ("comment", "message"),
+    [
+        ("less=2dgs records=runs.csv region=glass", "no psnr of region=glass here, but of full, near_field, refl"),
+        ("less=failed records=runs.csv", "no scene has psnr of region=full of both 'envgs' and 'failed'"),
+        ("less=failed records=runs.csv over=scenes", "no scene has psnr of region=full of both 'envgs' and 'failed'"),
+    ],
+)
+def test_a_number_that_no_runs_have_is_said(kept: Path, comment: str, message: str) -> None:
+    write_failure(kept.parent / "runs", SCENES[0], "failed", 0, "diverged", "loss is nan")
+    assert main(["report", str(kept.parent / "runs"), "--keep", str(kept / "runs.csv")]) == 0
+    page = kept / "page.md"
+    page.write_text(f"By <!-- number: of=envgs {comment} -->+9.00<!-- end --> dB.", encoding="utf-8")
+    with pytest.raises(TableError, match=message):
+        fill_page(page, kept)
 
 
 def test_what_no_run_was_kept_of_stands_as_not_measured(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:

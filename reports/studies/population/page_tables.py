@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pandas as pd
 
+from ...kept.kept_runs import KeptRuns, TableError
 from ...kept.runs_file import ATTRIBUTE, NoRunsError
-from ...kept.tables import KeptRuns, TableError, as_markdown
+from ...kept.tables import as_markdown
 from .failure_map import FailureMap, Node, leaves
 from .goals import goals, told
 from .population import FEWEST_SCENES, LEVEL_DB, METRICS, PARTS, Population, part_of
