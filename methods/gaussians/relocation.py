@@ -58,35 +58,28 @@ IN_ONE_PLACE = Sharing()
 PARTED = Sharing(smaller=1.3, apart=0.7)
 
 
-def relocate(parameters: GaussianParameters, most: int, generator: torch.Generator) -> DensificationRecord:
+def relocate(
+    parameters: GaussianParameters, most: int, generator: torch.Generator, guide: DensificationRecord | None = None
+) -> DensificationRecord:
     """Move what is dead to where live primitives are, then grow by a twentieth, up to `most`; the new, empty record.
 
     What was moved, and what it shares with, starts Adam's moments anew. A set that is larger than `most` loses its most
     transparent primitives.
+
+    Args:
+        guide: what the last steps found of the set, where that decides too: a primitive is drawn by its opacity × mean
+            gradient then, what they saw and weighs least moves too, and what shares is parted.
     """
     draft = parameters.draft()
-    _cut(draft, most)
+    kept = _cut(draft, most)
     opacities = draft.tensors["opacity_logits"].sigmoid()
-    _move_and_grow(draft, opacities <= DEAD, torch.ones_like(opacities), most, generator, IN_ONE_PLACE)
-    parameters.become(draft)
-    return DensificationRecord(len(parameters), opacities.device)
-
-
-def relocate_guided(
-    parameters: GaussianParameters, most: int, generator: torch.Generator, guide: DensificationRecord
-) -> DensificationRecord:
-    """As `relocate`, by what the last steps found of the set.
-
-    A primitive is drawn by its opacity × mean gradient, what they saw and weighs least moves too, and what shares is
-    parted.
-    """
-    draft = parameters.draft()
-    guide.keep(_cut(draft, most))
-    opacities = draft.tensors["opacity_logits"].sigmoid()
-    moved = (opacities <= DEAD) | _least_weighted(guide)
-    pulls = bool((~moved & (guide.gradients > 0)).any())
-    pull = guide.mean_gradient() if pulls else torch.ones_like(opacities)
-    _move_and_grow(draft, moved, pull, most, generator, PARTED)
+    moved, pull, sharing = opacities <= DEAD, torch.ones_like(opacities), IN_ONE_PLACE
+    if guide is not None:
+        guide.keep(kept)
+        moved, sharing = moved | _least_weighted(guide), PARTED
+        if bool((~moved & (guide.gradients > 0)).any()):
+            pull = guide.mean_gradient()
+    _move_and_grow(draft, moved, pull, most, generator, sharing)
     parameters.become(draft)
     return DensificationRecord(len(parameters), opacities.device)
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from .densification import DensificationRecord, DensificationRule, Oversized, densify
 from .parameters import GaussianParameters
-from .relocation import relocate, relocate_guided
+from .relocation import relocate
 
 RESET_OPACITY = 0.01
 PROPAGATED_OPACITY = 0.9
@@ -47,10 +47,7 @@ class TrainedSet:
 
     def relocate(self, most: int, generator: torch.Generator, *, guided: bool) -> None:
         """Grow to at most so many primitives by MCMC, which may be guided by what the last steps recorded."""
-        if guided:
-            self.record = relocate_guided(self.parameters, most, generator, self.record)
-        else:
-            self.record = relocate(self.parameters, most, generator)
+        self.record = relocate(self.parameters, most, generator, self.record if guided else None)
 
     def keep(self, rows: Tensor) -> None:
         """Keep only the primitives that a mask [N] names, with what was recorded of them."""

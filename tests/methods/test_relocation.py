@@ -20,7 +20,6 @@ from envgs_bench.methods.gaussians.relocation import (
     NOISE,
     PositionNoise,
     relocate,
-    relocate_guided,
     shared,
 )
 from envgs_bench.methods.registry import create_method
@@ -100,7 +99,7 @@ def test_guided_growth_draws_by_opacity_times_gradient() -> None:
     before = parameters.detached()["means"][:2].clone()
     gradients = torch.zeros(4_002)
     gradients[:2] = torch.tensor([0.3, 0.1])
-    relocate_guided(parameters, 4_002, torch.Generator().manual_seed(1), guide_of(gradients, torch.ones(4_002)))
+    relocate(parameters, 4_002, torch.Generator().manual_seed(1), guide_of(gradients, torch.ones(4_002)))
     distances = torch.cdist(parameters.detached()["means"][2:], before)
     assert float((distances[:, 0] < distances[:, 1]).float().mean()) == pytest.approx(0.75, abs=0.05)
 
@@ -113,7 +112,7 @@ def test_guided_growth_moves_what_weighs_least_of_what_was_drawn_and_copies_star
     weights[[3, 4, 5]] = 0.0
     record = guide_of(torch.ones(40), weights)
     record.steps[5] = 0
-    relocate_guided(parameters, 1_000, torch.Generator().manual_seed(1), record)
+    relocate(parameters, 1_000, torch.Generator().manual_seed(1), record)
     means = parameters.detached()["means"]
     assert len(parameters) == 42
     moved = torch.nonzero((means[:40] != before).any(1))[:, 0].tolist()
@@ -128,7 +127,7 @@ def test_what_guided_growth_shares_has_smaller_scales_than_equal_parts_in_one_pl
         parameters = parameters_of(torch.tensor([0.5, 0.001]))
         parameters.tensors["log_scales"].data.fill_(math.log(0.2))
         guide = guide_of(torch.ones(2), torch.tensor([1.0, 0.0]))
-        relocate_guided(parameters, 2, torch.Generator().manual_seed(seed), guide)
+        relocate(parameters, 2, torch.Generator().manual_seed(seed), guide)
         tensors = parameters.detached()
         equal = float(shared(torch.tensor([0.5]), torch.tensor([[0.2, 0.2]]), torch.tensor([2]))[1][0, 0])
         assert tensors["log_scales"].exp().flatten().tolist() == pytest.approx([equal / 1.3] * 4, rel=1e-5)
@@ -145,7 +144,7 @@ def test_without_any_gradient_of_what_stays_guided_growth_draws_by_opacity(gradi
         before = parameters.detached()["means"].clone()
         guide = guide_of(torch.zeros(20), torch.linspace(1, 2, 20))
         guide.gradients[0] = gradients
-        relocate_guided(parameters, 20, torch.Generator().manual_seed(seed), guide)
+        relocate(parameters, 20, torch.Generator().manual_seed(seed), guide)
         sources.add(int((parameters.detached()["means"][0] - before).norm(dim=1).argmin()))
     assert len(sources) > 10
 
