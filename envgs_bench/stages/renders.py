@@ -82,29 +82,16 @@ def score_renders(
     """
     choice = make_settings(RendersSettings, settings, "method renders: ")
     with rendered_folder(Path(choice.path)) as renders:
-        return _score(renders, choice.match, views, background, protocol, folder, report, device)
+        files = match_renders(renders, choice.match, views)
 
+        def pairs() -> Iterator[Pair]:
+            for number, view in enumerate(views):
+                report({"stage": "scoring", "step": number, "steps": len(views)})
+                image = read_render(files[view.name], background)
+                save_pair(folder, view, image, {})
+                yield Pair(view.name, image, view.rgb(), view.masks)
 
-def _score(
-    renders: Path,
-    match: str,
-    views: Sequence[View],
-    background: Tensor,
-    protocol: Protocol,
-    folder: Path,
-    report: EventListener,
-    device: str,
-) -> tuple[Metrics, dict[str, MaskedScores]]:
-    files = match_renders(renders, match, views)
-
-    def pairs() -> Iterator[Pair]:
-        for number, view in enumerate(views):
-            report({"stage": "scoring", "step": number, "steps": len(views)})
-            image = read_render(files[view.name], background)
-            save_pair(folder, view, image, {})
-            yield Pair(view.name, image, view.rgb(), view.masks)
-
-    return score_pairs(pairs(), protocol, device)
+        return score_pairs(pairs(), protocol, device)
 
 
 def match_renders(
