@@ -19,13 +19,14 @@ from pathlib import Path
 import pandas as pd
 
 from .kept.counts import false_alarms, found, read_counts
+from .kept.csv_file import NoRunsError
 from .kept.kept_runs import FULL, KeptRuns, TableError, column_of
 from .kept.lengths import lengths
 from .kept.originals import BESIDE_ORIGINALS, MarksError, read_marks, read_words
 from .kept.over_scenes import differences, mean_over_scenes, over_scenes
 from .kept.perturbed_file import read_perturbed
 from .kept.perturbed_tables import lag, recall, stability
-from .kept.runs_file import NoRunsError, read_kept
+from .kept.runs_file import read_kept
 from .kept.speed import read_speed, speed
 from .kept.tables import NOTHING, PageTable, costs, difference, gains, programs, scores
 from .studies import STUDIES

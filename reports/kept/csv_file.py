@@ -1,13 +1,20 @@
-"""A CSV of kept rows is read: what is there, or a message that says what is wrong with it."""
+"""A CSV of kept rows: read, or a message that says what is wrong with it, and written."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
-from .runs_file import NoRunsError
+from envgs_bench.records import write_atomically
+
+
+class NoRunsError(ValueError):
+    """Runs that were never kept; the message says which."""
 
 
 def read_rows(
@@ -37,3 +44,13 @@ def read_rows(
             f"Make one with `{made_by}`"
         )
     return rows
+
+
+def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[Any, Any]]) -> None:
+    """The file with these rows and no other; a cell that a row has not is empty."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_atomically(path, text.getvalue())

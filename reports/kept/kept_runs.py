@@ -12,7 +12,8 @@ from ..numbers.cards import PLAIN
 from ..numbers.comparison import Comparison, compare
 from ..numbers.estimates import Numbers
 from ..tables.columns import ENV_PRIMITIVES, FRAME_MS, NORMALS, PRIMITIVES, SCORES, TRAIN_SECONDS, Column, in_region
-from .runs_file import FACTS, NoRunsError
+from .csv_file import NoRunsError
+from .runs_file import FACTS
 
 COSTS = (PRIMITIVES, ENV_PRIMITIVES, TRAIN_SECONDS, FRAME_MS)
 COLUMNS = {column.metric: column for column in (*SCORES, NORMALS, *COSTS)}

@@ -6,8 +6,8 @@ from functools import reduce
 
 import pandas as pd
 
+from .csv_file import NoRunsError
 from .kept_runs import FULL, KeptRuns, column_of
-from .runs_file import NoRunsError
 from .tables import arranged, capital, places_of, printed
 
 ALIKE = ["scene", "method", "seed"]

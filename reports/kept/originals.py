@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from .runs_file import NoRunsError
+from .csv_file import NoRunsError
 
 CLOSE_DB, CLOSE_SHARE = 0.3, 0.1
 NOT_RUN, SO_FAR = "not run", "so far"

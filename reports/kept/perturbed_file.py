@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,10 +10,10 @@ import pandas as pd
 
 from envgs_bench.parts import REFLECTIVE
 from envgs_bench.plain_text import no_formula
-from envgs_bench.records import Record, write_atomically
+from envgs_bench.records import Record
 
 from ..numbers.runs import Run
-from .csv_file import read_rows
+from .csv_file import read_rows, write_rows
 from .runs_file import RunsFileError, commit_of, method_of
 
 IDENTITY = ("scene", "method", "steps", "seed", "perturbed", "severity", "repair")  # a run of the same replaces a row
@@ -71,12 +69,7 @@ def keep_perturbed(runs: Iterable[Run], path: Path, commit: str = "") -> int:
     kept: dict[tuple[str, ...], Mapping[Any, Any]]
     kept = {} if not path.exists() else {_identity(row): row for row in read_perturbed(path).to_dict("records")}
     kept |= {_identity(row): row for row in (row_of(run, commit) for run in runs)}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(kept[key] for key in sorted(kept))
-    write_atomically(path, text.getvalue())
+    write_rows(path, COLUMNS, [kept[key] for key in sorted(kept)])
     return len(kept)
 
 

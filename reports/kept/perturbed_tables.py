@@ -8,8 +8,8 @@ from typing import Any
 
 import pandas as pd
 
+from .csv_file import NoRunsError
 from .perturbed_file import NONE, UNTRIED
-from .runs_file import NoRunsError
 from .tables import NOTHING, as_markdown
 
 LEAST = "1"  # dB from which a run has lost something

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from envgs_bench.plain_text import no_formula
-from envgs_bench.records import EXTERNAL, Record, write_atomically
+from envgs_bench.records import EXTERNAL, Record
 
 from ..numbers.cards import PLAIN, card_of
 from ..numbers.labels import SET_UP
 from ..numbers.runs import Run
 from ..numbers.tidy import COSTS, TIMES
+from .csv_file import NoRunsError, read_rows, write_rows
 
 IDENTITY = ("scene", "method", "steps", "split", "protocol", "seed")  # a run of the same replaces a row
 FACTS = (*IDENTITY, "order", "status", "width", "height", "device", "commit", "run_id", "command")
@@ -31,10 +31,6 @@ PLACES_OF_PROGRAMS = ("method.settings.home=", "method.settings.python=", "metho
 
 class RunsFileError(ValueError):
     """A CSV of kept runs that cannot be used; the message names the file and what is wrong with it."""
-
-
-class NoRunsError(ValueError):
-    """Runs that were never kept; the message says which."""
 
 
 def row_of(run: Run, commit: str = "") -> dict[str, str]:
@@ -105,17 +101,13 @@ def keep_runs(runs: Iterable[Run], path: Path, commit: str = "") -> int:
             f"{changed[0].folder}: a perturbed or repaired run shares no table with others; keep such runs with "
             "--keep-perturbed, or leave them out with --exclude"
         )
-    kept = {} if not path.exists() else {_identity(row): row for row in _rows(path)}
+    kept: dict[tuple[str, ...], Mapping[Any, Any]]
+    kept = {} if not path.exists() else {_identity(row): row for row in _rows(path).to_dict("records")}
     kept |= {_identity(row): row for row in (row_of(run, commit) for run in runs)}
     rows = sorted(kept.values(), key=lambda row: (row["scene"], int(row["steps"]), int(row["order"]), _identity(row)))
-    names = dict.fromkeys(name for row in rows for name in row)
-    columns = [*FACTS, *PLAIN, *sorted(set(names) - {*FACTS, *PLAIN})]  # regions' scores and costs come last
-    path.parent.mkdir(parents=True, exist_ok=True)
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_atomically(path, text.getvalue())
+    names: set[str] = {name for row in rows for name in row}
+    columns = [*FACTS, *PLAIN, *sorted(names - {*FACTS, *PLAIN})]  # regions' scores and costs come last
+    write_rows(path, columns, rows)
     return len(rows)
 
 
@@ -123,32 +115,21 @@ def read_kept(path: Path) -> pd.DataFrame:
     """The rows of a file of kept runs; numbers that a run has not are NaN.
 
     Raises:
-        NoRunsError: there is no such file.
+        NoRunsError: there is no such file, or no run in it.
         RunsFileError: it is no CSV of kept runs.
     """
-    if not path.exists():
-        raise NoRunsError(f"there is no {path.parent.name}/{path.name}")
-    rows = _rows(path)
-    frame = pd.DataFrame(rows)
+    frame = _rows(path)
+    if frame.empty:
+        raise NoRunsError(f"{path.parent.name}/{path.name} has no run")
     numbers = [name for name in frame.columns if name not in FACTS or name in ("steps", "seed", "order")]
     frame[numbers] = frame[numbers].apply(pd.to_numeric)
     return frame
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
-    try:
-        with path.open(encoding="utf-8", newline="") as stream:
-            rows = list(csv.DictReader(stream))
-    except (OSError, UnicodeDecodeError) as error:
-        raise RunsFileError(f"{path}: cannot be read: {error}") from error
-    absent = [name for name in FACTS if not rows or name not in rows[0]]
-    if absent:
-        raise RunsFileError(
-            f"{path}: expected a CSV of kept runs with the columns {', '.join(FACTS)}; it has no {absent[0]}. "
-            f"Make one with `envgs-bench report RUNS --keep {path}`"
-        )
-    return rows
+def _rows(path: Path) -> pd.DataFrame:
+    """All of it as text."""
+    return read_rows(path, FACTS, RunsFileError, "kept runs", f"envgs-bench report RUNS --keep {path}", as_text=True)
 
 
-def _identity(row: Mapping[str, str]) -> tuple[str, ...]:
+def _identity(row: Mapping[Any, Any]) -> tuple[str, ...]:
     return tuple(row[name] for name in IDENTITY)

@@ -13,8 +13,8 @@ from envgs_bench.cli.composition import config_names
 from envgs_bench.methods.registry import BUILT_IN
 from envgs_bench.reports.documentation import fill_page
 from envgs_bench.reports.kept import originals
+from envgs_bench.reports.kept.csv_file import NoRunsError
 from envgs_bench.reports.kept.kept_runs import TableError
-from envgs_bench.reports.kept.runs_file import NoRunsError
 
 DOCS = Path(__file__).parents[2] / "envgs_bench" / "docs"
 RECORDS = DOCS / "records"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pandas as pd
 
+from ...kept.csv_file import NoRunsError
 from ...kept.kept_runs import KeptRuns, TableError
-from ...kept.runs_file import ATTRIBUTE, NoRunsError
+from ...kept.runs_file import ATTRIBUTE
 from ...kept.tables import as_markdown
 from .failure_map import FailureMap, Node, leaves
 from .goals import goals, told
