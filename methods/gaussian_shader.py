@@ -26,12 +26,11 @@ from .gaussians.policy import SetPolicy
 from .lighting.brdf_table import specular_weight
 from .lighting.light_map import CubeMap, Filtered
 from .lighting.settings import GaussianShaderSettings
-from .lighting.shading import colored, mirrored, seen_from
+from .lighting.shading import colored, diffuse_color, mirrored, seen_from
 from .training.schedule import Part, Schedule, set_rate
 
 INITIAL_TINT, INITIAL_ROUGHNESS = 0.0, 0.6  # logits
 INITIAL_LIGHT = 0.8
-DARKER = math.log(3)  # less than the points' colors, as logits: c_d begins at 1/4 where a point is black
 LEAST_ALPHA = 1e-3  # of the logarithms that make alpha 0 or 1
 INNER = "inner_residuals"
 MATERIALS = {"tint_logits": 3, "roughness_logits": 1, "outer_residuals": 3, INNER: 3}  # fields, columns
@@ -109,7 +108,7 @@ def own_color(sh: Tensor, directions: Tensor) -> Tensor:
     """c_d + c_r [N, 3] of spherical harmonics [N, K, 3], seen along unit `directions` [N, 3]."""
     degree = math.isqrt(sh.shape[1]) - 1
     residual = (sh_basis(directions, degree)[:, 1:, None] * sh[:, 1:]).sum(1)
-    return (0.5 + SH_DC * sh[:, 0] - DARKER).sigmoid() + residual
+    return diffuse_color(sh) + residual
 
 
 class DecayingRates(Part):

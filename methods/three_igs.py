@@ -28,7 +28,7 @@ from .gaussians.policy import SetPolicy
 from .lighting import directional_encoding
 from .lighting.directional_encoding import encoded
 from .lighting.settings import ThreeIGSSettings
-from .lighting.shading import colored
+from .lighting.shading import colored, diffuse_color
 from .lighting.tensor_field import field_components
 from .training.optimizer import adam, detached, optimizer_state, restore_optimizer
 from .training.schedule import Part, Schedule
@@ -98,21 +98,26 @@ class IlluminationField(Part):
         features = torch.zeros_like(parameters.tensors["brdf_logits"].detach())
         features[:, :3] = parameters.tensors["sh_dc"].detach()[:, 0]
         parameters.replace("brdf_logits", features)
+        shown = torch.rand(len(features), 1, 3, generator=self._model.generator).to(features)  # b, at random
+        parameters.replace("sh_dc", (shown - 0.5) / SH_DC)
 
     def begin_step(self, step: int) -> None:
-        self.shines = step > self._model.schedule.at(self._settings.diffuse_until)
+        schedule = self._model.schedule
+        self.shines = step > schedule.at(self._settings.diffuse_until)
+        rate = self._settings.sh_lr / SH_DC * schedule.rate_scale  # so that b learns at it
+        self._model.sets[BASE].parameters.set_learning_rate("sh_dc", rate)
 
     def phase(self, step: int) -> Hashable:
         return self.shines
 
     def shaded(self, gaussians: GaussianSet, camera: Camera, step: int | None) -> GaussianSet:
         """The shaded Gaussians; those of an image have what their color is more than diffuse as extras, [N, 3]."""
+        diffuse = diffuse_color(gaussians.sh)
         if not self.shines:
-            return gaussians
-        diffuse = 0.5 + SH_DC * gaussians.sh[:, 0]
+            return colored(gaussians, diffuse)
         directions = unit(gaussians.means - camera.center)
         colors = (diffuse + self._specular(gaussians.means.detach(), directions)).clamp(0, 1)
-        extras = colors - diffuse.clamp(0, 1) if step is None else None
+        extras = colors - diffuse if step is None else None
         return replace(colored(gaussians, colors), extras=extras)
 
     def _specular(self, means: Tensor, directions: Tensor) -> Tensor:

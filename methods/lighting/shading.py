@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import torch
@@ -15,6 +16,7 @@ from envgs_bench.core.vectors import unit
 from ..gaussians.parameters import SH_DC
 
 DIELECTRIC = 0.04  # what a surface that is no metal reflects head-on
+DARKER = math.log(3)  # less than what constant terms show, as logits: c_d is 1/4 where that is black
 INDIRECT_DEGREE = 3  # of the indirect light's spherical harmonics
 
 
@@ -44,6 +46,11 @@ def mirrored(directions: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:
 def colored(gaussians: GaussianSet, colors: Tensor) -> GaussianSet:
     """The set with one color [N, 3] ≥ 0 each, the same from everywhere."""
     return replace(gaussians, sh=((colors - 0.5) / SH_DC)[:, None])
+
+
+def diffuse_color(sh: Tensor) -> Tensor:
+    """The released codes' c_d [N, 3] = sigmoid(b − log 3); b is what the constant terms of `sh` [N, K, 3] show."""
+    return (0.5 + SH_DC * sh[:, 0] - DARKER).sigmoid()
 
 
 def to_srgb(linear: Tensor) -> Tensor:

@@ -20,6 +20,7 @@ from envgs_bench.methods.storage.layouts import LAYOUTS
 from envgs_bench.methods.three_igs import MATERIALS, ThreeIGS
 from envgs_bench.testing import tiny_scene
 
+SH_DC = 0.28209479177387814  # the first spherical harmonic
 CAMERA = tiny_scene().test[0].camera
 
 
@@ -52,7 +53,9 @@ def test_a_gaussians_color_is_its_diffuse_one_and_what_the_network_makes_of_its_
     method = shining_at_random(lone)
     low, high = torch.tensor([-0.5, -0.4, -1.0]), torch.tensor([0.5, 0.6, 2.0])
     method.field._box = (low, high)
+    base_color = torch.tensor([0.3, 0.5, 0.6])
     method.model.sets["base"].parameters.replace("log_scales", torch.full((1, 3), 0.3).log())
+    method.model.sets["base"].parameters.replace("sh_dc", ((base_color - 0.5) / SH_DC)[None, None])
     own, w = method.model.sets["base"].parameters.detached(), method.field.weights
 
     place = (center - (low + high) / 2) / ((high - low) / 2)
@@ -63,7 +66,7 @@ def test_a_gaussians_color_is_its_diffuse_one_and_what_the_network_makes_of_its_
     for layer in ("first", "second"):
         seen = (w[f"{layer}_weight"] @ seen + w[f"{layer}_bias"]).relu()
     specular = (w["color_weight"] @ seen).tanh().detach()
-    diffuse = torch.tensor([0.3, 0.5, 0.6])
+    diffuse = base_color.exp() / (3 + base_color.exp())  # sigmoid(b − log 3)
     expected = (diffuse + specular).clamp(0, 1)
     assert specular.abs().min() > 0.01
 
@@ -80,8 +83,10 @@ def test_it_shines_after_a_tenth_of_the_run() -> None:
     method = initialized(tiny_scene())
     diffuse = create_method("3dgs", {"sh_degree": 0})
     diffuse.initialize(tiny_scene(), 30_000)
+    b = 0.5 + SH_DC * method.model.sets["base"].parameters.detached()["sh_dc"]
+    diffuse.model.sets["base"].parameters.replace("sh_dc", (b.exp() / (3 + b.exp()) - 0.5) / SH_DC)
     begin(method, 3_000)
-    assert torch.equal(method.render(CAMERA).color, diffuse.render(CAMERA).color)
+    torch.testing.assert_close(method.render(CAMERA).color, diffuse.render(CAMERA).color, atol=1e-6, rtol=0)
     assert not method.render(CAMERA).layers
     begin(method, 3_001)
     assert set(method.render(CAMERA).layers) == {"base", "reflection"}
@@ -93,9 +98,10 @@ def test_what_is_trained_and_how_fast() -> None:
     method = create_method("3igs")
     assert isinstance(method, ThreeIGS)
     method.initialize(tiny_scene(), 30_000)
+    begin(method, 1)
     groups = {group["name"]: group for optimizer in optimizers_of(method) for group in optimizer.param_groups}
     rates = {name: group["lr"] for name, group in groups.items()}
-    assert [rates[name] for name in ("sh_dc", "brdf_logits", "roughness")] == [2.5e-3] * 3
+    assert [rates["sh_dc"] * SH_DC, rates["brdf_logits"], rates["roughness"]] == pytest.approx([2.5e-3] * 3)
     assert [rates[name] for name in ("planes", "lines")] == [2e-2] * 2
     network = ("light_weight", "light_bias", "first_weight", "first_bias", "second_weight", "second_bias")
     assert [rates[name] for name in (*network, "color_weight")] == [1e-3] * 7
@@ -109,8 +115,10 @@ def test_features_begin_as_the_points_colors() -> None:
     scene = tiny_scene()
     method = initialized(scene)
     tensors = method.model.sets["base"].parameters.detached()
-    torch.testing.assert_close(0.5 + 0.28209479 * tensors["brdf_logits"][:, :3], scene.point_colors)
+    torch.testing.assert_close(0.5 + SH_DC * tensors["brdf_logits"][:, :3], scene.point_colors)
     assert not tensors["brdf_logits"][:, 3:].any()
+    b = 0.5 + SH_DC * tensors["sh_dc"]
+    assert 0 <= float(b.min()) < 0.2 < 0.8 < float(b.max()) <= 1  # the diffuse color knows nothing of them
     assert 0 <= float(tensors["roughness"].min()) < float(tensors["roughness"].max()) <= 1
     low, high = method.field._box
     inside = ((scene.points >= low) & (scene.points <= high)).float().mean(0)
