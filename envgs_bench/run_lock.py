@@ -14,7 +14,7 @@ from typing import Any
 
 import psutil
 
-from envgs_bench.file_lock import lock
+from envgs_bench.file_lock import lock, locked_file, removed
 
 LOCK_NAME = "lock.json"
 MOST_BYTES = 65_536  # a lock file that is longer was not written here
@@ -77,16 +77,14 @@ def locked(folder: Path) -> Iterator[RunLock | None]:
         OSError: the folder cannot be written to.
     """
     path = folder / LOCK_NAME
-    handle = _lock(path)
+    handle = locked_file(path)
     if handle is None:
         yield None
         return
     try:
         yield RunLock(handle)
     finally:
-        with suppress(OSError):
-            path.unlink()  # while it is locked: see `_lock`
-        os.close(handle)
+        removed(path, handle)
 
 
 def holder_of(folder: Path) -> Holder | None:
@@ -105,26 +103,6 @@ def holder_of(folder: Path) -> Holder | None:
     finally:
         os.close(handle)
     return None
-
-
-def _lock(path: Path) -> int | None:
-    """The open, locked file, or None where another process has it locked."""
-    while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NONBLOCK | os.O_NOFOLLOW, 0o644)
-        try:
-            lock(handle)
-        except BlockingIOError:
-            os.close(handle)
-            return None
-        except BaseException:
-            os.close(handle)
-            raise
-        try:
-            if os.fstat(handle).st_ino == os.stat(path).st_ino:
-                return handle
-        except FileNotFoundError:
-            pass
-        os.close(handle)  # its last holder removed it between the two calls
 
 
 def _read(handle: int) -> Holder:

@@ -5,24 +5,30 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from envgs_bench.core import Scene
+from envgs_bench.file_lock import locked_file, removed
 
 from ..notes import collecting, note
+from ..progress import report
 from .scene_file import LAYOUT, GrowingFile, read_scene
+
+PATIENCE = 0.5  # seconds until a process looks again whether another one has made its scene
 
 
 def cached_scene(cache_dir: Path, name: str, key: Mapping[str, Any], make: Callable[[], Scene]) -> Scene:
     """The scene stored under `key`, or else `make()`'s, which is then stored.
 
-    Several processes may do this at once. A file that cannot be read, or is not as it was
-    written, is made again. Where nothing can be written the
-    scene is returned nevertheless, with a warning. What `make` notes is said again whenever the scene is read. It may
-    put views into the file while others are still to be made: see `on_disk`.
+    Of several processes that ask at once one makes it, and the others wait. A file that cannot be read, or is not as it
+    was written, is made again. Where nothing can be written the scene is returned nevertheless, with a warning. What
+    `make` notes is said again whenever the scene is read. It may put views into the file while others are still to be
+    made: see `on_disk`.
 
     Args:
         cache_dir: made if missing.
@@ -32,20 +38,59 @@ def cached_scene(cache_dir: Path, name: str, key: Mapping[str, Any], make: Calla
     text = json.dumps({"layout": LAYOUT, **key}, sort_keys=True)
     digest = hashlib.sha256(text.encode()).hexdigest()[:16]
     path = cache_dir / "scenes" / f"{re.sub(r'[^A-Za-z0-9._-]+', '-', name)}-{digest}.scene"
-    if path.is_file():
-        try:
-            scene, notes = read_scene(path)
-        except (OSError, KeyError, ValueError, TypeError) as error:
-            warnings.warn(f"{path} cannot be read ({error}); it is made again", stacklevel=2)
-        else:
-            for text in notes:
-                note(text)
-            return scene
+    scene = _stored(path)
+    if scene is None:
+        with _one_at_a_time(path):
+            scene = _stored(path)  # that another process made meanwhile
+            if scene is None:
+                scene = _made(path, make)
+    return scene
+
+
+def _stored(path: Path) -> Scene | None:
+    """The scene of that file, None where there is none that can be read; such a file goes."""
+    if not path.is_file():
+        return None
+    try:
+        scene, notes = read_scene(path)
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        warnings.warn(f"{path} cannot be read ({error}); it is made again", stacklevel=3)
+        with suppress(OSError):
+            path.unlink()
+        return None
+    for text in notes:
+        note(text)
+    return scene
+
+
+def _made(path: Path, make: Callable[[], Scene]) -> Scene:
+    """The scene that `make` makes, in that file if it can be written."""
     with GrowingFile(path) as file, collecting() as notes:
         scene = make()
         try:
             file.finish(scene, notes)
             return read_scene(path, check=False)[0]
         except OSError as error:
-            warnings.warn(f"the scene could not be cached in {path.parent}: {error}", stacklevel=2)
+            warnings.warn(f"the scene could not be cached in {path.parent}: {error}", stacklevel=3)
             return scene
+
+
+@contextmanager
+def _one_at_a_time(path: Path) -> Iterator[None]:
+    """A block that one process is in at a time, of those that share the file `path`; the others wait.
+
+    A lock ends with its process. Where there can be none, as nothing can be written there, nobody waits.
+    """
+    lock, handle = path.with_suffix(".lock"), None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        while (handle := locked_file(lock)) is None:
+            report("waiting for another process that makes this scene", 0, 1)
+            time.sleep(PATIENCE)
+    except OSError:
+        pass
+    try:
+        yield
+    finally:
+        if handle is not None:
+            removed(lock, handle)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import threading
 import time
 import warnings
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,7 +25,7 @@ from PIL import Image
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
-from envgs_bench.datasets.progress import streamed
+from envgs_bench.datasets.progress import listening, streamed
 from envgs_bench.datasets.sources import colmap
 from envgs_bench.datasets.store import contents
 from envgs_bench.datasets.store.cache import cached_scene
@@ -134,6 +136,41 @@ def test_views_are_on_disk_as_soon_as_they_are_made(tmp_path: Path) -> None:
     kept_early, kept_late = (next((tmp_path / "scenes").glob(f"{name}-*")).stat().st_size for name in "ab")
     assert kept_early == pytest.approx(kept_late, abs=1000)  # nothing is there twice
     assert all(torch.equal(a, view.image) for a, view in zip(kept, scene.train, strict=True))
+
+
+def test_of_two_that_ask_at_once_one_makes_the_scene_and_the_other_waits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("envgs_bench.datasets.store.cache.PATIENCE", 0.01)
+    scene, begun, told, makings = tiny_scene(), threading.Event(), threading.Event(), []
+
+    def make() -> Scene:
+        makings.append(1)
+        begun.set()
+        assert told.wait(20)  # until the other one has said that it waits
+        return scene
+
+    def other() -> Scene:
+        def listen(stage: str, done: int, total: int) -> None:
+            if "waiting for another process" in stage:
+                told.set()
+
+        assert begun.wait(20)
+        with listening(listen):
+            return cached_scene(tmp_path, "a", {}, make)
+
+    with ThreadPoolExecutor(2) as pool:
+        results = [pool.submit(cached_scene, tmp_path, "a", {}, make), pool.submit(other)]
+        ours, theirs = (result.result() for result in results)
+    assert makings == [1]
+    assert torch.equal(ours.train[0].image, theirs.train[0].image)
+    assert [path.suffix for path in (tmp_path / "scenes").iterdir()] == [".scene"]  # and no lock is left
+
+
+def test_where_no_file_can_be_locked_nobody_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("envgs_bench.file_lock.fcntl", None)
+    scene = tiny_scene()
+    assert torch.equal(cached_scene(tmp_path, "a", {}, lambda: scene).points, scene.points)
 
 
 def test_no_more_is_read_ahead_than_two_views_a_core() -> None:
