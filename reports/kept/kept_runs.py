@@ -83,7 +83,18 @@ class KeptRuns:
 
     @cached_property
     def numbers(self) -> Numbers:
-        """Every score of every run, ready to be averaged."""
+        """Every score of every run, ready to be averaged.
+
+        Raises:
+            TableError: a seed is there twice, on two devices: a mean would count it twice.
+        """
+        twice = self.rows[self.rows.duplicated(["scene", "method", "steps", "seed"])]
+        if len(twice):
+            row = twice.iloc[0]
+            raise TableError(
+                f"{self.name} has seed {row['seed']} of {row['method']} on {row['scene']} twice, of several devices, "
+                f"{row['device']} among them: choose with device=, or take rows out of the file"
+            )
         return Numbers(self.tidy, self.rows.rename(columns={"scene": "dataset"}))
 
     def compared(self, column: Column, method: str, other: str, scenes: Sequence[str]) -> Comparison:

@@ -14,11 +14,11 @@ from envgs_bench.records import EXTERNAL, Record
 
 from ..numbers.cards import PLAIN, card_of
 from ..numbers.labels import SET_UP
-from ..numbers.runs import Run
+from ..numbers.runs import Run, is_processor
 from ..numbers.tidy import COSTS, TIMES
 from .csv_file import NoRunsError, read_rows, write_rows
 
-IDENTITY = ("scene", "method", "steps", "split", "protocol", "seed")  # a run of the same replaces a row
+IDENTITY = ("scene", "method", "steps", "split", "protocol", "seed")  # a run of the same replaces a row: `_identity`
 FACTS = (*IDENTITY, "order", "status", "width", "height", "device", "commit", "run_id", "command")
 ATTRIBUTE = "attribute_"  # before the names of a scene's attributes
 DIGITS = 6  # of a number: more than any table prints
@@ -90,7 +90,9 @@ def numbers_of(record: Record) -> dict[str, float]:
 
 
 def keep_runs(runs: Iterable[Run], path: Path, commit: str = "") -> int:
-    """Add a row for each run to the file, in place of an earlier row of the same `IDENTITY`; how many rows it has.
+    """Add a row for each run to the file; how many rows it has.
+
+    An earlier row of the same `IDENTITY` goes, if both runs were on a GPU, or both on a processor.
 
     Raises:
         RunsFileError: the file that is there is no CSV of kept runs, or a run is perturbed or repaired.
@@ -132,4 +134,4 @@ def _rows(path: Path) -> pd.DataFrame:
 
 
 def _identity(row: Mapping[Any, Any]) -> tuple[str, ...]:
-    return tuple(row[name] for name in IDENTITY)
+    return (*(row[name] for name in IDENTITY), "processor" if is_processor(row["device"]) else "GPU")

@@ -12,6 +12,7 @@ from envgs_bench.run_folder import LOG_NAME, RECORD_NAME
 from envgs_bench.run_lock import holder_of
 
 UNTIMED = "no device: pictures from elsewhere"
+THREAD = "thread"  # of a processor, whose names end with how many it had
 
 
 @dataclass(frozen=True)
@@ -45,13 +46,18 @@ class Run:
             name, kind = str(device.get("name") or device.get("type") or "unknown device"), str(device.get("type", ""))
         if kind.startswith("cuda"):
             return name
-        return f"{name}, {threads} thread{'s' * (threads != 1)}"
+        return f"{name}, {threads} {THREAD}{'s' * (threads != 1)}"
 
     def of_views(self, metric: str) -> dict[str, float]:
         """One score of each test view that has it."""
         metrics = self.record.metrics
         scores = {view.view: view.scores.get(metric) for view in metrics.per_view} if metrics else {}
         return {view: score for view, score in scores.items() if score is not None}
+
+
+def is_processor(device: str) -> bool:
+    """Whether what `Run.device` names is no GPU."""
+    return device.removesuffix("s").endswith(f" {THREAD}")
 
 
 def read_runs(

@@ -177,6 +177,24 @@ def test_costs_are_of_one_device(kept: Path) -> None:
         filled(kept, "table: costs records=runs.csv")
 
 
+def test_a_run_on_a_processor_replaces_none_on_a_gpu(tmp_path: Path) -> None:
+    """And one on another GPU replaces it: a seed counts once a kind of device."""
+
+    def keep(kind: str, name: str) -> list[str]:
+        for path in (tmp_path / "runs").rglob("record.json"):
+            content = json.loads(path.read_text(encoding="utf-8"))
+            content["provenance"] |= {"device": {"type": kind, "name": name}, "threads": 4}
+            path.write_text(json.dumps(content), encoding="utf-8")
+        assert main(["report", str(tmp_path / "runs"), "--keep", str(tmp_path / "runs.csv")]) == 0
+        return sorted(row["device"] for row in rows(tmp_path))
+
+    write_runs(tmp_path / "runs", SCENES[:1], ("3dgs",), (0,), pictures=False)
+    assert keep("cpu", "A processor") == ["A processor, 4 threads"]
+    assert keep("cuda", "A GPU") == ["A GPU", "A processor, 4 threads"]
+    assert keep("cuda", "Another GPU") == ["A processor, 4 threads", "Another GPU"]
+    assert keep("cpu", "Another processor") == ["Another GPU", "Another processor, 4 threads"]
+
+
 def test_programs_stand_beside_ours_on_one_scene_whatever_they_ran_on(tmp_path: Path) -> None:
     """Where a program lies is no part of its name; what it was told is."""
     scene, told = SCENES[:1], {"commands": {}, "page": "p", "commit": "c", "licence": "l", "tried": ""}
@@ -207,6 +225,8 @@ def test_programs_stand_beside_ours_on_one_scene_whatever_they_ran_on(tmp_path: 
     lines = filled(tmp_path, f"table: programs records=runs.csv scene={scene[0]}").splitlines()
     on = [line.split("|")[2].strip() for line in lines if line.startswith("| `3dgs` |")]
     assert on == ["another CPU, 2 threads", "made-up CPU, 2 threads"]
+    with pytest.raises(TableError, match="seed 0 of 3dgs on toy/chrome_room twice, of several devices"):
+        filled(tmp_path, "table: scores records=runs.csv method=3dgs")
     write_runs(tmp_path / "runs", SCENES[1:], ("3dgs",), (0,), pictures=False)
     main(["report", str(tmp_path / "runs"), "--keep", str(tmp_path / "runs.csv")])
     with pytest.raises(TableError, match="several scene"):
