@@ -1,10 +1,9 @@
 """Metrics: one file a metric, and the protocols that say how they are taken."""
 
-from .metric import Choices, Metric
+from .metric import MINIMUM_SIZE, Choices, Metric
 from .perceptual import PERCEPTUAL_LOSSES, make_perceptual_loss
 from .protocol import PROTOCOLS, Protocol, get_protocol
 from .registry import corrected_metrics, registered_metrics
-from .vgg16 import MINIMUM_SIZE
 from .weights import WeightsUnavailable, find_weights
 
 __all__ = [

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
-
-from torch import Tensor
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from envgs_bench.parts import MetricCard
+
+if TYPE_CHECKING:  # a run's settings are checked without torch, which takes longer to import than all else
+    from torch import Tensor
+
+MINIMUM_SIZE = 16  # pixels along an edge: smaller images vanish in the four poolings of VGG-16
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING, TypeAlias
 
-import torch
-from torch import Tensor
+if TYPE_CHECKING:  # which losses there are is known without torch
+    import torch
+    from torch import Tensor
 
-from .lpips import load_heads, stage_distances
-from .vgg16 import load_vgg16
-
-PerceptualLoss = Callable[[Tensor, Tensor], Tensor]  # two [H, W, 3] images in [0, 1], differentiable in the first
+PerceptualLoss: TypeAlias = "Callable[[Tensor, Tensor], Tensor]"  # [H, W, 3] in [0, 1], differentiable in the first
 
 
 def make_perceptual_loss(name: str = "features", device: torch.device | str = "cpu") -> PerceptualLoss:
@@ -23,6 +22,8 @@ def make_perceptual_loss(name: str = "features", device: torch.device | str = "c
     make = PERCEPTUAL_LOSSES.get(name)
     if make is None:
         raise ValueError(f"unknown perceptual loss {name!r}, expected one of {', '.join(PERCEPTUAL_LOSSES)}")
+    import torch
+
     return make(torch.device(device))
 
 
@@ -32,6 +33,10 @@ def _features(device: torch.device) -> PerceptualLoss:
     Φ are the features at the end of VGG-16's five stages; the norm is the mean over each stage's values, summed over
     the stages.
     """
+    import torch
+
+    from .vgg16 import load_vgg16
+
     network = load_vgg16(device)
     mean = torch.tensor([0.485, 0.456, 0.406], device=device)
     deviation = torch.tensor([0.229, 0.224, 0.225], device=device)
@@ -50,6 +55,11 @@ def _features(device: torch.device) -> PerceptualLoss:
 
 def _lpips(device: torch.device) -> PerceptualLoss:
     """LPIPS of images fed as they are, in [0, 1] (EnvGS's released code)."""
+    import torch
+
+    from .lpips import load_heads, stage_distances
+    from .vgg16 import load_vgg16
+
     load_vgg16(device), load_heads()  # whatever is missing is missing now
 
     def loss(image: Tensor, target: Tensor) -> Tensor:

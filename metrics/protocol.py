@@ -23,18 +23,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING
 
 from envgs_bench.parts import MetricCard
 
-from .color_correction import color_corrected
-from .metric import Choices, Compared, Metric
+from .metric import Choices, Metric
 from .registry import corrected_metrics, registered_metrics
-from .vgg16 import MINIMUM_SIZE, weights_source
+
+if TYPE_CHECKING:  # a protocol is chosen without torch, and scores with it
+    from torch import Tensor
 
 _IN_WORDS = {
     "none": "float renders, not clamped",
@@ -51,14 +50,19 @@ class Protocol(Choices):
     @property
     def metrics(self) -> dict[str, Metric]:
         """What `score` returns of a full image, by name."""
-        return self._plain | (corrected_metrics() if self.corrects_color else {})
+        return self.plain | self.corrected
 
     @property
-    def _plain(self) -> dict[str, Metric]:
+    def plain(self) -> dict[str, Metric]:
         """Those of pictures as they are."""
         return {
             name: metric for name, metric in registered_metrics().items() if not metric.asked_for or name in self.also
         }
+
+    @property
+    def corrected(self) -> dict[str, Metric]:
+        """Those of color-corrected pictures, by the names that they have there."""
+        return corrected_metrics() if self.corrects_color else {}
 
     @property
     def cards(self) -> dict[str, MetricCard]:
@@ -82,7 +86,7 @@ class Protocol(Choices):
     @property
     def description(self) -> str:
         """The choices in one sentence."""
-        parts = [_IN_WORDS[self.quantization], *(metric.definition(self) for metric in self._plain.values())]
+        parts = [_IN_WORDS[self.quantization], *(metric.definition(self) for metric in self.plain.values())]
         parts += [_IN_WORDS[self.masking]]
         parts += ["cc_: after one affine map of color a view, fitted to the photograph"] if self.corrects_color else []
         return "; ".join(parts)
@@ -95,7 +99,11 @@ class Protocol(Choices):
     @property
     def weights(self) -> str | None:
         """Where the weights of LPIPS's network come from, None where LPIPS is not computed."""
-        return None if "lpips" in self.not_computed else weights_source()
+        if "lpips" in self.not_computed:
+            return None
+        from .vgg16 import weights_source
+
+        return weights_source()
 
     def of_pictures(self) -> Protocol:
         """This protocol for 8-bit pictures, which are clamped and rounded already.
@@ -105,7 +113,6 @@ class Protocol(Choices):
         """
         return self if self.quantization == "round" else replace(self, name=f"{self.name}-8bit", quantization="round")
 
-    @torch.no_grad()
     def score(
         self, prediction: Tensor, target: Tensor, mask: Tensor | None = None, only: Collection[str] | None = None
     ) -> dict[str, float | None]:
@@ -126,7 +133,6 @@ class Protocol(Choices):
         """
         return self.scores(prediction, target, [mask], only)[0]
 
-    @torch.no_grad()
     def scores(
         self,
         prediction: Tensor,
@@ -135,34 +141,9 @@ class Protocol(Choices):
         only: Collection[str] | None = None,
     ) -> list[dict[str, float | None]]:
         """`score` of one image inside each mask, None for the full image: quicker than one after the other."""
-        for mask in masks:
-            _check(prediction, target, mask)
-        prediction = _quantized(prediction, self.quantization)
-        scored: list[dict[str, float | None]] = [dict.fromkeys(self._wanted(self.metrics, only)) for _ in masks]
-        shown = [number for number, mask in enumerate(masks) if mask is None or mask.any()]
-        parts = [(prediction, self._wanted(self._plain, only))]
-        if corrected := self._wanted(corrected_metrics(), only) if self.corrects_color else {}:
-            parts.append((color_corrected(prediction, target), corrected))
-        for picture, metrics in parts if shown else []:
-            regions = [self._region(picture, target, masks[number]) for number in shown]
-            for name, metric in metrics.items():
-                for number, value in zip(shown, metric.values(regions, self), strict=True):
-                    scored[number][name] = value
-        for scores, mask in zip(scored, masks, strict=True):
-            if mask is not None:
-                scores["fraction"] = float(mask.double().mean())
-        return scored
+        from .scoring import scored
 
-    @staticmethod
-    def _wanted(metrics: Mapping[str, Metric], only: Collection[str] | None) -> dict[str, Metric]:
-        return {name: metric for name, metric in metrics.items() if only is None or name in only}
-
-    def _region(self, prediction: Tensor, target: Tensor, mask: Tensor | None) -> Compared:
-        """What metrics are taken of inside the mask, which is not empty, or of the full image."""
-        if mask is None or self.masking != "white":
-            return Compared(prediction, target, mask)
-        inside = mask[..., None]
-        return Compared(prediction.where(inside, 1.0), target.where(inside, 1.0), None)
+        return scored(self, prediction, target, masks, only)
 
 
 PROTOCOLS = {
@@ -187,33 +168,3 @@ def get_protocol(name: str = "envgs") -> Protocol:
     if name not in PROTOCOLS:
         raise ValueError(f"unknown protocol {name!r}, expected one of {', '.join(PROTOCOLS)}")
     return PROTOCOLS[name]
-
-
-def _quantized(image: Tensor, quantization: str) -> Tensor:
-    """The image as a PNG would give it back. Truncation forgives the last bits of k / 255 · 255."""
-    if quantization == "none":
-        return image
-    levels = image.clamp(0, 1) * 255 + (0.5 if quantization == "round" else 1e-3)
-    return levels.floor() / 255
-
-
-def _check(prediction: Tensor, target: Tensor, mask: Tensor | None) -> None:
-    for name, image in (("prediction", prediction), ("target", target)):
-        if not isinstance(image, Tensor) or not image.is_floating_point():
-            given = image.dtype if isinstance(image, Tensor) else type(image).__name__
-            raise TypeError(f"{name} is {given}, expected a floating-point tensor in [0, 1]; divide bytes by 255")
-        if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < MINIMUM_SIZE:
-            raise ValueError(
-                f"{name} has shape {tuple(image.shape)}, expected [H, W, 3] of at least {MINIMUM_SIZE}×{MINIMUM_SIZE}"
-            )
-        bad = int((~image.isfinite()).sum())
-        if bad:
-            raise ValueError(f"{name} has {bad} values of {image.numel()} that are not finite: it cannot be scored")
-    if prediction.shape != target.shape:
-        raise ValueError(f"prediction is {tuple(prediction.shape)}, target {tuple(target.shape)}: sizes must agree")
-    if target.min() < 0 or target.max() > 1:
-        raise ValueError(f"target spans [{float(target.min()):g}, {float(target.max()):g}], expected values in [0, 1]")
-    if mask is not None and mask.dtype != torch.bool:
-        raise TypeError(f"mask is {mask.dtype}, expected torch.bool, True inside the region")
-    if mask is not None and mask.shape != target.shape[:2]:
-        raise ValueError(f"mask has shape {tuple(mask.shape)}, expected the image's {tuple(target.shape[:2])}")

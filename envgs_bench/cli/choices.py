@@ -8,12 +8,12 @@ from pathlib import Path
 from envgs_bench.datasets import DatasetError
 from envgs_bench.datasets.registry import check_source
 from envgs_bench.loggers.opening import require_logger
-from envgs_bench.methods.registry import BUILT_IN, create_method
+from envgs_bench.methods.registry import BUILT_IN, settings_type
+from envgs_bench.methods.settings import make_settings
 from envgs_bench.metrics import WeightsUnavailable, find_weights, get_protocol
 from envgs_bench.records import RENDERS
 from envgs_bench.runs.job import resolve_device
 from envgs_bench.settings import RunSettings, SettingsError
-from envgs_bench.stages.budget import check_budget
 from envgs_bench.stages.perturbations import perturbation_of, perturbed_settings
 
 
@@ -24,7 +24,11 @@ def check_choices(settings: RunSettings) -> None:
     except ValueError as error:
         raise SettingsError(f"protocol={settings.protocol}: {error}") from error
     perturbation_of(settings)  # refuses a kind or a severity that there is not,
-    check_budget(perturbed_settings(settings))  # and one that changes what the method does not have
+    actual = perturbed_settings(settings)  # and one that changes what the method does not have
+    if actual.budget is not None:
+        from envgs_bench.stages.budget import check_budget  # with torch: only the method knows what it takes
+
+        check_budget(actual)
     require_logger(settings)
 
 
@@ -36,7 +40,8 @@ def check_run(settings: RunSettings) -> None:
     try:
         check_source(actual.dataset)
         if settings.method.kind in BUILT_IN:  # what is somebody else's says itself, in a record
-            create_method(settings.method.kind, actual.method.settings)
+            kind = settings.method.kind
+            make_settings(settings_type(kind), actual.method.settings, f"method {kind}: ")
         elif settings.method.kind == RENDERS and not Path(str(settings.method.settings.get("path"))).exists():
             raise SettingsError(f"path={settings.method.settings.get('path')}: there is no such folder of renders")
     except DatasetError as error:

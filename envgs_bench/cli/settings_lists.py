@@ -19,7 +19,7 @@ from envgs_bench.methods.registry import settings_type
 from envgs_bench.methods.settings import setting_groups
 from envgs_bench.programs.recipe import read_recipe, shipped_recipes
 from envgs_bench.records import EXTERNAL, RENDERS
-from envgs_bench.stages.renders import RendersSettings
+from envgs_bench.stages.render_files import RendersSettings
 
 from .composition import CONF, explain, register_choices
 from .explained import complain

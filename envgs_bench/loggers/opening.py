@@ -8,13 +8,16 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from envgs_bench.run_folder import LOGGED
 from envgs_bench.settings import RunSettings, SettingsError
-from envgs_bench.stages.training_log import Logger
+
+if TYPE_CHECKING:  # whether a library is there is asked without torch
+    from envgs_bench.stages.training_log import Logger
 
 LIBRARIES = {"tensorboard": ("tensorboard",), "wandb": ("wandb",), "mlflow": ("mlflow", "sqlalchemy", "alembic")}
 

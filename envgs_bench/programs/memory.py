@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import suppress
 
 import psutil
-import torch
 
 
 class ProgramOutOfMemory(MemoryError):
@@ -43,7 +42,7 @@ class MemoryWatch:
         if self._on_gpu:
             now = max(0, self._taken() - self._taken_before)
             self.peak_device_bytes = max(self.peak_device_bytes or 0, now)
-            total = torch.cuda.mem_get_info()[1]
+            total = _device_memory()[1]
             if self._device_fraction is not None and now > self._device_fraction * total:
                 raise ProgramOutOfMemory(
                     f"held {now / 2**30:.2f} GiB of the GPU, device_memory_fraction={self._device_fraction:g}"
@@ -51,8 +50,15 @@ class MemoryWatch:
 
     @staticmethod
     def _taken() -> int:
-        free, total = torch.cuda.mem_get_info()
+        free, total = _device_memory()
         return total - free
+
+
+def _device_memory() -> tuple[int, int]:
+    """Bytes of the GPU that are free, and all that it has."""
+    import torch  # which what only asks for a program's recipe does without
+
+    return torch.cuda.mem_get_info()
 
 
 def _private_bytes(pid: int) -> int:

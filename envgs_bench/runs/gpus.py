@@ -9,11 +9,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import torch
-
 from envgs_bench.file_lock import lock
 
-VISIBLE = "CUDA_VISIBLE_DEVICES"
+from .cuda_probe import VISIBLE, surely_usable
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,12 @@ def visible_gpus() -> list[str]:
     """The GPUs that this process may use, as CUDA_VISIBLE_DEVICES names them."""
     if VISIBLE in os.environ:
         return [name.strip() for name in os.environ[VISIBLE].split(",") if name.strip()]
-    return [str(number) for number in range(torch.cuda.device_count())]
+    count = surely_usable()
+    if not count:
+        import torch
+
+        count = torch.cuda.device_count()
+    return [str(number) for number in range(count)]
 
 
 def _taken(gpus: list[str]) -> tuple[str, int]:

@@ -18,7 +18,7 @@ from envgs_bench.programs.recipe import parse_choice
 from envgs_bench.programs.work import commit_of
 from envgs_bench.records import EXTERNAL, RENDERS
 from envgs_bench.settings import PATH_KEYS, RunSettings
-from envgs_bench.stages.renders import rendered_files
+from envgs_bench.stages.render_files import rendered_files
 
 from .source_fingerprint import SOURCES, source_fingerprint, source_fingerprints
 

@@ -7,10 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import torch
 import yaml
 
-from envgs_bench.core import available_backends
 from envgs_bench.records import RecordError, Status, read_record, write_atomically
 from envgs_bench.run_folder import (
     CONFIG_NAME,
@@ -27,6 +25,7 @@ from envgs_bench.run_folder import (
 from envgs_bench.run_lock import RunLock, holder_of, locked
 from envgs_bench.settings import RunSettings, SettingsError
 
+from .cuda_probe import has_driver, surely_usable
 from .display import Display
 from .gpus import visible_gpus
 from .identity import run_id
@@ -82,12 +81,9 @@ def resolve_device(wanted: str) -> str:
     Raises:
         SettingsError: cuda was asked for and does not work here, or has no such GPU; the message says why.
     """
-    if wanted == "cpu":
+    if wanted == "cpu" or (wanted == "auto" and not has_driver()):
         return "cpu"
-    if not torch.cuda.is_available():
-        reason: str | None = "PyTorch sees no CUDA device"
-    else:
-        reason = available_backends()["cuda"]
+    reason = None if surely_usable() else _why_no_cuda()
     if wanted == "auto":
         return "cpu" if reason else "cuda"
     if reason:
@@ -96,6 +92,15 @@ def resolve_device(wanted: str) -> str:
     if number and int(number) >= count:
         raise SettingsError(f"device={wanted}: this machine shows {count} GPUs, the last one is cuda:{count - 1}")
     return wanted
+
+
+def _why_no_cuda() -> str | None:
+    """Why the cuda backend does not work here, by PyTorch, which takes seconds to import; None where it does."""
+    import torch
+
+    from envgs_bench.core import available_backends
+
+    return available_backends()["cuda"] if torch.cuda.is_available() else "PyTorch sees no CUDA device"
 
 
 def device_type(device: str) -> str:

@@ -11,12 +11,12 @@ import time
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import psutil
-import torch
 
-from envgs_bench.core import cpu
+if TYPE_CHECKING:  # a job notes when its run began without torch, and collects the rest only where that died
+    import torch
 
 PACKAGE = "envgs-bench"
 
@@ -57,6 +57,8 @@ def collect(device: str, since: Busy) -> dict[str, Any]:
     Returns:
         version, python, platform, packages, machine, device, threads, command.
     """
+    import torch
+
     return {
         "version": _version(PACKAGE) or "not installed",
         "python": platform.python_version(),
@@ -70,6 +72,8 @@ def collect(device: str, since: Busy) -> dict[str, Any]:
 
 
 def _machine(since: Busy) -> dict[str, Any]:
+    from envgs_bench.core import cpu
+
     return {
         "cpu": _cpu_model(),
         "cpu_target": cpu.target,
@@ -92,6 +96,8 @@ def _cpu_model() -> str:
 
 
 def _gpu(device: torch.device) -> dict[str, Any]:
+    import torch
+
     properties = torch.cuda.get_device_properties(device)
     found: dict[str, Any] = {
         "type": "cuda",

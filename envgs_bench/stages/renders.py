@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from torch import Tensor
 from envgs_bench.core import View
 from envgs_bench.datasets import DatasetError
 from envgs_bench.datasets.formats.arrays import open_array
-from envgs_bench.datasets.formats.names import composed, visible_files
+from envgs_bench.datasets.formats.names import composed
 from envgs_bench.datasets.formats.pictures import read_header, read_picture
 from envgs_bench.methods.settings import make_settings
 from envgs_bench.metrics import Protocol
@@ -28,11 +27,10 @@ from .events import EventListener
 from .loading import check_scene, load_for_run
 from .pictures import save_pair
 from .predictions import rendered_folder
+from .render_files import RendersSettings, rendered_files
 from .results import Results
 from .scoring import Pair, score_pairs
 
-DECODED = (".png", ".jpg", ".jpeg")
-SUFFIXES = (*DECODED, ".npy")
 MODES = ("L", "LA", "P", "RGB", "RGBA")  # those of 8 bits a channel
 WHOLE = "whole"
 CROPS = (WHOLE, "left half", "right half")  # the parts of a file that may be the picture
@@ -45,12 +43,6 @@ MAX_MEAN = 1.5  # mean of a picture whose range is [0, 1], with room for what ov
 
 class RendersError(ValueError):
     """The folder does not fit the test views; the message lists all that does not."""
-
-
-@dataclass(frozen=True)
-class RendersSettings:
-    path: str = ""  # the folder, or nerfbaselines' archive of predictions
-    match: str = "name"  # how files find their views: name, or order
 
 
 def run_renders(
@@ -143,11 +135,6 @@ def match_renders(
             + (f"; {IN_ORDER}" if match == "name" else "")
         )
     return found
-
-
-def rendered_files(folder: Path) -> list[Path]:
-    """The files below the folder that are taken for renders; whatever else lies there is left alone."""
-    return [path for path in visible_files(folder) if path.suffix.lower() in SUFFIXES]
 
 
 def read_render(path: Path, background: Tensor, crop: str = WHOLE) -> Tensor:

