@@ -14,6 +14,7 @@ Length = Annotated[float, Field(ge=0, allow_inf_nan=False)]  # world units; 0 wh
 Frame = Literal["world", "camera", "opengl"]  # camera: x right, y down, z forward; opengl: x right, y up, z backward
 MatcherName = Literal["sift", "lightglue"]
 Matching = Literal["exhaustive", "sequential"]
+MIN_IMAGES = 3  # that structure from motion must place
 
 
 class SceneSettings(BaseModel):

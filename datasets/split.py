@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TypeVar
-
-from envgs_bench.core import Scene, View
+from typing import TYPE_CHECKING, TypeVar
 
 from .errors import DatasetError
+
+if TYPE_CHECKING:  # which files a capture is made from is found without torch
+    from envgs_bench.core import Scene, View
 
 Item = TypeVar("Item")
 

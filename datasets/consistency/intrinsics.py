@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from envgs_bench.core import View
-
 from ..errors import DatasetError, listed
 from ..notes import note
 
-if TYPE_CHECKING:  # which imports pycolmap: scenes' views do without
+if TYPE_CHECKING:  # with pycolmap, which scenes' views do without, and torch, which photographs do without
+    from envgs_bench.core import View
+
     from ..formats.photograph import Photograph
 
 WIDEST, WIDE = 165.0, 130.0  # degrees, along the longer edge: nobody draws a pinhole's picture beyond the first

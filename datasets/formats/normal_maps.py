@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-
-from envgs_bench.core import Camera
 
 from ..errors import DatasetError
 from ..settings import Frame
 from .arrays import open_array
 from .pictures import read_header, read_picture
 from .srgb import to_linear
+
+if TYPE_CHECKING:  # which files a capture is made from is found without torch
+    import torch
+
+    from envgs_bench.core import Camera
 
 Floats = NDArray[np.float32]
 
@@ -79,6 +82,8 @@ def world_normals(normals: torch.Tensor, camera: Camera, frame: Frame) -> torch.
 
     Estimators and meshes leave normals that face away; seen from the front, a surface's normal faces the viewer.
     """
+    import torch
+
     if frame == "opengl":
         normals = normals * torch.tensor([1.0, -1.0, -1.0])
     if frame != "world":

@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike
 
-from envgs_bench.core import Placement
 from envgs_bench.ply_file import number_names, read_elements
 
 from ..errors import DatasetError
+
+if TYPE_CHECKING:  # which files a capture is made from is found without torch
+    import torch
+
+    from envgs_bench.core import Placement
 
 SH_BAND_0 = 0.28209479177387814  # √(1/4π)
 GRAY = 0.5
@@ -38,6 +41,8 @@ def point_cloud(points: ArrayLike, colors: ArrayLike, source: Path) -> PointClou
     Raises:
         DatasetError: there is no point, one at infinity, where float32 does not reach, or one of another color.
     """
+    import torch
+
     places = torch.as_tensor(np.asarray(points, dtype=np.float64))
     if not len(places):
         raise DatasetError(
@@ -108,6 +113,8 @@ def far_points(centers: torch.Tensor, count: int) -> PointCloud:
 
     A background that structure from motion found nothing in has to begin somewhere.
     """
+    import torch
+
     middle = centers.mean(0)
     radius = 2 * (centers - middle).norm(dim=1).max()
     turn = torch.arange(count, dtype=torch.float64) + 0.5

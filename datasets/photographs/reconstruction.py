@@ -18,7 +18,7 @@ from ..formats.photograph import Photograph
 from ..formats.pictures import read_header
 from ..placing import origin_near
 from ..progress import report
-from ..settings import MatcherName, Matching
+from ..settings import MIN_IMAGES, MatcherName, Matching
 from .kept_model import kept_model
 from .lightglue import LightGlue
 from .placing import sights_of
@@ -26,7 +26,6 @@ from .sift import Sift
 
 IMAGES_A_BATCH = 8  # between two reports of progress
 NEIGHBORS = 10  # each image is matched with this many after it, and with those 2, 4, 8 … away
-MIN_IMAGES = 3  # images that a model must place
 SEED = 0
 
 

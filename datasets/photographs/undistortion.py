@@ -7,7 +7,6 @@ from functools import lru_cache
 
 import numpy as np
 import pycolmap
-import torch
 from numpy.typing import NDArray
 
 from ..errors import DatasetError
@@ -41,16 +40,20 @@ def undistort(pixels: NDArray, camera: pycolmap.Camera) -> NDArray[np.float32]:
     """What `undistorted_camera(camera)` sees of the picture [H, W, C] of `camera`'s size; bilinear, [h, w, C]."""
     if camera.model.name in PINHOLES:
         return pixels.astype(np.float32)
+    import torch  # which cameras alone do without
+
     with _one_at_a_time:
         places = _map(camera.model.name, camera.width, camera.height, tuple(camera.params))
     planes = torch.from_numpy(np.ascontiguousarray(pixels, dtype=np.float32)).permute(2, 0, 1)[None]
-    seen = torch.nn.functional.grid_sample(planes, places, padding_mode="border", align_corners=False)
+    seen = torch.nn.functional.grid_sample(
+        planes, torch.from_numpy(places)[None], padding_mode="border", align_corners=False
+    )
     return seen[0].permute(1, 2, 0).numpy()
 
 
 @lru_cache(maxsize=4)
-def _map(model: str, width: int, height: int, params: tuple[float, ...]) -> torch.Tensor:
-    """Where the undistorted camera's pixel centers lie in the picture: [1, h, w, 2], ±1 at its outer edges."""
+def _map(model: str, width: int, height: int, params: tuple[float, ...]) -> NDArray[np.float32]:
+    """Where the undistorted camera's pixel centers lie in the picture: [h, w, 2], ±1 at its outer edges."""
     camera = pycolmap.Camera(model=model, width=width, height=height, params=list(params))
     pinhole = undistorted_camera(camera)
     inverse = np.linalg.inv(pinhole.calibration_matrix())
@@ -60,7 +63,7 @@ def _map(model: str, width: int, height: int, params: tuple[float, ...]) -> torc
         rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3) @ inverse.T
         pixels = camera.img_from_cam(rays).reshape(*x.shape, 2)
         places[first : first + ROWS_AT_ONCE] = 2 * pixels / [width, height] - 1
-    return torch.from_numpy(places)[None]
+    return places
 
 
 def distorted(mask: Mask, camera: pycolmap.Camera) -> Mask:

@@ -6,14 +6,14 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
-
-from envgs_bench.core import Scene
+from typing import TYPE_CHECKING, Any
 
 from ..settings import parse_dataset_settings
 from ..source import Source
-from ..store.cache import cached_scene
 from .settings import SampledSettings
+
+if TYPE_CHECKING:
+    from envgs_bench.core import Scene
 
 VERSION = 3  # raise it with every change that alters a scene
 
@@ -28,6 +28,8 @@ def load_sampled(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     Raises:
         DatasetError: an unknown key, a value out of range, or Mitsuba is needed and not installed.
     """
+    from ..store.cache import cached_scene  # with torch, which settings are checked without
+
     choice = parse_dataset_settings(SampledSettings, settings)
     name = choice.name or f"sampled/{choice.seed}"
     own = {"source": "sampled", "version": VERSION, **choice.model_dump(exclude={"name"})}

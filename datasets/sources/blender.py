@@ -6,35 +6,25 @@ import glob
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-import torch
-
-from envgs_bench.core import Placement, Scene
+from typing import TYPE_CHECKING, Any
 
 from ..formats.normal_maps import NormalMap
 from ..formats.photograph import Photograph
-from ..formats.point_clouds import PointCloud, RandomPoints, read_point_cloud
+from ..formats.point_clouds import read_point_cloud
 from ..formats.transforms_json import read_frames
-from ..photographs.fitting import fit_to_files
-from ..photographs.normal_estimation import with_estimated_normals
-from ..photographs.placing import placed_cloud, placed_photographs, sights_of
 from ..photographs.sidecars import with_masks
-from ..photographs.views import read_views
 from ..settings import parse_dataset_settings, require_folder
 from ..source import Source
-from ..split import validation_of, without_normals
-from ..store.scene_file import on_disk
-from .capture import cached_capture, files_of, refuse_missing
+from ..split import validation_of
+from .photograph_files import files_of, refuse_missing
 from .settings import BlenderSettings
+
+if TYPE_CHECKING:
+    from envgs_bench.core import Scene
 
 VERSION = 5  # raise it with every change that alters a scene
 TRANSFORMS = ("transforms_train.json", "transforms_test.json")
 POINTS = "points3d.ply"  # what 3DGS writes beside such a scene
-BOX, CAMERAS_OUT = (
-    1.3,
-    4.0,
-)  # half the edge of 3DGS's cube of random points, and NeRF's cameras' distance from its middle
 
 
 def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
@@ -49,6 +39,9 @@ def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     Raises:
         DatasetError: anything missing, unreadable or contradictory; the message names the file or key.
     """
+    from .blender_scene import make_blender_scene  # with torch, without which files are found
+    from .capture import cached_capture
+
     choice = parse_dataset_settings(BlenderSettings, settings)
     root = choice.root
     require_folder(root)
@@ -61,17 +54,7 @@ def load_blender(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         for file, (_, missing) in zip(files, found, strict=True):
             refuse_missing(choice.missing, len(file.frames), missing, file.path)
         measured = read_point_cloud(root / POINTS) if (root / POINTS).is_file() else None
-        fitted = fit_to_files(photographs)
-        placed, placement = placed_photographs(fitted, measured, root)
-        cloud = placed_cloud(measured, placement) if measured else _random_points(choice, fitted, placement)
-        views = on_disk(read_views(placed, choice.downsample, choice.background, choice.mask_labels))
-        train, test = views[: len(learned)], views[len(learned) :]
-        val = validation_of(train)
-        if not choice.train_normals:
-            train = without_normals(train)
-        train = on_disk(with_estimated_normals(train, choice.normal_estimator))
-        background = torch.tensor(choice.background)
-        return Scene(choice.scene_name, train, test, *cloud, background, val, placement=placement)
+        return make_blender_scene(choice, photographs, len(learned), measured)
 
     return cached_capture(choice, VERSION, _files(choice, photographs), cache_dir, make)
 
@@ -101,17 +84,6 @@ def _with_sidecars(
 
 def _files(choice: BlenderSettings, photographs: Sequence[Photograph]) -> list[Path]:
     return [*(choice.root / name for name in (*TRANSFORMS, POINTS)), *files_of(photographs)]
-
-
-def _random_points(choice: BlenderSettings, photographs: Sequence[Photograph], placement: Placement) -> PointCloud:
-    if choice.random_box is not None:
-        return RandomPoints(choice.random_points, choice.random_box).placed(placement)
-    around = None if placement.unmoved else sights_of(photographs).looked_at()
-    if around is None:
-        return RandomPoints(choice.random_points, BOX).placed(Placement())
-    x, y, z = placement.points_from_data(around[0]).tolist()
-    half = BOX / CAMERAS_OUT * around[1] / placement.scale
-    return RandomPoints(choice.random_points, half, (x, y, z)).placed(Placement())
 
 
 def _with_normal(photograph: Photograph) -> Photograph:

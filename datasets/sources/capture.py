@@ -9,10 +9,8 @@ import torch
 
 from envgs_bench.core import Scene
 
-from ..errors import DatasetError, listed
 from ..formats.photograph import Photograph
 from ..formats.point_clouds import PointCloud, RandomPoints, far_points
-from ..notes import note
 from ..photographs.fitting import fit_to_files
 from ..photographs.normal_estimation import estimator_version, with_estimated_normals
 from ..photographs.placing import placed_cloud, placed_photographs
@@ -21,7 +19,7 @@ from ..split import split_views, validation_of, without_normals
 from ..store.cache import cached_scene
 from ..store.contents import digest_of
 from ..store.scene_file import on_disk
-from .settings import CaptureSettings, Missing, PhotographSettings
+from .settings import CaptureSettings, PhotographSettings
 
 
 def cached_capture(
@@ -41,34 +39,6 @@ def cached_capture(
         "estimator": estimator_version(settings.normal_estimator),
     }
     return cached_scene(cache_dir, settings.scene_name, key, make)
-
-
-def files_of(photographs: Iterable[Photograph]) -> list[Path]:
-    """The pictures, and the masks and normals that belong to them."""
-    return [
-        path
-        for photograph in photographs
-        for path in (
-            photograph.path,
-            *photograph.masks.values(),
-            *([photograph.normal.path] if photograph.normal else []),
-        )
-    ]
-
-
-def refuse_missing(how: Missing, named: int, missing: Sequence[str], source: Path) -> None:
-    """Refuse, or else note, that images which `source` names are not there.
-
-    Raises:
-        DatasetError: some are missing and the settings do not say to skip them, or all are.
-    """
-    if not missing:
-        return
-    text = f"{source}: {len(missing)} of {named} images that it names are not there: {listed(list(missing))}"
-    if how == "skip" and len(missing) < named:
-        note(f"{text}; left out")
-        return
-    raise DatasetError(f"{text}; put them back, or name their folder with dataset.images, or set dataset.missing=skip")
 
 
 def make_scene(

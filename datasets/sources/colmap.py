@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
-
-from envgs_bench.core import Scene
+from typing import TYPE_CHECKING, Any
 
 from ..consistency.tracks import check_tracks
 from ..consistency.twins import check_twins
@@ -16,12 +14,14 @@ from ..formats.image_files import ImageFiles
 from ..formats.names import PICTURES, visible_files
 from ..formats.photograph import Photograph
 from ..notes import note
-from ..photographs.exposure import with_equal_exposure
 from ..photographs.sidecars import sidecar_files, with_sidecars
 from ..settings import parse_dataset_settings, require_folder
 from ..source import Source
-from .capture import cached_capture, make_scene, refuse_missing
+from .photograph_files import refuse_missing
 from .settings import ColmapSettings
+
+if TYPE_CHECKING:
+    from envgs_bench.core import Scene
 
 VERSION = 7  # raise it with every change that alters a scene
 
@@ -40,6 +40,8 @@ def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     Raises:
         DatasetError: anything missing, unreadable or contradictory; the message names the file or key.
     """
+    from .capture import cached_capture, make_scene  # with torch, without which files are found
+
     choice = parse_dataset_settings(ColmapSettings, settings)
     root = choice.root
     require_folder(root)
@@ -53,6 +55,8 @@ def load_colmap(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         _note_others(choice, model)
         _note_without_pose(images, found)
         if choice.equalize_exposure:
+            from ..photographs.exposure import with_equal_exposure  # with SciPy
+
             found = with_equal_exposure(found, model.observations(), choice.background)
         return make_scene(choice, with_sidecars(found, root, choice.normals_frame), model.points(), images)
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-from envgs_bench.core import Scene
+from typing import TYPE_CHECKING, Any
 
 from ..errors import DatasetError, listed
 from ..formats.colmap_model import Model
@@ -14,15 +12,15 @@ from ..formats.names import PICTURES, visible_files
 from ..formats.photograph import Photograph
 from ..formats.pictures import read_picture
 from ..notes import note
-from ..photographs.exposure import with_equal_exposure
-from ..photographs.reconstruction import MIN_IMAGES, Reconstructor
 from ..photographs.sidecars import sidecar_files, with_sidecars
 from ..progress import mapped
-from ..settings import parse_dataset_settings, require_folder
+from ..settings import MIN_IMAGES, parse_dataset_settings, require_folder
 from ..source import Source
 from ..store.contents import digest_of
-from .capture import cached_capture, make_scene
 from .settings import PhotosSettings
+
+if TYPE_CHECKING:
+    from envgs_bench.core import Scene
 
 VERSION = 6  # raise it with every change that alters a scene
 MODEL_VERSION = 1  # and this with every change that alters a reconstruction
@@ -37,6 +35,8 @@ def load_photos(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         DatasetError: too few images, some that cannot be decoded, too few that could be placed, or a matcher whose
             weights cannot be had.
     """
+    from .capture import cached_capture, make_scene  # with torch, without which files are found
+
     choice = parse_dataset_settings(PhotosSettings, settings)
     require_folder(choice.root)
     images, _ = _images(choice)
@@ -45,6 +45,8 @@ def load_photos(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
         model = model_of(settings, cache_dir)
         found, _ = model.photographs(images)
         if choice.equalize_exposure:
+            from ..photographs.exposure import with_equal_exposure  # with SciPy
+
             found = with_equal_exposure(found, model.observations(), choice.background)
         photographs = with_sidecars(found, choice.root, choice.normals_frame)
         return make_scene(choice, photographs, model.points(), images)
@@ -98,6 +100,8 @@ def _images(choice: PhotosSettings) -> tuple[Path, list[str]]:
 
 def _model(choice: PhotosSettings, images: Path, names: Sequence[str], cache_dir: Path) -> Model:
     """The images' model, from the cache or made now."""
+    from ..photographs.reconstruction import Reconstructor
+
     _check_decodable([images / name for name in names], choice)
     contents = digest_of([images / name for name in names], choice.root, cache_dir)
     how = Reconstructor(choice.matcher, choice.camera_model, choice.matching, choice.feature_size)

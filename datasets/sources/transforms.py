@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-from envgs_bench.core import Scene
+from typing import TYPE_CHECKING, Any
 
 from ..errors import DatasetError, listed
 from ..formats.colmap_model import Model
@@ -16,13 +14,15 @@ from ..formats.photograph import Photograph
 from ..formats.point_clouds import RandomPoints, read_point_cloud
 from ..formats.transforms_json import FrameFile, read_frames, without_common_folder
 from ..photographs.fitting import fit_to_files
-from ..photographs.reconstruction import Reconstructor
 from ..photographs.sidecars import with_sidecars
 from ..settings import parse_dataset_settings, require_folder
 from ..source import Source
 from ..store.contents import digest_of
-from .capture import cached_capture, files_of, make_scene, refuse_missing
+from .photograph_files import files_of, refuse_missing
 from .settings import TransformsSettings
+
+if TYPE_CHECKING:
+    from envgs_bench.core import Scene
 
 VERSION = 6  # raise it with every change that alters a scene
 MODEL_VERSION = 2  # and this with every change that alters a model
@@ -43,6 +43,8 @@ def load_transforms(settings: Mapping[str, Any], cache_dir: Path) -> Scene:
     Raises:
         DatasetError: anything missing, unreadable or contradictory; the message names the file or key.
     """
+    from .capture import cached_capture, make_scene  # with torch, without which files are found
+
     choice = parse_dataset_settings(TransformsSettings, settings)
     root = choice.root
     require_folder(root)
@@ -78,6 +80,8 @@ def model_of(settings: Mapping[str, Any], cache_dir: Path) -> Model:
     Raises:
         DatasetError: as `load_transforms`, or the photographs share no point that fits their poses.
     """
+    from ..photographs.reconstruction import Reconstructor
+
     choice = parse_dataset_settings(TransformsSettings, settings)
     require_folder(choice.root)
     file = read_frames(path_below(choice.root, choice.file, choice.root))

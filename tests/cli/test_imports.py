@@ -64,6 +64,12 @@ def test_a_command_has_its_runs_made_without_torch(dry: list[str], tmp_path: Pat
     assert len(list(tmp_path.rglob("record.json"))) == (not dry)
 
 
+@pytest.mark.parametrize("kind", SOURCES)
+def test_a_sources_files_are_found_without_torch(kind: str) -> None:
+    code = f"import sys; from envgs_bench.datasets.registry import source_of; source_of({kind!r}); print(*sys.modules)"
+    assert not imported(code) & SLOW
+
+
 def test_what_is_listed_without_torch_is_what_there_is() -> None:
     assert {kind: settings_type(kind) for kind in METHODS} == {kind: method_class(kind).Settings for kind in METHODS}
     assert (tuple(PROTOCOLS), tuple(LAYOUTS)) == (PROTOCOL_NAMES, LAYOUT_NAMES)

@@ -26,7 +26,7 @@ from PIL import Image
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.progress import listening, streamed
-from envgs_bench.datasets.sources import colmap
+from envgs_bench.datasets.sources import capture
 from envgs_bench.datasets.store import contents
 from envgs_bench.datasets.store.cache import cached_scene
 from envgs_bench.datasets.store.contents import digest_of
@@ -49,7 +49,7 @@ def scenes(root: Path) -> list[Path]:
 
 def test_moved_copied_and_touched_files_are_the_same_scene(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     load(root)
-    monkeypatch.setattr(colmap, "make_scene", lambda *_: pytest.fail("made again"))
+    monkeypatch.setattr(capture, "make_scene", lambda *_: pytest.fail("made again"))
     for path in root.rglob("*"):
         os.utime(path, (1, 1))
     load(root)

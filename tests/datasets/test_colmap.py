@@ -17,7 +17,7 @@ from envgs_bench.core import Camera, Scene, View
 from envgs_bench.datasets import load_scene
 from envgs_bench.datasets.formats.colmap_model import Model
 from envgs_bench.datasets.notes import collecting
-from envgs_bench.datasets.sources import colmap
+from envgs_bench.datasets.sources import capture
 
 NAMES = [f"{index:03d}.png" for index in range(10)]
 
@@ -261,7 +261,7 @@ def test_a_cached_capture_is_the_same_and_a_changed_one_is_read_again(
     write_masks(root, "masks", ".png")
     first = load(root, downsample=2)
     with monkeypatch.context() as patch:
-        patch.setattr(colmap, "make_scene", lambda *_: pytest.fail("read again"))
+        patch.setattr(capture, "make_scene", lambda *_: pytest.fail("read again"))
         second = load(root, downsample=2)
     for a, b in zip([*first.train, *first.test], [*second.train, *second.test], strict=True):
         assert a.name == b.name
