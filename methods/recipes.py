@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from .validation import Amount, Count, Length, Power, Share, Steps, checked
+from .validation import Amount, Count, Factor, Length, Power, Share, Steps, checked
 
 REFERENCE_STEPS = 30_000  # what 3DGS, 2DGS and EnvGS are tuned for
 
@@ -33,6 +33,7 @@ class Rules:
     sh_from: Steps = 0  # step up to which the base set's color is the same from everywhere, SH degree 0
     position_radius: Length = 0.0  # that the positions' rate grows with, world units; 0: the scene's
     initial_orientation: Literal["surface", "random", "positive", "world"] = "surface"  # of the base set, as of Start
+    initial_scale: Factor = 1.0  # of the base set's primitives, × the distance to their neighbors
     growth: Literal["guided", "mcmc", "gradient"] = "guided"  # the base set's; the first two to its size limit
     densify_from: Steps = 500  # step after which the base set is densified
     mean_gradient_over: Literal["drawn", "in_view"] = "drawn"  # steps that drew it, or had it in view, hidden or not
@@ -63,6 +64,10 @@ class Rules:
     beta_starts_anew: bool = False  # Adam counts β's steps from the first reflection on, not from the run's start
     beta_reset_from: Steps = 0  # step from which opacity resets also reset β; 0: never
     beta_reset: Literal["lower", "raise"] = "lower"  # that bounds β by its start from above, or from below
+    shown_first: Literal["albedo", "sh"] = "albedo"  # up to warm_up; sh: SH alone, and then dark albedos that mirror
+    mirror_alpha: Literal["learned", "given"] = "learned"  # given: no gradient where it weighs, materials not ÷ by it
+    plain_again: bool = False  # what does not mirror is compared with the views by itself, too
+    opacity_entropy: Amount = 0.0  # weight of the mean entropy of opacities in view, once anything mirrors
     map_start: Literal["gray", "random"] = "gray"  # texels of a cube map, at first
     map_texels: Literal["logits", "colors"] = "logits"  # what a cube map's texels learn; colors are cut to [0, 1]
 
@@ -152,7 +157,11 @@ RECIPES: dict[RecipeName, Rules] = {
         | {"stretches": False, "longest_run": 50_000, "sh_from": 5_000, "beta_reset_from": 1, "beta_reset": "raise"}
         | {"beta_starts_anew": True}
     ),
-    "ref_gs": Rules(**OF_2DGS | {"stretches": False, "longest_run": 31_000}),  # Ref-GS's released code
+    "ref_gs": Rules(  # Ref-GS's released code, as it trains on captures
+        **OF_2DGS
+        | {"stretches": False, "longest_run": 31_000, "initial_scale": 0.1**0.5, "normal_rendered": "unit"}
+        | {"shown_first": "sh", "mirror_alpha": "given", "plain_again": True, "opacity_entropy": 1e-3}
+    ),
     "rt_splatting": Rules(  # RT-Splatting's released code
         **OF_2DGS | {"stretches": False, "longest_run": 61_000, "perceptual_loss": "lpips", "perceptual_from": 15_000}
     ),

@@ -7,19 +7,21 @@ place, which holds what is reflected nearby.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
 import torch
+from torch import Tensor
+from torch.nn import functional
 
-from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics
+from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, View
 from envgs_bench.parts import BASE, ENV, REFLECTION, MethodCard
 
 from .envgs import environment_box
 from .gaussian_method import GaussianMethod
+from .gaussians.frustum import in_view
 from .gaussians.model import GaussianModel
 from .gaussians.parameters import SH_DC
 from .gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, opacity_resets, zeros
@@ -27,10 +29,13 @@ from .gaussians.regions import Scope
 from .lighting.feature_light import FEATURES, LEAST_ALPHA, FeatureLight
 from .lighting.settings import RefGSSettings
 from .lighting.shading import to_linear, to_srgb
+from .training.losses import photometric_loss
 from .training.schedule import RECOVERY, Part, Schedule
 
 ALBEDO_UNIT, MOST_LOG = 5.0, 5.0  # an albedo is exp(x) ÷ the one, x at most the other
-NEAR_SCALE = 0.1  # of the squared distance to neighbors, that a surfel of the near set starts with
+DARK = -2.0  # x at first where spherical harmonics are learned before
+NEAR_SCALE = 0.1**0.5  # × the distance to its neighbors, that a surfel of the near set starts with
+PLAIN, OUTSIDE = "plain", "outside"  # what losses read of a picture: its SH [H, W, 3], and alpha outside the ball
 SURFACE = {"albedo_logs": 3, "roughness_logits": 1}  # fields of a surfel, and their columns
 FEATURE = {"feature_logits": FEATURES}  # of Ref-GS's surfels, and of the near set's; tanh x is 2·sigmoid(2x) − 1
 
@@ -63,7 +68,7 @@ class RefGS(GaussianMethod):
 
     def _near_policy(self, base: SetPolicy, scene: Scene | None) -> SetPolicy:
         """The base's, but for what starts it and makes it grow."""
-        start = Start(INITIAL_OPACITY, "random", None, partial(zeros, FEATURE), FEATURE)
+        start = Start(INITIAL_OPACITY, "random", None, partial(zeros, FEATURE), FEATURE, NEAR_SCALE)
         young = base.schedule.at(self.settings.warm_up) + RECOVERY
         grown = replace(base, growth="gradient", resets=opacity_resets(self.settings, base.schedule, scene))
         return replace(grown, name=ENV, start=start, sh_degree=0, young_until=young)
@@ -71,8 +76,15 @@ class RefGS(GaussianMethod):
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
         base = self.model.rasterize(camera, step)
         statistics = {BASE: base.statistics}
+        if self.settings.rule.shown_first == "sh" and not self.light.begun:
+            return replace(base, layers={BASE: base.color, REFLECTION: torch.zeros_like(base.color)}), statistics
         alpha = base.alpha[..., None]
-        roughness, albedo, *own = (base.extras / alpha.clamp_min(LEAST_ALPHA)).split([1, 3, *_rest(base)], dim=-1)
+        behind = (1 - alpha) * self.model.background
+        weight, material, plain = alpha, base.extras / alpha.clamp_min(LEAST_ALPHA), base.color
+        if given := self.settings.rule.mirror_alpha == "given":
+            weight, material = alpha.detach(), base.extras
+            plain = weight * (base.color - behind) + behind
+        roughness, albedo, *own = material.split([1, 3, *_rest(base)], dim=-1)
         mirrored = torch.zeros_like(albedo)
         if self.light.begun:
             if ENV in self.model.sets:
@@ -80,12 +92,26 @@ class RefGS(GaussianMethod):
                 statistics[ENV] = near.statistics
                 own = [near.extras]
             mirrored = self.light.seen(base, camera, step, roughness, own[0])
-        behind = (1 - alpha) * self.model.background
-        shown = alpha * to_srgb(albedo + mirrored) + behind
+        light = albedo + mirrored
+        shown = weight * to_srgb(light.clamp_max(1) if given else light) + behind
         inside = self.surfaces.scope.inside(base, camera)
-        plain = alpha * to_srgb(albedo) + behind
-        layers = {BASE: torch.where(inside, plain, base.color), REFLECTION: to_srgb(mirrored) * inside * alpha}
-        return replace(base, color=torch.where(inside, shown, base.color), layers=layers), statistics
+        diffuse = weight * to_srgb(albedo) + behind
+        layers = {BASE: torch.where(inside, diffuse, plain), REFLECTION: to_srgb(mirrored) * inside * weight}
+        if step is not None:
+            layers |= {PLAIN: base.color, OUTSIDE: alpha.detach() * ~inside}
+        return replace(base, color=torch.where(inside, shown, plain), layers=layers), statistics
+
+    def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
+        """And, once anything mirrors, by the rules: what does not, by itself, and the entropy of opacities."""
+        terms, rule = super().losses(rendering, target, view, step), self.settings.rule
+        if not self.light.begun:
+            return terms
+        if rule.plain_again and self.settings.scope_radius:
+            plain, outside = rendering.layers[PLAIN], rendering.layers[OUTSIDE]
+            terms["plain"] = photometric_loss(plain * outside, target * outside, backend=self.settings.backend)
+        if rule.opacity_entropy:
+            terms["entropy"] = rule.opacity_entropy * self.surfaces.entropy(view.camera)
+        return terms
 
 
 class Surfaces(Part):
@@ -97,18 +123,25 @@ class Surfaces(Part):
 
     @torch.no_grad()
     def start(self, scene: Scene) -> None:
-        """Albedos begin as the points' colors; the near set lies anywhere in the scene's box."""
+        """Albedos begin dark, or as the points' colors; the near set lies anywhere in the scene's box."""
         s, parameters = self._settings, self._model.sets[BASE].parameters
         colors = 0.5 + SH_DC * parameters.tensors["sh_dc"].detach()[:, 0]
         logs = (ALBEDO_UNIT * to_linear(colors)).clamp_min(1e-3).log()
-        parameters.replace("albedo_logs", logs)
+        parameters.replace("albedo_logs", torch.full_like(logs, DARK) if s.rule.shown_first == "sh" else logs)
         self.scope.start(scene)
         if s.near_count:
             low, high = environment_box(scene)
             points = low + torch.rand(s.near_count, 3, generator=self._model.generator) * (high - low)
-            near = self._model.new_set(ENV, points, torch.full_like(points, 0.5))
-            near.parameters.tensors["log_scales"] += 0.5 * math.log(NEAR_SCALE)
-            self._model.sets[ENV] = near
+            self._model.sets[ENV] = self._model.new_set(ENV, points, torch.full_like(points, 0.5))
+
+    def entropy(self, camera: Camera) -> Tensor:
+        """Mean entropy of the opacities that a camera has in view, in nats, scalar."""
+        tensors = self._model.sets[BASE].parameters.tensors
+        shape = tensors["means"], tensors["quaternions"], tensors["log_scales"].exp()
+        seen = in_view(*shape, camera, self._model.near)
+        logits = tensors["opacity_logits"]
+        entropies = functional.softplus(logits) - logits * logits.sigmoid()
+        return (entropies * seen).sum() / seen.sum().clamp_min(1)
 
     def shaded(self, gaussians: GaussianSet, camera: Camera, step: int | None) -> GaussianSet:
         """With roughness, albedo and, in Ref-GS, features as extras, [N, 4] or [N, 8]."""

@@ -18,6 +18,7 @@ Power = Annotated[int, Field(ge=1)]
 Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Amount = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Length = Amount  # world units
+Factor = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Weight = Annotated[float, Field(gt=0, lt=1)]
 Degree = Annotated[int, Field(ge=0, le=3)]  # of spherical harmonics

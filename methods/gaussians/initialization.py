@@ -5,6 +5,7 @@ SciPy's spatial module takes 0.3 s to import: where methods are only listed or c
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -97,17 +98,19 @@ def initial_tensors(
     opacity: float,
     beta: float | None,
     radius: float,
+    scale: float = 1.0,
 ) -> dict[str, Tensor]:
     """`GaussianParameters`' tensors for one primitive at each point.
 
-    Isotropic, with the neighbor distance as scale on its `axes` (2: surfels, 3: 3D Gaussians), one opacity, the
-    point's color from every side, and, where `beta` is given, that blending weight.
+    Isotropic, with `scale` × the neighbor distance as scale on its `axes` (2: surfels, 3: 3D Gaussians), one opacity,
+    the point's color from every side, and, where `beta` is given, that blending weight.
     """
     dc, rest = sh_from_rgb(colors, sh_degree)
+    log_scales = neighbor_distance(points, radius).log() + math.log(scale)
     tensors = {
         "means": points.clone(),
         "quaternions": quaternions,
-        "log_scales": neighbor_distance(points, radius).log()[:, None].repeat(1, axes),
+        "log_scales": log_scales[:, None].repeat(1, axes),
         "opacity_logits": inverse_sigmoid(torch.full_like(points[:, 0], opacity)),
         "sh_dc": dc,
         "sh_rest": rest,

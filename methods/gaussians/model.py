@@ -167,6 +167,7 @@ class GaussianModel:
             opacity=start.opacity,
             beta=start.beta,
             radius=self.radius,
+            scale=start.scale,
         )
         own = start.materials(len(points))
         return self.set_of(name, tensors | {field: values.to(self.device) for field, values in own.items()})

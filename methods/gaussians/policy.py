@@ -67,6 +67,7 @@ class Start:
     Attributes:
         orientation: of `initial_orientation`.
         beta: its blending weight in (0, 1); None in a set without β.
+        scale: its standard deviations, × the distance to its neighbors.
         materials: the fields [count, K] of `count` primitives that are the method's own, by name.
         material_columns: K of each of these.
     """
@@ -76,6 +77,7 @@ class Start:
     beta: float | None = None
     materials: Callable[[int], dict[str, Tensor]] = lambda count: {}
     material_columns: Mapping[str, int] = field(default_factory=dict)
+    scale: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -194,7 +196,7 @@ def base_policy(
     return SetPolicy(
         name=BASE,
         schedule=schedule,
-        start=start,
+        start=replace(start, scale=s.rule.initial_scale),
         rates=rates,
         position_lr=(s.position_lr, s.position_lr_final),
         rotation_lr=(s.rotation_lr, s.rotation_lr_final),

@@ -192,10 +192,12 @@ class RefGSSettings(FeatureMapSettings):
     """Steps are those of the authors' code, whose runs have 31,000."""
 
     recipe: RecipeName = "ref_gs"
+    sh_lr: Rate = 2e-3
+    normal_from: Steps = 700
     perceptual_weight: Amount = 0.0
     warm_up: Steps = 700
     near_count: Limit = 0  # surfels at first of what is mirrored nearby (Ref-DGS); 0: surfaces have features
-    albedo_lr: Rate = 1e-3  # learning rate of the albedos' logarithms
+    albedo_lr: Rate = 5e-4  # learning rate of the albedos' logarithms
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ MIRRORED = TUNED | {
     **{"rotation_lr_final": 3e-4, "normal_weight": 0.04, "normal_from": 7_000},
     **{"mono_weight": 0.05, "map_levels": 7},
 }
+COLORS = {"sh_lr": 2.5e-3, "albedo_lr": 1e-3}
 DIFFERENCES = {
     **{kind: {} for kind in BUILT_IN},
     "2dgs_tuned": TUNED,
@@ -46,12 +47,13 @@ DIFFERENCES = {
     "ref_dgs": {
         "near_count": 50_000,
         "warm_up": 1_050,
+        "normal_from": 1_050,
         "densify_every": 150,
         "opacity_reset_every": 4_500,
         "rules": {"longest_run": 20_000, "densify_from": 750},
     },
-    "ref_gs_tuned": MIRRORED,
-    "ref_dgs_tuned": MIRRORED | {"near_count": 20_000},
+    "ref_gs_tuned": MIRRORED | COLORS,
+    "ref_dgs_tuned": MIRRORED | COLORS | {"near_count": 20_000},
     "rt_splatting_tuned": MIRRORED | {"perceptual_weight": 0.0},
     "envgs_no_joint": {"joint": False},
     "envgs_planes": {"planes": "photographs"},

@@ -114,8 +114,10 @@ def test_initial_primitives(axes):
         opacity=0.1,
         beta=1e-3,
         radius=1.0,
+        scale=0.5,
     )
-    torch.testing.assert_close(tensors["log_scales"], neighbor_distance(points, 1.0).log()[:, None].repeat(1, axes))
+    expected = 0.5 * neighbor_distance(points, 1.0)[:, None].repeat(1, axes)
+    torch.testing.assert_close(tensors["log_scales"].exp(), expected)
     torch.testing.assert_close(tensors["opacity_logits"].sigmoid(), torch.full((20,), 0.1))
     torch.testing.assert_close(tensors["beta_logits"].sigmoid(), torch.full((20, 1), 1e-3))
     assert tensors["sh_rest"].shape == (20, 3, 3)
