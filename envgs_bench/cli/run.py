@@ -57,7 +57,12 @@ def main(arguments: Sequence[str]) -> int:
     options, overrides = parser.parse_known_args(arguments)
     # With an NVIDIA GPU a run begins anew, and has no use of these imports.
     forked = "device=cpu" in overrides or not NVIDIA.exists()
-    if forked and not options.dry_run and not any(one.startswith(ELSEWHERE) for one in overrides):
+    here = not any(one.startswith(ELSEWHERE) for one in overrides)
+    if here and not forked:
+        from envgs_bench.runs.cuda_probe import begin
+
+        begin()
+    elif here and not options.dry_run:
         from envgs_bench.runs.started_run import starter_here
 
         starter_here(ahead=True)  # it imports what runs need, while this process reads and checks what they are

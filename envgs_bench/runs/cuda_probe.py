@@ -39,12 +39,32 @@ def surely_usable() -> int:
     return _asked(os.environ.get(VISIBLE)) if has_driver() else 0
 
 
-@cache  # an answer for each choice of what may be seen
+def begin() -> None:
+    """Have the driver asked while this process does something else: for an answer later, which then takes less."""
+    if has_driver():
+        _probe(os.environ.get(VISIBLE))
+
+
+@cache  # a probe for each choice of what may be seen
+def _probe(visible: str | None) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", __name__],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+@cache
 def _asked(visible: str | None) -> int:
-    command = [sys.executable, "-P", "-m", __name__]
-    with suppress(OSError, subprocess.SubprocessError, ValueError, KeyError, TypeError):
-        answer = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=SECONDS, check=True)
-        found = json.loads(answer.stdout)
+    probe = _probe(visible)
+    try:
+        answer, _ = probe.communicate(timeout=SECONDS)
+    except subprocess.TimeoutExpired:
+        probe.kill()
+        return 0
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        found = json.loads(answer)
         if found["capability"] >= CAPABLE and found["cuda"] >= _cuda_of_torch():
             return int(found["gpus"])
     return 0

@@ -50,12 +50,17 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def asked(machine: Path, cuda: str | None, **variables: str) -> str:
-    """The answer there, of a PyTorch that was built for this version of CUDA."""
+def called(machine: Path, cuda: str | None, *arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Python, called there, with a PyTorch that was built for this version of CUDA."""
     (machine / "torch/version.py").write_text(f"cuda = {cuda!r}")
     kept = {name: value for name, value in os.environ.items() if name != cuda_probe.VISIBLE}
     paths = {"LD_LIBRARY_PATH": str(machine), "PYTHONPATH": str(machine), "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run([sys.executable, "-c", ASK], env=kept | paths | variables, capture_output=True, text=True)
+    return subprocess.run([sys.executable, *arguments], env=kept | paths | variables, capture_output=True, text=True)
+
+
+def asked(machine: Path, cuda: str | None, **variables: str) -> str:
+    """Whether there is a driver, and how many GPUs can be used."""
+    done = called(machine, cuda, "-c", ASK, **variables)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
 
@@ -74,6 +79,15 @@ def test_pytorch_has_to_say_where_kernels_cannot_be_compiled(machine: Path) -> N
     (machine / "cuda/bindings/nvrtc.py").rename(machine / "cuda/bindings/none.py")
     assert asked(machine, "13.0") == "True 0"
     (machine / "cuda/bindings/none.py").rename(machine / "cuda/bindings/nvrtc.py")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the driver's name is Linux'")
+def test_a_run_on_a_gpu_is_planned_without_pytorch(machine: Path, tmp_path: Path) -> None:
+    planned = ["-m", "envgs_bench.cli.main", "run", "--dry-run", "dataset=toy/chrome_room", f"runs_dir={tmp_path}"]
+    done = called(machine, "13.0", *planned, f"cache_dir={tmp_path}")
+    assert (done.returncode, "1 to run" in done.stdout) == (0, True), done.stderr
+    done = called(machine, "13.0", *planned, "device=cuda:2")
+    assert "device=cuda:2: this machine shows 2 GPUs, the last one is cuda:1" in done.stderr
 
 
 def test_the_oldest_gpu_is_the_backends() -> None:
