@@ -107,6 +107,8 @@ RELEASED_RIVALS = [  # method, scene, steps that are trained at most, and settin
     ("ref_gaussian", "ref_real/spheres", 20_000, {"shade_until": 0, "smooth_weight": 0.45}),
     ("ref_gaussian", "shiny_blender/helmet", 50_000, {"smooth_weight": 1.0}),
     ("3igs", "ref_real/toycar", 30_000, {"field_size": 300}),
+    ("ref_gs", "ref_real/toycar", 31_000, {"scope_radius": 0.5, "warm_up": 1_500, "normal_from": 1_500}),
+    ("ref_gs", "ref_real/sedan", 31_000, {"scope_radius": 0.5, "warm_up": 700, "normal_from": 700}),
 ]
 REPLACED = {"envmap_paper": "envmap", "envgs_paper_single_set": "envgs_single_set"}  # name -> kind
 

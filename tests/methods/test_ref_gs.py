@@ -61,6 +61,8 @@ def test_a_pixel_is_its_albedo_and_what_the_network_makes_of_the_map(
     near: dict[str, Any], rules: dict[str, Any]
 ) -> None:
     method = at_random(**near, **rules)
+    with torch.no_grad():
+        method.light.tensors["layer2_bias"] += 0 if rules else 1.4
     shown, drawn = method.render(CAMERA), method.model.rasterize(CAMERA, None)
     solid = drawn.alpha > 0.05
     alpha = drawn.alpha[solid][:, None]
@@ -85,7 +87,7 @@ def test_a_pixel_is_its_albedo_and_what_the_network_makes_of_the_map(
     light = (material[:, 1:4] + layer).detach()
     expected = alpha * torch.from_numpy(srgb.to_srgb(light.clamp_max(1).numpy())).float()
     compared = (light <= 1) | (not rules)  # brighter light is cut by the published rules alone
-    assert compared.float().mean() > 0.9
+    assert 0.1 < (light <= 1).float().mean() < 1
     torch.testing.assert_close(shown.color[solid][compared], expected[compared], atol=2e-4, rtol=1e-4)
 
 
