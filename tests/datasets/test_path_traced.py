@@ -125,7 +125,7 @@ def test_without_mitsuba_it_is_said_what_to_install(tmp_path: Path, monkeypatch:
 
 def test_a_gpu_is_told_to_trace_by_one_thread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Here the CPU takes its place: what it is asked for is the same scene, kept apart from the CPU's own."""
-    told, threads = [], set()
+    told, threads, together = [], set(), threading.Barrier(3, timeout=60)
 
     class Recorded(path_tracer.PathTracer):
         def __init__(
@@ -136,6 +136,8 @@ def test_a_gpu_is_told_to_trace_by_one_thread(tmp_path: Path, monkeypatch: pytes
 
         def light(self, camera: Camera, supersampling: int, seed: int) -> np.ndarray:
             threads.add(threading.get_ident())
+            if told == ["cpu"]:
+                together.wait()  # for one thread a view, or the quickest might take two
             return super().light(camera, supersampling, seed)
 
     monkeypatch.setattr(path_traced, "PathTracer", Recorded)
