@@ -18,10 +18,8 @@ from ..split import validation_of, without_normals
 from ..store.scene_file import on_disk
 from .settings import BlenderSettings
 
-BOX, CAMERAS_OUT = (
-    1.3,
-    4.0,
-)  # half the edge of 3DGS's cube of random points, and NeRF's cameras' distance from its middle
+BOX = 1.3  # half the edge of 3DGS's cube of random points
+CAMERAS_OUT = 4.0  # NeRF's cameras' distance from its middle
 
 
 def make_blender_scene(
