@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
 
 DESCRIPTION = """\
 Train, render, score and time methods on data sets; one folder and one record.json a run.
@@ -41,7 +40,6 @@ Exit status: 0 all runs ok, 1 some not, 2 wrong arguments, 130 interrupted.
 
 # How arguments begin with which this process starts no run itself: Hydra only shows something, or a launcher runs them.
 ELSEWHERE = ("-c", "--cfg", "-i", "--info", "--hydra-help", "--version", "hydra/launcher=", "+hydra/launcher=")
-NVIDIA = Path("/dev/nvidiactl")  # there where Linux has NVIDIA's driver
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -55,17 +53,15 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--dry-run", action="store_true", help="list the runs, those that are done, and the hours left")
     options, overrides = parser.parse_known_args(arguments)
-    # With an NVIDIA GPU a run begins anew, and has no use of these imports.
-    forked = "device=cpu" in overrides or not NVIDIA.exists()
-    here = not any(one.startswith(ELSEWHERE) for one in overrides)
-    if here and not forked:
-        from envgs_bench.runs.cuda_probe import begin
+    if not any(one.startswith(ELSEWHERE) for one in overrides):
+        from envgs_bench.runs.cuda_probe import begin, has_driver
 
-        begin()
-    elif here and not options.dry_run:
-        from envgs_bench.runs.started_run import starter_here
+        if "device=cpu" not in overrides and has_driver():  # on a GPU a run begins anew, without what is imported here
+            begin()
+        elif not options.dry_run:
+            from envgs_bench.runs.started_run import starter_here
 
-        starter_here(ahead=True)  # it imports what runs need, while this process reads and checks what they are
+            starter_here(ahead=True)  # it imports what runs need, while this process reads and checks what they are
     from .application import run
 
     return run(overrides, dry=options.dry_run)

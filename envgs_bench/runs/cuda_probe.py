@@ -40,9 +40,8 @@ def surely_usable() -> int:
 
 
 def begin() -> None:
-    """Have the driver asked while this process does something else: for an answer later, which then takes less."""
-    if has_driver():
-        _probe(os.environ.get(VISIBLE))
+    """Have the driver, which is there, asked while this process does something else: its answer then takes less."""
+    _probe(os.environ.get(VISIBLE))
 
 
 @cache  # a probe for each choice of what may be seen

@@ -36,8 +36,10 @@ def speed(rows: pd.DataFrame, name: str) -> str:
         missed = ", missed" if row["ratio"] > 1 else ""
         lines.append([row["what"], row["size"], row["primitives"], measured + missed, wanted])
     heads = ["what takes time", "pixels", "primitives", "measured", "wanted, at most"]
-    measured_on = sorted({*zip(rows["device"], rows["commit"], strict=True)})
-    places = "; ".join(f"{device}, commit `{commit}`" for device, commit in measured_on)
+    commits = rows.groupby("device")["commit"].unique()  # by the devices' order
+    places = "; ".join(
+        f"{device}, commit {', '.join(f'`{one}`' for one in sorted(own))}" for device, own in commits.items()
+    )
     return f"{as_markdown(heads, lines)}\n*{places}, nothing else on that GPU. Source: `{name}`.*\n"
 
 
