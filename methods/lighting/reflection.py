@@ -228,6 +228,7 @@ class Traced(Light):
 
     Attributes:
         name: that set.
+        behind: what rays see as far as the set lets them pass, a part of its own; None: the background.
     """
 
     def __init__(
@@ -242,6 +243,7 @@ class Traced(Light):
             origin: what the set begins as; None of a set that is there.
         """
         self.name = name
+        self.behind: Light | None = None
         self._model, self._settings, self._origin = model, settings, origin
         self._bvh: Bvh | None = None
 
@@ -252,6 +254,8 @@ class Traced(Light):
     def begin(self) -> None:
         if self._origin is not None:
             self._model.sets[self.name] = self._origin.made(self._model, self.name)
+        if self.behind is not None:
+            self.behind.begin()
 
     def prepare(self) -> None:
         gaussians = self._model.prepared.get(self.name)
@@ -270,10 +274,17 @@ class Traced(Light):
             "backend": self._settings.backend,
         }
         gaussians = self._model.gaussians(self.name, step)
+        statistics: dict[str, Statistics] = {}
         if step is None and not torch.is_grad_enabled():
-            return trace_color(gaussians, origins, directions, **arguments)[0], {}
-        rendering = trace(gaussians, origins, directions, **arguments)
-        return rendering.color, {} if self.name == BASE else {self.name: rendering.statistics}
+            color, alpha = trace_color(gaussians, origins, directions, **arguments)
+        else:
+            rendering = trace(gaussians, origins, directions, **arguments)
+            color, alpha = rendering.color, rendering.alpha
+            if self.name != BASE:
+                statistics[self.name] = rendering.statistics
+        if self.behind is not None:
+            color = color + (1 - alpha)[..., None] * self.behind.color(origins, directions, step)[0]
+        return color, statistics
 
     def _ends(self, beta: Tensor | None) -> Tensor | float:
         """The transmittance [H, W] at which rays end: what is behind would move the pixel by less than can be seen.

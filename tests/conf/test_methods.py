@@ -57,6 +57,7 @@ DIFFERENCES = {
     "rt_splatting_tuned": MIRRORED | {"perceptual_weight": 0.0},
     "envgs_no_joint": {"joint": False},
     "envgs_planes": {"planes": "photographs"},
+    "envgs_far_map": {"rules": {"traced_background": "map"}},
     "2dgs_lean": TUNED | LEAN,
     "3dgs_lean": TUNED | LEAN,
     **{f"{kind}_mcmc": TUNED | {"rules": {"growth": "mcmc"}} for kind in ("2dgs", "3dgs")},

@@ -74,6 +74,46 @@ def test_what_is_behind_the_environment(behind, expected, step):
 
 
 @pytest.mark.parametrize("step", [None, 50])
+def test_a_map_behind_the_environment_shows_as_far_as_a_background_would(step):
+    """Between black and white the background's share is known; the map's color is a mean of eight texels at most."""
+    rays = (
+        torch.zeros(1, 3, 3),
+        torch.nn.functional.normalize(torch.tensor([[[0.1, 0.2, 1.0], [0.9, -0.4, 0.3], [0.3, 0.1, -1.0]]]), dim=-1),
+    )
+    black, white = (seen(facing_a_wall(background=(level,) * 3), *rays, step) for level in (0.0, 1.0))
+    method = facing_a_wall(traced_background="map")
+    logits = torch.tensor([1.5, -0.5, 0.25])
+    method.restore({**method.state(), "texels": logits.expand(6, 16, 16, 3).clone()})
+    method.prepare()
+    torch.testing.assert_close(seen(method, *rays, step), black + (white - black) * logits.sigmoid())
+    first, _, last = (white - black)[0, :, 0].tolist()
+    assert 0 < first < 0.2 < 0.99 < last
+
+
+def test_what_a_map_behind_the_environment_learns_are_differences():
+    method = facing_a_wall(traced_background="map")
+    generator = torch.Generator().manual_seed(0)
+    rays = torch.zeros(4, 4, 3), torch.nn.functional.normalize(torch.randn(4, 4, 3, generator=generator), dim=-1)
+    texels = torch.randn(6, 16, 16, 3, generator=generator)
+    step = torch.randn(texels.shape, generator=generator)
+    method.restore({**method.state(), "texels": texels})
+    seen(method, *rays, 50).sum().backward()
+    learned = float((method.parts["far_map"].texels.grad * step).sum())
+    sums = []
+    for sign in (1, -1):
+        method.restore({**method.state(), "texels": texels + sign * 1e-2 * step})
+        sums.append(float(seen(method, *rays, 50).detach().sum()))
+    assert learned == pytest.approx((sums[0] - sums[1]) / 2e-2, rel=2e-3)
+
+
+def test_a_budget_counts_the_map_behind_the_environment():
+    method = facing_a_wall(traced_background="map")
+    with pytest.raises(ValueError, match=r"besides 1\.18 MB that are no primitives"):
+        method.limit(Budget(mb=1.18))
+    assert method.model_bytes()["env"] == 4 * 6 * 128**2 * 3 + facing_a_wall().model_bytes()["env"]
+
+
+@pytest.mark.parametrize("step", [None, 50])
 def test_hits_nearer_than_the_setting_are_not_drawn(step):
     method = facing_a_wall(traced_near=0.06)
     origins = torch.tensor([[[0.0, 0.0, 3 - 0.059], [0.0, 0.0, 3 - 0.061]]])
@@ -124,7 +164,7 @@ def test_what_would_not_be_seen_is_not_traced(step):
 
 
 def test_an_unknown_background_is_refused():
-    with pytest.raises(ValueError, match="traced_background is 'white', expected 'scene' or 'black'"):
+    with pytest.raises(ValueError, match="traced_background is 'white', expected 'scene', 'black' or 'map'"):
         create_method("envgs", with_rules(traced_background="white"))
 
 
