@@ -41,6 +41,7 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     subprocess.run(built, check=True)
     files = {
         "torch/__init__.py": "raise AssertionError",
+        "cuda/__init__.py": "",  # so that no package of that name that is installed is found beside it
         "cuda/core/__init__.py": "",
         "cuda/bindings/nvrtc.py": "def nvrtcVersion(): pass",
     }
