@@ -97,7 +97,7 @@ def _traced_set(method: GaussianMethod) -> str:
 
 def map_of(method: GaussianMethod) -> CubeMap | None:
     """The cube map that the method learns; None of a method without."""
-    lights: list[object] = [part.map for part in method.parts.values() if isinstance(part, Filtered)]
+    lights: list[object] = [part.map if isinstance(part, Filtered) else part for part in method.parts.values()]
     if method.reflection is not None:
         lights.append(method.reflection.light)
     return next((light for light in lights if isinstance(light, CubeMap)), None)
