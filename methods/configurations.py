@@ -42,7 +42,7 @@ CONFIGURED: Mapping[str, Mapping[str, Any]] = {
     "envgs_paper_no_perceptual": {"order": 47, "variant_of": "envgs_paper", "published": "w/o lpips loss"},
     "envgs_paper_single_set": {"order": 48, "variant_of": "envgs_paper"},
     "envgs_planes": {"order": 49, "label": "EnvGS, planes"},
-    "envgs_far_map": {"order": 50, "label": "EnvGS, far map"},
+    "envgs_far_map": {"order": 41, "label": "EnvGS, far map"},
     "envgs_single_set": {"variant_of": "envgs"},
     "ref_gs": {"published": "Ref-GS"},
     "ref_gs_tuned": {"order": 101},
