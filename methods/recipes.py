@@ -73,7 +73,7 @@ class Rules:
 
     traced_sh_direction: Literal["center", "ray"] = "center"  # along which a color is seen: to its center, or the ray
     traced_near: Length = 0.0  # hits nearer to a reflected ray's start are not drawn, world units
-    traced_background: Literal["scene", "black", "map"] = "scene"  # what reflected rays see behind all; a cube map
+    traced_background: Literal["scene", "black", "map"] = "scene"  # what reflected rays see behind all; map: a cube map
     env_from_points: bool = True  # environment primitives start at the scene's points too
     env_initial_opacity: Share = 0.05  # opacity that these start with
     env_sh_from: Steps = 0  # step up to which the environment's color is the same from everywhere, SH degree 0
