@@ -75,7 +75,7 @@ def test_what_is_behind_the_environment(behind, expected, step):
 
 @pytest.mark.parametrize("step", [None, 50])
 def test_a_map_behind_the_environment_shows_as_far_as_a_background_would(step):
-    """Between black and white the background's share is known; the map's color is a mean of eight texels at most."""
+    """Between black and white the background's share is known; the map has one color."""
     rays = (
         torch.zeros(1, 3, 3),
         torch.nn.functional.normalize(torch.tensor([[[0.1, 0.2, 1.0], [0.9, -0.4, 0.3], [0.3, 0.1, -1.0]]]), dim=-1),
