@@ -18,17 +18,16 @@ from .gaussians.model import GaussianModel
 from .gaussians.policy import Resets, SetPolicy, regular
 from .gaussians.trained_set import TrainedSet
 from .lighting.disturbance import Disturbance, reflecting_policy
-from .lighting.light_map import CubeMap
+from .lighting.light_map import far_map
 from .lighting.planes import Planes
 from .lighting.reflection import BaseCopy, Origin, Reflection, Traced
-from .lighting.settings import EnvGSSettings, EnvMapSettings
+from .lighting.settings import EnvGSSettings
 from .training.pilot_run import SHORTEST_RUN
 from .training.reflection_pilot import PLAIN, WARM_UP, ReflectionOutcome, reflection_pilot
 from .training.schedule import ENV_RESET_FLOOR, RECOVERY, Schedule
 
 REFLECTION = "reflection"  # in `found`: what the pilot run on reflections has shown
 PLANES = "planes"  # in `parts`: flat mirrors and panes
-FAR_MAP = "far_map"  # in `parts`: what reflected rays see that pass the environment
 PER_CELL = 5  # K: random primitives in each cell of the box
 BOX_QUANTILE = 0.995  # share of the points' range, on each axis, that the box covers
 FAR = 4.0  # radius of a sphere around the box that primitives start on too, × half its diagonal
@@ -73,9 +72,8 @@ def compose(method: EnvGS, settings: EnvGSSettings) -> None:
     light = Traced(method.model, settings, ENV, origin)
     method.reflection = Reflection(method.model, settings, light)
     method.parts = {"reflection": method.reflection, "disturbance": Disturbance(method.model, settings)}
-    if settings.rule.traced_background == "map" and not is_plain(method):
-        far = EnvMapSettings()
-        light.behind = method.parts[FAR_MAP] = CubeMap(method.model, far, far.envmap_doublings)
+    if not is_plain(method):
+        method.parts |= far_map(method.model, settings, light)
     if settings.planes != "none":
         planes = method.parts[PLANES] = Planes(method.model, settings)
         method.reflection.over = planes.over

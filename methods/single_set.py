@@ -12,6 +12,7 @@ from envgs_bench.parts import BASE, MethodCard
 from .gaussian_method import GaussianMethod
 from .gaussians.policy import SetPolicy
 from .lighting.disturbance import Disturbance, reflecting_policy
+from .lighting.light_map import far_map
 from .lighting.reflection import Reflection, Traced
 from .lighting.settings import ReflectionSettings
 from .training.schedule import Schedule
@@ -32,8 +33,10 @@ class SingleSet(GaussianMethod):
 
     def __init__(self, settings: ReflectionSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        self.reflection = Reflection(self.model, settings, Traced(self.model, settings, BASE))
+        light = Traced(self.model, settings, BASE)
+        self.reflection = Reflection(self.model, settings, light)
         self.parts = {"reflection": self.reflection, "disturbance": Disturbance(self.model, settings)}
+        self.parts |= far_map(self.model, settings, light)
 
     def policies(self, schedule: Schedule, scene: Scene | None) -> dict[str, SetPolicy]:
         return {BASE: reflecting_policy(self.settings, schedule, scene)}

@@ -22,6 +22,7 @@ def test_a_method_that_conforms_passes() -> None:
         ("envgs", {"env_grid": 4}),
         ("envgs", {"env_grid": 4, "warm_up": 9_000, "rules": {"traced_background": "map"}}),
         ("envgs_single_set", {}),
+        ("envgs_single_set", {"warm_up": 9_000, "rules": {"traced_background": "map"}}),
         ("3dgs_dr", {"envmap_size": 16}),
         ("ref_gaussian", {"envmap_size": 16}),
         ("gaussian_shader", {"envmap_size": 16}),

@@ -16,11 +16,12 @@ from ..training.optimizer import adam, optimizer_state, restore_optimizer
 from ..training.schedule import Part
 from .cubemap import layout_of, resized_cubemap, sample_cubemap
 from .prefiltered_cubemap import RoughMap, prefilter_of, rough_map
-from .reflection import Light
-from .settings import MapSettings
+from .reflection import Light, Traced
+from .settings import EnvMapSettings, MapSettings, ReflectionSettings
 
 RANDOM_LOGIT = 5.0  # largest magnitude of a random map's (3DGS-DR)
 DOUBLES_AT = (7_500, 13_500, 21_000)  # steps of a run of 30,000
+FAR_MAP = "far_map"  # in a method's `parts`: what reflected rays see that pass what they are traced through
 
 
 class CubeMap(Light):
@@ -158,3 +159,12 @@ class Filtered(Part):
 
     def _filtered(self) -> RoughMap:
         return rough_map(self.map.colors, prefilter_of(self.map.texels.shape[1], self.map.texels.device))
+
+
+def far_map(model: GaussianModel, settings: ReflectionSettings, light: Traced) -> dict[str, CubeMap]:
+    """The part behind what is traced, put there where `traced_background` is "map"; none where it is not."""
+    if settings.rule.traced_background != "map":
+        return {}
+    far = EnvMapSettings()
+    light.behind = CubeMap(model, far, far.envmap_doublings)
+    return {FAR_MAP: light.behind}

@@ -73,15 +73,16 @@ def test_what_is_behind_the_environment(behind, expected, step):
     assert away[0, 0].tolist() == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("kind", ["envgs", "envgs_single_set"])
 @pytest.mark.parametrize("step", [None, 50])
-def test_a_map_behind_the_environment_shows_as_far_as_a_background_would(step):
+def test_a_map_behind_what_is_traced_shows_as_far_as_a_background_would(step, kind):
     """Between black and white the background's share is known; the map has one color."""
     rays = (
         torch.zeros(1, 3, 3),
         torch.nn.functional.normalize(torch.tensor([[[0.1, 0.2, 1.0], [0.9, -0.4, 0.3], [0.3, 0.1, -1.0]]]), dim=-1),
     )
-    black, white = (seen(facing_a_wall(background=(level,) * 3), *rays, step) for level in (0.0, 1.0))
-    method = facing_a_wall(traced_background="map")
+    black, white = (seen(facing_a_wall(background=(level,) * 3, kind=kind), *rays, step) for level in (0.0, 1.0))
+    method = facing_a_wall(kind=kind, traced_background="map")
     logits = torch.tensor([1.5, -0.5, 0.25])
     method.restore({**method.state(), "texels": logits.expand(6, 16, 16, 3).clone()})
     method.prepare()
@@ -90,8 +91,9 @@ def test_a_map_behind_the_environment_shows_as_far_as_a_background_would(step):
     assert 0 < first < 0.2 < 0.99 < last
 
 
-def test_what_a_map_behind_the_environment_learns_are_differences():
-    method = facing_a_wall(traced_background="map")
+@pytest.mark.parametrize("kind", ["envgs", "envgs_single_set"])
+def test_what_a_map_behind_what_is_traced_learns_are_differences(kind):
+    method = facing_a_wall(kind=kind, traced_background="map")
     generator = torch.Generator().manual_seed(0)
     rays = torch.zeros(4, 4, 3), torch.nn.functional.normalize(torch.randn(4, 4, 3, generator=generator), dim=-1)
     texels = torch.randn(6, 16, 16, 3, generator=generator)
