@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
-from contextlib import suppress
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
+
+PATIENCE = 0.5  # seconds until a process that waits for another one looks again
 
 
 def lock(handle: int, shared: bool = False) -> None:
@@ -55,3 +59,27 @@ def removed(path: Path, handle: int) -> None:
     with suppress(OSError):
         path.unlink()
     os.close(handle)
+
+
+@contextmanager
+def one_at_a_time(path: Path, waiting: Callable[[], object] = lambda: None) -> Iterator[None]:
+    """A block that one process is in at a time, of those that share the lock file `path`; the others wait.
+
+    A lock ends with its process. Where there can be none, as nothing can be written there, nobody waits.
+
+    Args:
+        waiting: called whenever another process is found in the block.
+    """
+    handle = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        while (handle := locked_file(path)) is None:
+            waiting()
+            time.sleep(PATIENCE)
+    except OSError:
+        pass
+    try:
+        yield
+    finally:
+        if handle is not None:
+            removed(path, handle)

@@ -5,21 +5,18 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from envgs_bench.core import Scene
-from envgs_bench.file_lock import locked_file, removed
+from envgs_bench.file_lock import one_at_a_time
 
 from ..notes import collecting, note
 from ..progress import report
 from .scene_file import LAYOUT, GrowingFile, read_scene
-
-PATIENCE = 0.5  # seconds until a process looks again whether another one has made its scene
 
 
 def cached_scene(cache_dir: Path, name: str, key: Mapping[str, Any], make: Callable[[], Scene]) -> Scene:
@@ -40,11 +37,15 @@ def cached_scene(cache_dir: Path, name: str, key: Mapping[str, Any], make: Calla
     path = cache_dir / "scenes" / f"{re.sub(r'[^A-Za-z0-9._-]+', '-', name)}-{digest}.scene"
     scene = _stored(path)
     if scene is None:
-        with _one_at_a_time(path):
+        with one_at_a_time(path.with_suffix(".lock"), _say_that_it_waits):
             scene = _stored(path)  # that another process made meanwhile
             if scene is None:
                 scene = _made(path, make)
     return scene
+
+
+def _say_that_it_waits() -> None:
+    report("waiting for another process that makes this scene", 0, 1)
 
 
 def _stored(path: Path) -> Scene | None:
@@ -73,24 +74,3 @@ def _made(path: Path, make: Callable[[], Scene]) -> Scene:
         except OSError as error:
             warnings.warn(f"the scene could not be cached in {path.parent}: {error}", stacklevel=3)
             return scene
-
-
-@contextmanager
-def _one_at_a_time(path: Path) -> Iterator[None]:
-    """A block that one process is in at a time, of those that share the file `path`; the others wait.
-
-    A lock ends with its process. Where there can be none, as nothing can be written there, nobody waits.
-    """
-    lock, handle = path.with_suffix(".lock"), None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        while (handle := locked_file(lock)) is None:
-            report("waiting for another process that makes this scene", 0, 1)
-            time.sleep(PATIENCE)
-    except OSError:
-        pass
-    try:
-        yield
-    finally:
-        if handle is not None:
-            removed(lock, handle)

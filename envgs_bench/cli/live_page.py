@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
-from envgs_bench.file_lock import lock
+from envgs_bench.file_lock import one_at_a_time
 
 PAGE_VARIABLE = "ENVGS_BENCH_PAGE"  # the folder, for all processes that run jobs of this call
 LOADS_AGAIN = '<meta http-equiv="refresh" content="5">'
@@ -41,7 +39,7 @@ def renew_page(runs_dir: Path, under_way: Callable[[], str]) -> None:
     try:
         from envgs_bench.reports import build_report
 
-        with _alone(folder):
+        with one_at_a_time(folder / "page.lock"):
             build_report(runs_dir, folder, under_way=under_way())
     except Exception as error:
         print(f"the page in {folder} could not be written: {error}", file=sys.stderr)
@@ -57,19 +55,3 @@ def end_page(runs_dir: Path) -> Path | None:
             page.unlink()
     os.environ.pop(PAGE_VARIABLE, None)
     return page if folder and page.is_file() else None
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Within, no other process renews the page."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        while True:
-            try:
-                lock(handle)
-                break
-            except BlockingIOError:
-                time.sleep(0.1)
-        yield
-    finally:
-        os.close(handle)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from fakes.runs import run_here, set_environment
 
 from envgs_bench import reports
+from envgs_bench.cli.live_page import PAGE_VARIABLE, renew_page
 
 WAITING = "1 of 2 runs have ended: this page fills as the others do."
 
@@ -59,3 +62,30 @@ def test_a_page_that_cannot_be_written_stops_no_run(
     assert run_here(tmp_path / "runs", f"page={tmp_path / 'page'}") == 0
     assert f"the page in {tmp_path / 'page'} could not be written: division by zero" in capsys.readouterr().err
     assert not (tmp_path / "page" / "index.html").exists()
+
+
+def test_of_two_that_renew_a_page_one_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(PAGE_VARIABLE, str(tmp_path))
+    monkeypatch.setattr("envgs_bench.file_lock.PATIENCE", 0.01)
+    first, other, steps = threading.Event(), threading.Event(), []
+
+    def build(_: Path, __: Path, under_way: str) -> None:
+        steps.append(under_way)
+        first.set()
+        other.wait(0.2)  # it never comes as long as this one writes
+        steps.append(under_way)
+
+    def come() -> str:
+        other.set()
+        return "second"
+
+    def second() -> None:
+        assert first.wait(20)
+        renew_page(tmp_path, come)
+
+    monkeypatch.setattr(reports, "build_report", build)
+    with ThreadPoolExecutor(2) as pool:
+        for ended in [pool.submit(renew_page, tmp_path, lambda: "first"), pool.submit(second)]:
+            ended.result()
+    assert steps == ["first", "first", "second", "second"]
+    assert list(tmp_path.iterdir()) == []  # no lock is left

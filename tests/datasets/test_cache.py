@@ -141,7 +141,7 @@ def test_views_are_on_disk_as_soon_as_they_are_made(tmp_path: Path) -> None:
 def test_of_two_that_ask_at_once_one_makes_the_scene_and_the_other_waits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("envgs_bench.datasets.store.cache.PATIENCE", 0.01)
+    monkeypatch.setattr("envgs_bench.file_lock.PATIENCE", 0.01)
     scene, begun, told, makings = tiny_scene(), threading.Event(), threading.Event(), []
 
     def make() -> Scene:
