@@ -24,9 +24,10 @@ GIVEN = {  # what a method may use of the data besides photographs, poses and po
 }
 LOSSES = {MONO: "L_mono", PERCEPTUAL: "L_perc"}  # what cannot be had everywhere, as the paper writes it (Eq. 11)
 
-# Names of what takes torch to import: for whoever lists them.
+# What takes torch to import where it is used: for whoever lists or asks for it without.
 PROTOCOL_NAMES = ("envgs", "strict", "inria", "nerfbaselines", "color_corrected", "dists")
 LAYOUT_NAMES = ("ply", "compact", "spz", "sog", "compressed-ply", "ply-two-scales")
+OLDEST_GPU = (8, 0)  # the compute capability that the cuda backend needs at least: warp-wide integer reductions
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from envgs_bench.parts import OLDEST_GPU
+
 VISIBLE = "CUDA_VISIBLE_DEVICES"
 DRIVER = "libcuda.so.1"
-CAPABLE = [8, 0]  # the oldest compute capability that the cuda backend draws on
 CAPABILITY = (75, 76)  # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR and _MINOR of the driver API
 SECONDS = 30.0  # time limit: a driver that nobody uses takes several to wake up
 
@@ -64,7 +65,7 @@ def _asked(visible: str | None) -> int:
         return 0
     with suppress(OSError, ValueError, KeyError, TypeError):
         found = json.loads(answer)
-        if found["capability"] >= CAPABLE and found["cuda"] >= _cuda_of_torch():
+        if tuple(found["capability"]) >= OLDEST_GPU and found["cuda"] >= _cuda_of_torch():
             return int(found["gpus"])
     return 0
 

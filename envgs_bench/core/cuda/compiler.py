@@ -14,7 +14,8 @@ from typing import Any
 
 import torch
 
-OLDEST_CAPABILITY = (8, 0)  # warp-wide integer reductions
+from envgs_bench.parts import OLDEST_GPU
+
 FOLDER = Path(__file__).parent
 _folder: Path | None = None
 OPTIONS = {"std": "c++17", "ftz": True, "prec_div": False, "prec_sqrt": False}
@@ -27,8 +28,9 @@ def why_unavailable() -> str | None:
     if not torch.cuda.is_available():
         return "PyTorch sees no CUDA device; check the driver with nvidia-smi"
     capability = torch.cuda.get_device_capability()
-    if capability < OLDEST_CAPABILITY:
-        return f"the GPU has compute capability {capability[0]}.{capability[1]}, 8.0 or newer is needed"
+    if capability < OLDEST_GPU:
+        has, needed = ("{}.{}".format(*pair) for pair in (capability, OLDEST_GPU))
+        return f"the GPU has compute capability {has}, {needed} or newer is needed"
     try:
         cuda_core()
         from cuda.bindings import nvrtc
