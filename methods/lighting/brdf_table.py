@@ -50,7 +50,7 @@ def _slanted(cosine: Tensor, alpha: Tensor) -> Tensor:
 
 
 def specular_weight(reflectance: Tensor, cosine: Tensor, roughness: Tensor) -> Tensor:
-    """F₀·scale + bias, bilinear in the table; differentiable in all three.
+    """F₀·scale + bias, bilinear in the table, NaN where given NaN; differentiable in all three.
 
     Args:
         reflectance: F₀ [..., C], what the surface reflects head-on.
@@ -58,7 +58,7 @@ def specular_weight(reflectance: Tensor, cosine: Tensor, roughness: Tensor) -> T
     """
     table = brdf_table(cosine.device)
     row, column = cosine.clamp(0, 1) * (SIZE - 1), roughness.clamp(0, 1) * (SIZE - 1)
-    row0, column0 = (place.detach().floor().clamp_max(SIZE - 2) for place in (row, column))
+    row0, column0 = (place.detach().floor().nan_to_num(0.0).clamp_max(SIZE - 2) for place in (row, column))
     down, right = (row - row0)[..., None], (column - column0)[..., None]
     corner = row0.long() * SIZE + column0.long()
     flat = table.reshape(-1, 2).to(cosine.dtype)

@@ -51,7 +51,7 @@ def sample_cubemap(texels: Tensor, directions: Tensor, layout: CubemapLayout) ->
 
     Args:
         texels: [6, S, S, C].
-        directions: [R, 3], of any length; at length 0 the lookup has a value, but no meaning.
+        directions: [R, 3], of any length; at length 0 the lookup has a value, but no meaning. NaN where one is NaN.
         layout: that of maps with S texels an edge.
 
     Returns:
@@ -101,8 +101,7 @@ def _four_texels(directions: Tensor, layout: CubemapLayout, size: int) -> tuple[
     face, column, row = _face_coordinates(directions, layout.axes, layout.signs)
     x = (column + 1) * (size / 2) + 0.5  # in the padded face, whose texel i has its center at i
     y = (row + 1) * (size / 2) + 0.5
-    x0 = x.detach().floor().clamp(0, size)
-    y0 = y.detach().floor().clamp(0, size)
+    x0, y0 = (place.detach().floor().nan_to_num(0.0).clamp(0, size) for place in (x, y))
     corner = (face * (size + 2) + y0.long()) * (size + 2) + x0.long()
     index = torch.stack([corner, corner + 1, corner + size + 2, corner + size + 3])
     return layout.around.reshape(-1)[index], (x - x0)[:, None], (y - y0)[:, None]

@@ -32,7 +32,7 @@ def all_levels(texels: Tensor) -> Tensor:
 
 
 def looked_up(texels: Tensor, directions: Tensor, roughness: Tensor, levels: int) -> Tensor:
-    """The map's values [R, C], trilinear; differentiable in texels, directions and roughness.
+    """The map's values [R, C], trilinear, NaN where given NaN; differentiable in texels, directions and roughness.
 
     Args:
         texels: [T, C] of `all_levels`, whose first level has 2^levels rows.
@@ -44,7 +44,7 @@ def looked_up(texels: Tensor, directions: Tensor, roughness: Tensor, levels: int
     around = torch.atan2(torch.where(polar, 0.0, y), torch.where(polar, 1.0, x)) / (2 * math.pi) + 0.5
     down = z.clamp(-1 + AT_POLE, 1 - AT_POLE).acos() / math.pi
     level = roughness.clamp(0, 1) * levels
-    finer = level.detach().floor().clamp(0, levels - 1)
+    finer = level.detach().floor().nan_to_num(0.0).clamp(0, levels - 1)
     own, coarser = (_bilinear(texels, around, down, (finer + step).long(), levels) for step in (0, 1))
     return torch.lerp(own, coarser, (level - finer)[:, None])
 
@@ -53,7 +53,7 @@ def _bilinear(texels: Tensor, around: Tensor, down: Tensor, level: Tensor, level
     """The value of one level at places in [0, 1], [R, C]."""
     rows = 2 ** (levels - level)
     x, y = around * (2 * rows) - 0.5, down * rows - 0.5
-    left, top = x.detach().floor(), y.detach().floor()
+    left, top = (place.detach().floor().nan_to_num(0.0) for place in (x, y))
     first = _first_texels(levels, texels.device)[level]
     corners = []
     for row in (top.long(), top.long() + 1):

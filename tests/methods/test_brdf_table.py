@@ -48,3 +48,11 @@ def test_no_surface_reflects_more_than_it_receives() -> None:
 def test_the_lookup_is_differentiable_in_all() -> None:
     values = [torch.rand(6, *shape, dtype=torch.float64, requires_grad=True) for shape in ((3,), (), ())]
     assert torch.autograd.gradcheck(specular_weight, values, atol=1e-6)
+
+
+def test_what_is_not_a_number_is_looked_up_without_an_error() -> None:
+    """A step replayed from a graph that lacked room shows NaN: an index made of it would end a GPU's run."""
+    spoiled, sound = torch.tensor([0.5, torch.nan, 0.5]), torch.full((3,), 0.5)
+    for cosine, roughness in ((spoiled, sound), (sound, spoiled)):
+        found = specular_weight(torch.full((3, 1), 0.04), cosine, roughness)[:, 0]
+        assert found.isnan().tolist() == [False, True, False]

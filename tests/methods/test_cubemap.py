@@ -115,3 +115,12 @@ def test_a_resized_map_shows_the_same():
         assert (
             resized - smooth(texel_directions(larger).double())
         ).abs().max() < 9 / size**2  # h²/8·f″ along either axis
+
+
+@pytest.mark.parametrize("value", [torch.nan, torch.inf])
+def test_what_is_not_a_number_is_looked_up_without_an_error(value: float):
+    """A step replayed from a graph that lacked room shows NaN: an index made of it would end a GPU's run."""
+    directions = random_directions(3)
+    directions[1] = value
+    found = sample_cubemap(torch.rand(6, 4, 4, 2, dtype=torch.float64), directions, layout_of(4))
+    assert found.isnan().all(dim=1).tolist() == [False, True, False]

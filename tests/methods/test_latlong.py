@@ -63,3 +63,12 @@ def test_gradients_are_finite_differences_and_finite_at_the_poles() -> None:
     looked_up(flat, poles, roughness[:3], LEVELS).sum().backward()
     assert poles.grad is not None
     assert poles.grad.isfinite().all()
+
+
+@pytest.mark.parametrize("spoiled", ["directions", "roughness"])
+def test_what_is_not_a_number_is_looked_up_without_an_error(spoiled: str) -> None:
+    """A step replayed from a graph that lacked room shows NaN: an index made of it would end a GPU's run."""
+    along, roughness = directions(3), torch.full((3,), 0.4, dtype=torch.float64)
+    (along if spoiled == "directions" else roughness)[1] = torch.nan
+    found = looked_up(all_levels(texels()), along, roughness, LEVELS)
+    assert found.isnan().all(dim=1).tolist() == [False, True, False]
