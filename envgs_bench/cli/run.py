@@ -56,9 +56,9 @@ def main(arguments: Sequence[str]) -> int:
     if not any(one.startswith(ELSEWHERE) for one in overrides):
         from envgs_bench.runs.cuda_probe import begin, has_driver
 
-        if "device=cpu" not in overrides and has_driver():  # on a GPU a run begins anew, without what is imported here
+        if "device=cpu" not in overrides and has_driver():
             begin()
-        elif not options.dry_run:
+        if not options.dry_run:
             from envgs_bench.runs.started_run import starter_here
 
             starter_here(ahead=True)  # it imports what runs need, while this process reads and checks what they are

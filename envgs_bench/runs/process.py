@@ -45,7 +45,7 @@ def _run_placed(
     folder: Path, settings: RunSettings, run_lock: RunLock, place: Place, display: Display, interruption: Interruption
 ) -> None:
     draft = Draft(folder, settings)
-    process = StartedRun(folder, settings.device, run_lock.handle, place.environment, place.handles)
+    process = StartedRun(folder, run_lock.handle, place.environment, place.handles)
     log = BoundedLog(process.stderr, folder)
     listener = _Listener(process, run_lock, display, draft)
     try:

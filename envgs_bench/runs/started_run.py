@@ -76,13 +76,10 @@ class StartedRun:
         returncode: how it ended, as of subprocess.Popen; None as long as that is not known.
     """
 
-    def __init__(
-        self, folder: Path, device: str, lock: int, environment: Mapping[str, str], handles: tuple[int, ...]
-    ) -> None:
+    def __init__(self, folder: Path, lock: int, environment: Mapping[str, str], handles: tuple[int, ...]) -> None:
         """Start it on the run in `folder`.
 
         Args:
-            device: "cpu" or "cuda", which it runs on.
             lock: the open file of the run's lock, which the process keeps until it ends, and nothing that it starts.
             environment: what its environment has besides this process's.
             handles: other open files that it keeps.
@@ -95,8 +92,7 @@ class StartedRun:
         self.stdout, self.stderr = (os.fdopen(read, "rb") for read, _ in outputs)
         try:
             given = {**os.environ, **environment}
-            forked = FORKS and device == "cpu"
-            Request(str(folder), os.getcwd(), given, forked, (*ends, lock, *handles)).send(self._starter.channel)
+            Request(str(folder), os.getcwd(), given, FORKS, (*ends, lock, *handles)).send(self._starter.channel)
         except OSError:
             pass  # it has ended, which is found below
         finally:

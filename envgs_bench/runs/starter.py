@@ -3,7 +3,7 @@
 `python -m envgs_bench.runs.starter <socket>`, started by the process whose jobs it serves (`started_run.py`), which it
 ends with. It imports before its first fork, or at once where it is told to. Of a request it makes a run's process, says
 its number, and says how it ended, one after the other. A fork costs a hundredth of the imports. No GPU is looked at
-here, and a run on one is started anew: forks were tried on CPUs.
+here: a process that has done so can fork none that uses one.
 """
 
 from __future__ import annotations

@@ -46,10 +46,10 @@ def test_what_is_imported_asks_for_no_gpu_and_starts_no_thread() -> None:
     assert result.stdout == "[] 1\n", result.stderr
 
 
-def ended(folder: Path, device: str) -> tuple[int, str]:
+def ended(folder: Path) -> tuple[int, str]:
     """How a run in `folder` ended, and what it said."""
     lock = os.open(folder / "lock.json", os.O_RDWR | os.O_CREAT)
-    run = StartedRun(folder, device, lock, {}, ())
+    run = StartedRun(folder, lock, {}, ())
     os.close(lock)
     said = run.stderr.read().decode()
     return run.wait(60), said
@@ -57,9 +57,10 @@ def ended(folder: Path, device: str) -> tuple[int, str]:
 
 def test_one_process_starts_all_runs_of_a_job_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(started_run, "_starter", None)
-    for name, device in (("first", "cpu"), ("second", "cpu"), ("anew", "cuda")):
+    for name in ("first", "second", "anew"):
+        monkeypatch.setattr(started_run, "FORKS", started_run.FORKS and name != "anew")
         (tmp_path / name).mkdir()
-        code, said = ended(tmp_path / name, device)
+        code, said = ended(tmp_path / name)
         assert code == 1
         assert str(tmp_path / name / "config.yaml") in said
         starter = started_run.starter_here()
@@ -71,16 +72,17 @@ def test_one_process_starts_all_runs_of_a_job_process(tmp_path: Path, monkeypatc
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere nothing is forked, nor imported ahead")
-@pytest.mark.parametrize(("ahead", "device"), [(False, "cuda"), (False, "cpu"), (True, "cuda")])
+@pytest.mark.parametrize(("ahead", "forks"), [(False, False), (False, True), (True, False)])
 def test_no_run_that_begins_anew_waits_for_imports(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ahead: bool, device: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ahead: bool, forks: bool
 ) -> None:
     monkeypatch.setattr(started_run, "_starter", None)
+    monkeypatch.setattr(started_run, "FORKS", forks)
     starter = started_run.starter_here(ahead)
-    ended(tmp_path, device)
+    ended(tmp_path)
     libraries = Path(f"/proc/{starter.process.pid}/maps").read_text()
     starter.end()
-    assert ("libtorch" in libraries) == (ahead or device == "cpu")
+    assert ("libtorch" in libraries) == (ahead or forks)
 
 
 def test_a_run_is_found_by_its_folder_and_ends_with_its_starter(tmp_path: Path, start: Start) -> None:
