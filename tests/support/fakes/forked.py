@@ -28,9 +28,7 @@ def forked_processes() -> AbstractContextManager[object]:
 class _Forked(subprocess.Popen[bytes]):
     """A `StartedRun` without a starter: its command is never executed, its process does the work."""
 
-    def __init__(
-        self, folder: Path, device: str, lock: int, environment: Mapping[str, str], handles: tuple[int, ...]
-    ) -> None:
+    def __init__(self, folder: Path, lock: int, environment: Mapping[str, str], handles: tuple[int, ...]) -> None:
         own = {RUN_VARIABLE: str(folder), JOB_VARIABLE: str(os.getpid()), LOCK_VARIABLE: str(lock)}
         kept = (lock, *handles)
         super().__init__(
