@@ -32,7 +32,7 @@ from .training.frame_graphs import Pictures
 from .training.losses import TrainingLoss, lacking_normals
 from .training.resident_views import ResidentViews
 from .training.schedule import Part, Schedule
-from .training.seen_through_pilot import learned_normals
+from .training.seen_through_pilot import NORMALS, learned_normals
 from .training.step_runner import StepRunner, Work, parameters_of
 
 
@@ -174,7 +174,7 @@ class GaussianMethod(Method):
         schedule = Schedule(steps, s.rule.stretches, s.rule.reference_steps)
         pilot = partial(fresh, self, s.ruled(normals="as_given"))  # whose views agree already
         learned = learned_normals(scene, steps, self.needs.agreed_normals, self.found, pilot)
-        if not s.normals_of_glass:
+        if not s.normals_of_glass and NORMALS not in self.found:
             learned = learned.outside_glass(scene)
         self.notes = list(learned.notes)
         self.runner.loss = TrainingLoss(s, schedule, learned.weight)

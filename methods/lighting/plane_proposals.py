@@ -31,6 +31,7 @@ CANDIDATES = 400  # directions that normals are counted around
 DISTANCES, FINER = 40, 17  # from the cameras to a plane: in geometric progression, and around the best
 NEAREST, FARTHEST = 0.02, 4.0  # of these, × scene radius
 AGREEMENT = 0.35  # of what either of two views has in the plane, the part that both must have
+FEW = 0.1  # as many of a plane's pixels count as if one view alone had them
 CELLS, MOSTLY = 32, 0.7  # along each side of a plane's region; share of the views of a cell that have it in theirs
 PIXELS, FITTED, RATE = 40_000, 150, 5e-3  # of the fit to regions: pixels, steps, and × scene radius what moves in one
 TURN = 0.1  # what a radian away from the normals costs, squared, in shares of the pixels
@@ -159,7 +160,11 @@ def _hits(camera: Camera, direction: Tensor, heights: Tensor) -> tuple[Tensor, T
 
 
 def _agreements(seen: Sequence[_Seen], members: Sequence[Tensor], direction: Tensor, heights: Tensor) -> Tensor:
-    """Of what either of two views shows of a plane, in the picture of both, the share that both do, [D]."""
+    """Of what either of two views shows of a plane, in the picture of both, the share that both do, [D].
+
+    A share of few pixels counts less: of a plane close to the cameras two views show the same hardly anywhere, but
+    agree there.
+    """
     both, either = torch.zeros(len(heights)), torch.zeros(len(heights))
     for index, (each, own) in enumerate(zip(seen, members, strict=True)):
         points, met = _hits(each.camera, direction, heights)
@@ -173,7 +178,8 @@ def _agreements(seen: Sequence[_Seen], members: Sequence[Tensor], direction: Ten
             theirs = members[other][row.clamp(0, rows - 1), column.clamp(0, columns - 1)]
             both += (own & theirs & shown).sum((1, 2))
             either += ((own | theirs) & shown).sum((1, 2))
-    return both / either.clamp_min(1)
+    few = FEW * sum(int(own.sum()) for own in members)
+    return both / (either + few).clamp_min(1)
 
 
 def _bounds(seen: Sequence[_Seen], members: Sequence[Tensor], direction: Tensor, height: float) -> Rectangle | None:

@@ -6,6 +6,7 @@ Each is trained from the start, for as many steps whatever the run's length, on 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -23,10 +24,10 @@ SHORTEST_RUN = 2_000  # steps of a run that can afford a pilot run
 
 
 def smaller(view: View) -> View:
-    """The view with at most PIXELS pixels, by area averaging, of what training reads of it."""
+    """The view with at most PIXELS pixels, by area averaging: its image and its normals, without any masks."""
     shrink = math.sqrt(PIXELS / (view.camera.width * view.camera.height))
     if shrink >= 1:
-        return view
+        return replace(view, masks={})
     width, height = (max(1, int(shrink * size)) for size in (view.camera.width, view.camera.height))
 
     def averaged(pixels: Tensor) -> Tensor:

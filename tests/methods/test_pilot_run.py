@@ -18,7 +18,9 @@ def test_views_are_made_small_by_area(size: tuple[int, int], expected: tuple[int
     camera = tiny_scene().train[0].camera.resized(width, height)
     image = torch.arange(width).expand(height, width)[..., None].expand(-1, -1, 3) * 255 / width
     normal = torch.tensor([0.0, 0.6, 0.8]).expand(height, width, 3)
-    small = smaller(View("view", camera, image.byte(), normal=normal))
+    mask = torch.ones(height, width, dtype=torch.bool)
+    small = smaller(View("view", camera, image.byte(), {"transmissive": mask}, normal))
+    assert not small.masks  # of any size: what masks say of glass, a pilot run finds out
     assert (small.camera.width, small.camera.height) == expected
     assert small.image.shape == (expected[1], expected[0], 3)
     assert expected[0] * expected[1] <= PIXELS

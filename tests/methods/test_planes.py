@@ -12,12 +12,16 @@ from mirror_ball import gain_of_training
 from mirror_room import MIRROR, mirror_room, wall_color, walls
 
 from envgs_bench.core import Camera, GaussianSet, Scene, View
+from envgs_bench.core.normal_prior import NormalPrior
 from envgs_bench.core.vectors import rotated, unit
 from envgs_bench.methods.envgs import PLANES, EnvGS
 from envgs_bench.methods.lighting.plane_alignment import Aligned, aligned
 from envgs_bench.methods.lighting.plane_proposals import Rectangle, inside_of, proposed
 from envgs_bench.methods.lighting.planes import Planes, behind
 from envgs_bench.methods.registry import create_method
+from envgs_bench.methods.training import seen_through_pilot
+from envgs_bench.methods.training.pilot_run import SHORTEST_RUN
+from envgs_bench.methods.training.seen_through_pilot import CELLS
 from envgs_bench.stages.execution import given_of
 from envgs_bench.testing import check_method, tiny_scene
 
@@ -79,8 +83,8 @@ def test_a_mirror_is_proposed_where_it_is() -> None:
     torch.testing.assert_close(found.half.sort().values, MIRROR.half.sort().values, atol=0.08, rtol=0)
 
 
-def panes(count: int = 24, size: int = 64) -> Scene:
-    """A pane upright at the origin, and a ball beside it, from cameras all around; marks and normals in closed form."""
+def panes(*upright: Rectangle, count: int = 24, size: int = 64) -> Scene:
+    """Upright panes, and a ball beside them, from cameras all around; marks and normals in closed form."""
     views = []
     for index in range(count):
         angle = torch.tensor(2 * torch.pi * index / count)
@@ -93,25 +97,38 @@ def panes(count: int = 24, size: int = 64) -> Scene:
         camera = Camera(pose, torch.tensor([[60.0, 0, size / 2], [0, 60, size / 2], [0, 0, 1]]), size, size)
         origins, rays = camera.rays()
         rays = unit(rays)
-        within, far = inside_of(PANE, origins, rays, 1e-6)
+        met = [inside_of(pane, origins, rays, 1e-6) for pane in upright]
+        far, first = torch.stack([torch.where(within > 0, far, torch.inf) for within, far in met]).min(0)
+        facing = torch.stack([pane.axes[2] for pane in upright])[first]
         away = center - BALL
         middle = -(rays @ away)
         half = middle.square() - away @ away + 0.25
         near = middle - half.clamp_min(0).sqrt()
-        ball = (half > 0) & ~((within > 0) & (far < near))
-        normal = torch.where((within > 0)[..., None], -PANE.axes[2] * (rays @ PANE.axes[2]).sign()[..., None], 0.0)
+        ball, pane = (half > 0) & ~(far < near), far.isfinite()
+        toward = -facing * (rays * facing).sum(-1, keepdim=True).sign()
+        normal = torch.where(pane[..., None], toward, 0.0)
         normal = torch.where(ball[..., None], (away + near[..., None] * rays) / 0.5, normal)
         image = torch.zeros(size, size, 3, dtype=torch.uint8)
-        views.append(View(f"view{index}", camera, image, {"transmissive": (within > 0) | ball}, normal))
+        views.append(View(f"view{index}", camera, image, {"transmissive": pane | ball}, normal))
     return Scene("panes", views, views[:1], torch.zeros(1, 3), torch.zeros(1, 3))
 
 
 def test_a_pane_is_proposed_that_cameras_stand_around_and_a_ball_is_none() -> None:
     """Once, though its two sides have opposite normals and are seen by other views."""
-    (found,) = proposed(panes(), "masks")
+    (found,) = proposed(panes(PANE), "masks")
     assert abs(float(found.axes[2] @ PANE.axes[2])) > 0.999
     torch.testing.assert_close(found.center, PANE.center, atol=0.08, rtol=0)
     torch.testing.assert_close(found.half.sort().values, PANE.half.sort().values, atol=0.1, rtol=0)
+
+
+def test_panes_before_and_behind_the_middle_are_proposed_where_they_are() -> None:
+    """Close to the cameras two views have hardly anything in common, but that agrees: no plane is to be there."""
+    both = [replace(PANE, center=torch.tensor([x, 0, 0.1]), half=torch.tensor([0.7, 0.6])) for x in (1.2, -1.2)]
+    found = sorted(proposed(panes(*both), "masks"), key=lambda each: -float(each.center[0]))
+    assert len(found) == 2
+    for each, pane in zip(found, both, strict=True):
+        torch.testing.assert_close(each.center, pane.center, atol=0.08, rtol=0)
+        torch.testing.assert_close(each.half.sort().values, pane.half.sort().values, atol=0.08, rtol=0)
 
 
 def test_a_run_says_that_a_method_was_given_masks_where_there_are_any() -> None:
@@ -304,7 +321,7 @@ def test_a_mirror_is_learned_better_with_its_plane() -> None:
 
 
 def test_no_normals_are_learned_of_glass_that_masks_name() -> None:
-    """What shows there lies behind them; by photographs nobody has said so."""
+    """What shows there lies behind them; by photographs nobody has said so, and a pilot run says it itself."""
     scene = mirror_room()
     glass = [replace(view, masks={"transmissive": view.masks["reflective"]}) for view in scene.train]
     for by, left in (("masks", 0.0), ("photographs", 1.0)):
@@ -315,3 +332,18 @@ def test_no_normals_are_learned_of_glass_that_masks_name() -> None:
         assert learned.normal is not None
         torch.testing.assert_close(learned.normal.norm(dim=-1), torch.where(mask, left, 1.0), atol=1e-3, rtol=0)
         assert any("transmissive" in note for note in method.notes) == (by == "masks")
+
+
+def test_where_a_pilot_run_says_which_normals_are_learned_masks_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = mirror_room()
+    glass = [replace(view, masks={"transmissive": view.masks["reflective"]}) for view in scene.train]
+    upper = torch.arange(CELLS)[:, None].expand(CELLS, CELLS) < CELLS // 2
+    cells = {view.name: upper for view in glass}
+    monkeypatch.setattr(seen_through_pilot, "better_without", lambda *_: cells)
+    prior = NormalPrior(lambda view: view, maybe_seen_through=cells)
+    method = made(rules={"normals": "agreed"})
+    method.initialize(replace(scene, train=glass, normals=prior), SHORTEST_RUN)
+    learned = method.runner.views.on_device(glass[3])
+    assert learned.normal is not None
+    assert torch.equal(learned.normal.any(dim=-1), torch.arange(40)[:, None].expand(40, 40) >= 20)
+    assert not any("transmissive" in note for note in method.notes)
