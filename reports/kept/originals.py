@@ -89,17 +89,21 @@ def pairs_of(marks: pd.DataFrame) -> Iterator[Pair]:
 
 
 def verdicts(marks: pd.DataFrame, words: pd.DataFrame) -> str:
-    """A row a method: scenes, the fewest steps of one, the verdict, how far apart they are at most, what differs."""
+    """A row a method: scenes, the fewest steps of one, the verdict, how far apart they are at most."""
     pairs = list(pairs_of(marks))
     rows = []
     for _, word in words.iterrows():
         own = [pair for pair in pairs if pair.method == word["method"]]
         commit = f"[{word['repository']}](https://github.com/{word['repository']}) `{word['commit']}`"
         cells = [_linked(word), commit if word["commit"] else "–", str(len(own))]
-        cells += [*_summary(own), word["differs"] or "–"]
-        rows.append(cells)
-    heads = ["method", "original", "scenes", "steps", "faithful?", "farthest", "what differs, and why"]
-    return _table(heads, "::--:::", rows)
+        rows.append([*cells, *_summary(own)])
+    return _table(["method", "original", "scenes", "steps", "faithful?", "farthest"], "::--::", rows)
+
+
+def what_differs(marks: pd.DataFrame, words: pd.DataFrame) -> str:
+    """A row a method of which something is known to differ, whether it has marks or not."""
+    rows = [[_linked(word), word["differs"]] for _, word in words.iterrows() if word["differs"]]
+    return _table(["method", "what differs, and why"], "::", rows)
 
 
 def _summary(pairs: list[Pair]) -> list[str]:
@@ -156,7 +160,12 @@ def costs_alone(marks: pd.DataFrame, words: pd.DataFrame) -> str:
     return _table(["method", "scene", "steps", *sides], "::" + "-" * 9, rows)
 
 
-BESIDE_ORIGINALS = {"verdicts": verdicts, "comparisons": comparisons, "costs_alone": costs_alone}
+BESIDE_ORIGINALS = {
+    "verdicts": verdicts,
+    "what_differs": what_differs,
+    "comparisons": comparisons,
+    "costs_alone": costs_alone,
+}
 
 
 def _read(path: Path, columns: tuple[str, ...]) -> pd.DataFrame:

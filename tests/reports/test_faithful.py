@@ -73,8 +73,9 @@ def test_seeds_are_averaged() -> None:
 def test_a_method_without_marks_is_said_not_to_have_been_run() -> None:
     found = marks(("original", 0, 9, 24.0, 100), ("ours", 0, 9, 23.0, 90))
     first, second = originals.verdicts(found, WORDS).splitlines()[2:]
-    assert first.split(" | ")[2:] == ["1", "9", "no", "−1.00 dB, −10%", "depth |"]
-    assert "| 0 | – | not run | – | – |" in second
+    assert first.split(" | ")[2:] == ["1", "9", "no", "−1.00 dB, −10% |"]
+    assert "| 0 | – | not run | – |" in second
+    assert originals.what_differs(found, WORDS).splitlines()[2:] == [f"| {first.split(' | ')[0].strip('| ')} | depth |"]
 
 
 @pytest.mark.parametrize(("steps", "verdict"), [(6_999, "so far"), (7_000, "yes")])
