@@ -127,15 +127,15 @@ def comparisons(marks: pd.DataFrame, words: pd.DataFrame) -> str:
             _linked(pages[pair.method]),
             f"`{pair.scene}`",
             f"{pair.steps:,}",
+            pair.verdict,
             *(_spread(side["psnr"], 2) for side in (pair.original, pair.ours)),
             *(f"{side['primitives'].mean():,.0f}" for side in (pair.original, pair.ours)),
             *(_seconds(side["seconds"].mean()) for side in (pair.original, pair.ours)),
-            pair.verdict,
         ]
         for pair in pairs_of(marks)
     ]
     sides = [f"{side}, {what}" for what in ("dB", "primitives", "s") for side in (ORIGINAL, OURS)]
-    return _table(["method", "scene", "steps", *sides, "faithful?"], ":::" + "-" * 7, rows)
+    return _table(["method", "scene", "steps", "faithful?", *sides], "::-:" + "-" * 6, rows)
 
 
 def costs_alone(marks: pd.DataFrame, words: pd.DataFrame) -> str:

@@ -65,9 +65,9 @@ def test_seeds_are_averaged() -> None:
     pair = only(marks(("original", 0, 9, 24.0, 100), ("ours", 0, 9, 23.0, 90), ("ours", 1, 9, 25.0, 110)))
     assert (pair.gain, pair.share) == (0.0, 0.0)
     shown = originals.comparisons(pd.concat([pair.original, pair.ours]), WORDS)
-    assert "| 24.00 | 24.00 ± 1.41 | 100 | 100 | 8 | 8 | so far |" in shown
+    assert "| so far | 24.00 | 24.00 ± 1.41 | 100 | 100 | 8 | 8 |" in shown
     shown = originals.comparisons(pd.concat([pair.original.assign(seconds=math.nan), pair.ours]), WORDS)
-    assert "| – | 8 | so far |" in shown
+    assert "| 100 | 100 | – | 8 |" in shown
 
 
 def test_a_method_without_marks_is_said_not_to_have_been_run() -> None:
@@ -81,7 +81,7 @@ def test_a_method_without_marks_is_said_not_to_have_been_run() -> None:
 @pytest.mark.parametrize(("steps", "verdict"), [(6_999, "so far"), (7_000, "yes")])
 def test_agreement_is_no_verdict_before_enough_steps(steps: int, verdict: str) -> None:
     found = marks(("original", 0, steps, 24.0, 100), ("ours", 0, steps, 24.1, 100))
-    assert originals.comparisons(found, WORDS).rstrip().endswith(f"| {verdict} |")
+    assert f"| {steps:,} | {verdict} | 24.00 | 24.10 |" in originals.comparisons(found, WORDS)
     assert f"| 1 | {steps:,} | {verdict} | +0.10 dB, +0% |" in originals.verdicts(found, WORDS)
     apart = found.assign(scene="toy/glass_2", psnr=[24.0, 20.0])
     assert f"| 2 | {steps:,} | on 1 | −4.00 dB, +0% |" in originals.verdicts(pd.concat([found, apart]), WORDS)
