@@ -15,6 +15,8 @@ from functools import cache
 import torch
 from torch import Tensor
 
+from .texels import texel_below
+
 SIZE = 32  # nodes along each axis, from 0 to 1
 LEAST_COSINE = 1e-3  # of the table's first column: at 0 exactly nothing is defined
 LEAST_ROUGHNESS = 1e-2
@@ -58,7 +60,7 @@ def specular_weight(reflectance: Tensor, cosine: Tensor, roughness: Tensor) -> T
     """
     table = brdf_table(cosine.device)
     row, column = cosine.clamp(0, 1) * (SIZE - 1), roughness.clamp(0, 1) * (SIZE - 1)
-    row0, column0 = (place.detach().floor().nan_to_num(0.0).clamp_max(SIZE - 2) for place in (row, column))
+    row0, column0 = (texel_below(place).clamp_max(SIZE - 2) for place in (row, column))
     down, right = (row - row0)[..., None], (column - column0)[..., None]
     corner = row0.long() * SIZE + column0.long()
     flat = table.reshape(-1, 2).to(cosine.dtype)

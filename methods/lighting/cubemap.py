@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from .texels import texel_below
+
 # face -> (axis of the face, its sign), (axis of columns, sign), (axis of rows, sign)
 FACES = (
     ((0, 1), (2, -1), (1, -1)),
@@ -101,7 +103,7 @@ def _four_texels(directions: Tensor, layout: CubemapLayout, size: int) -> tuple[
     face, column, row = _face_coordinates(directions, layout.axes, layout.signs)
     x = (column + 1) * (size / 2) + 0.5  # in the padded face, whose texel i has its center at i
     y = (row + 1) * (size / 2) + 0.5
-    x0, y0 = (place.detach().floor().nan_to_num(0.0).clamp(0, size) for place in (x, y))
+    x0, y0 = (texel_below(place).clamp(0, size) for place in (x, y))
     corner = (face * (size + 2) + y0.long()) * (size + 2) + x0.long()
     index = torch.stack([corner, corner + 1, corner + size + 2, corner + size + 3])
     return layout.around.reshape(-1)[index], (x - x0)[:, None], (y - y0)[:, None]

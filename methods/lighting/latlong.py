@@ -13,6 +13,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from .texels import texel_below
+
 AT_POLE = 1e-6  # of x² + y², below which a direction has no longitude to learn from
 
 
@@ -44,7 +46,7 @@ def looked_up(texels: Tensor, directions: Tensor, roughness: Tensor, levels: int
     around = torch.atan2(torch.where(polar, 0.0, y), torch.where(polar, 1.0, x)) / (2 * math.pi) + 0.5
     down = z.clamp(-1 + AT_POLE, 1 - AT_POLE).acos() / math.pi
     level = roughness.clamp(0, 1) * levels
-    finer = level.detach().floor().nan_to_num(0.0).clamp(0, levels - 1)
+    finer = texel_below(level).clamp(0, levels - 1)
     own, coarser = (_bilinear(texels, around, down, (finer + step).long(), levels) for step in (0, 1))
     return torch.lerp(own, coarser, (level - finer)[:, None])
 
@@ -53,7 +55,7 @@ def _bilinear(texels: Tensor, around: Tensor, down: Tensor, level: Tensor, level
     """The value of one level at places in [0, 1], [R, C]."""
     rows = 2 ** (levels - level)
     x, y = around * (2 * rows) - 0.5, down * rows - 0.5
-    left, top = (place.detach().floor().nan_to_num(0.0) for place in (x, y))
+    left, top = texel_below(x), texel_below(y)
     first = _first_texels(levels, texels.device)[level]
     corners = []
     for row in (top.long(), top.long() + 1):
