@@ -41,7 +41,7 @@ METHODS: dict[str, dict[str, Any]] = {
     "3dgs_dr": {**REFLECTS, "envmap_size": 16},
     "gaussian_shader": {**GROWS, "densify_until": 30_000, "envmap_size": 16},
     "ref_gs": {**GROWS, "densify_until": 30_000, "map_levels": 4},
-    "rt_splatting": REFLECTS,
+    "rt_splatting": {**REFLECTS, "map_levels": 4, "perceptual_weight": 0.0},  # VGG-16 would be most of a step
 }
 STEPS = 155  # reflections from step 2 on; sets grow every 30 steps, the environment from 120 on
 
