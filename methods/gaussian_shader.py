@@ -27,6 +27,7 @@ from .lighting.brdf_table import specular_weight
 from .lighting.light_map import CubeMap, Filtered
 from .lighting.settings import GaussianShaderSettings
 from .lighting.shading import colored, diffuse_color, mirrored, seen_from
+from .training.losses import eroded
 from .training.schedule import Part, Schedule, set_rate
 
 INITIAL_TINT, INITIAL_ROUGHNESS = 0.0, 0.6  # logits
@@ -76,7 +77,7 @@ class GaussianShader(GaussianMethod):
         """The shaded Gaussians; their extras are tint, normal's residual, normal [3] and reflected color [3]."""
         tensors = self.model.sets[BASE].parameters.tensors
         tint, roughness = tensors["tint_logits"].sigmoid(), tensors["roughness_logits"][:, 0].sigmoid()
-        directions, axes, turned = seen_from(gaussians, camera.center)
+        directions, axes, turned = seen_from(gaussians, camera.center, self.settings.rule.shortest_axis)
         residual = torch.where(turned, tensors["inner_residuals"], tensors["outer_residuals"])
         normals = unit(axes + residual)
         outgoing, cosine = mirrored(directions, normals)
@@ -96,12 +97,29 @@ class GaussianShader(GaussianMethod):
 
     def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
         """Normals are held to the depth map, which is not moved by them (Ref-NeRF's predicted normals)."""
-        s = self.settings
-        terms = super().losses(replace(rendering, depth=rendering.depth.detach()), target, view, step)
-        alpha = rendering.alpha.clamp(LEAST_ALPHA, 1 - LEAST_ALPHA)
-        terms["sparse"] = s.sparse_weight * (alpha.log() + (1 - alpha).log()).mean()
-        terms["residual"] = s.residual_weight * (rendering.alpha.detach() * rendering.extras[..., 1]).mean()
+        s, alpha = self.settings, rendering.alpha.detach()
+        weight = eroded(alpha) if s.rule.normal_weighting == "eroded" else alpha
+        held = replace(rendering, depth=rendering.depth.detach())
+        if s.rule.normal_drawn == "as_color":
+            held = drawn_as_color(held, self.model.background)
+        terms = super().losses(held, target, view, step)
+        if s.rule.normal_drawn == "as_color" and "normal" in terms:  # the depth map's normals, too, lie over it
+            behind = (held.normal * self.model.background).sum(-1) * (1 - alpha)
+            terms["normal"] = terms["normal"] - s.normal_weight * (weight * behind).mean()
+        terms["residual"] = s.residual_weight * (weight * rendering.extras[..., 1]).mean()
+        clear = rendering.alpha.clamp(LEAST_ALPHA, 1 - LEAST_ALPHA)
+        terms["sparse"] = s.sparse_weight * (clear.log() + (1 - clear).log()).mean()
         return terms
+
+
+def drawn_as_color(rendering: Rendering, background: Tensor) -> Rendering:
+    """Normals and depths as GaussianShader's code has them, which draws n/2 + 1/2 and depths as it draws colors.
+
+    Depths are so not divided by alpha; and where alpha is below 1, the background [3] is a part of both.
+    """
+    behind = (1 - rendering.alpha)[..., None]
+    depth = rendering.depth * rendering.alpha.detach() + background[0] * behind[..., 0].detach()
+    return replace(rendering, normal=rendering.normal + (2 * background - 1) * behind, depth=depth)
 
 
 def own_color(sh: Tensor, directions: Tensor) -> Tensor:

@@ -46,6 +46,8 @@ class Rules:
 
     normal_reference: Literal["unit", "alpha"] = "unit"  # depth map's normals in L_norm; alpha: × the pixel's alpha
     normal_rendered: Literal["unit", "blended"] = "unit"  # in L_norm; blended: as they are, which pulls at alpha too
+    normal_drawn: Literal["alone", "as_color"] = "alone"  # L_norm's; as_color: n/2 + 1/2 and depth, over the background
+    shortest_axis: Literal["column", "row"] = "column"  # of a rotation matrix; row: its first, sorted as the scales are
     normals: Literal["agreed", "as_given"] = "agreed"  # the views' own in L_mono; agreed: turned to agree, and weighed
     mono_loss: Literal["cos", "l1_cos"] = "l1_cos"  # 1 − cos, or the L1 distance beside it
     mono_rendered: Literal["blended", "unit"] = "blended"  # rendered normals in L_mono: as they are, or normalized
@@ -151,6 +153,7 @@ RECIPES: dict[RecipeName, Rules] = {
         **OF_3DGS
         | {"position_radius": 5.0, "map_texels": "colors"}
         | {"normal_reference": "alpha", "normal_rendered": "blended", "normal_weighting": "eroded"}
+        | {"normal_drawn": "as_color", "shortest_axis": "row"}
     ),
     "ref_gaussian": Rules(  # Ref-Gaussian's released code
         **OF_2DGS

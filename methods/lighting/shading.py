@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -20,16 +21,24 @@ DARKER = math.log(3)  # less than what constant terms show, as logits: c_d is 1/
 INDIRECT_DEGREE = 3  # of the indirect light's spherical harmonics
 
 
-def seen_from(gaussians: GaussianSet, center: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def seen_from(
+    gaussians: GaussianSet, center: Tensor, shortest_axis: Literal["column", "row"] = "column"
+) -> tuple[Tensor, Tensor, Tensor]:
     """Unit directions to the primitives from a camera's `center` [3], and their unit normals, [N, 3] each.
 
     A surfel's normal is that of its plane, a 3D Gaussian's is its shortest axis; both face the camera, and which of
     them were turned for that comes third, [N, 1]. Differentiable.
+
+    Args:
+        shortest_axis: of 3D Gaussians: that column of the rotation matrix, or what GaussianShader's code takes for it:
+            the first row, its entries in the order of the scales, the smallest first.
     """
     directions = unit(gaussians.means - center)
     frames = rotation_matrices(gaussians.quaternions)
     if gaussians.is_surfels:
         normals = frames[..., 2]
+    elif shortest_axis == "row":
+        normals = frames[:, 0].gather(1, gaussians.scales.argsort(dim=1, stable=True))
     else:
         shortest = gaussians.scales.argmin(1)[:, None, None].expand(-1, 3, 1)
         normals = frames.gather(2, shortest)[..., 0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -11,6 +12,7 @@ from mirror_ball import gain_of_training, mirror_ball
 from rules import with_rules
 from schedules import begin, optimizers_of
 from scipy import ndimage
+from torch import Tensor
 from torch.nn import functional
 
 from envgs_bench.core import Scene, depth_normals
@@ -41,12 +43,17 @@ def drawn_at_random(scene: Scene, **settings) -> GaussianShader:
     return method
 
 
+def least_around(alpha: Tensor) -> Tensor:
+    """The least of the 4×4 pixels around each."""
+    return torch.from_numpy(ndimage.minimum_filter(alpha.detach().numpy(), size=4, mode="constant", cval=1.0))
+
+
 @pytest.mark.parametrize(("side", "field"), [(1.0, "outer_residuals"), (-1.0, "inner_residuals")])
 def test_a_gaussian_is_shaded_by_the_residual_of_its_side(side: float, field: str) -> None:
     """One flat Gaussian at the origin, whose shortest axis points to the camera or away from it."""
     scene = tiny_scene()
     lone = Scene("lone", scene.train, scene.test, torch.zeros(1, 3), torch.tensor([[0.3, 0.5, 0.7]]))
-    method = drawn_at_random(lone)
+    method = drawn_at_random(lone, shortest_axis="column")
     parameters = method.model.sets["base"].parameters
     toward = functional.normalize(CAMERA.center, dim=0)  # along z
     parameters.replace("quaternions", torch.tensor([[1.0, 0, 0, 0]] if side > 0 else [[0.0, 1, 0, 0]]))
@@ -72,20 +79,41 @@ def test_a_gaussian_is_shaded_by_the_residual_of_its_side(side: float, field: st
 
 
 def test_its_own_losses_are_those_of_the_paper() -> None:
-    method = drawn_at_random(tiny_scene())
+    method = drawn_at_random(tiny_scene(), normal_drawn="alone")
     drawn, _ = method.draw(CAMERA, 1)
     terms = method.losses(drawn, torch.zeros(24, 32, 3), tiny_scene().test[0], 1)
     alpha = drawn.alpha.detach().clamp(1e-3, 1 - 1e-3)
     assert float(terms["sparse"].detach()) == pytest.approx(1e-3 * float((alpha.log() + (1 - alpha).log()).mean()))
     length = drawn.extras[..., 1].detach()
-    assert float(terms["residual"].detach()) == pytest.approx(1e-3 * float((drawn.alpha.detach() * length).mean()))
+    assert float(terms["residual"].detach()) == pytest.approx(1e-3 * float((least_around(drawn.alpha) * length).mean()))
     reference = depth_normals(drawn.depth.detach(), CAMERA) * drawn.alpha.detach()[..., None]
-    least = torch.from_numpy(ndimage.minimum_filter(drawn.alpha.detach().numpy(), size=4, mode="constant", cval=1.0))
-    known = reference.any(-1).float()
-    held = 0.2 * (least * (known - (drawn.normal * reference).sum(-1))).mean()
-    torch.testing.assert_close(terms["normal"], held)
+    error = reference.any(-1).float() - (drawn.normal * reference).sum(-1)
+    torch.testing.assert_close(terms["normal"], 0.2 * (least_around(drawn.alpha) * error).mean())
     terms["normal"].backward()  # normals follow the depth map, which stays: no center moves through its depth
     assert method.model.sets["base"].parameters.tensors["outer_residuals"].grad.abs().max() > 0
+
+
+@pytest.mark.parametrize("background", [0.0, 1.0])
+def test_normals_and_depths_that_are_held_together_are_drawn_as_colors(background: float) -> None:
+    """As the authors' code has them: n/2 + 1/2, and depths in red, blended over the scene's background."""
+    scene = replace(tiny_scene(), background=torch.full((3,), background))
+    method = drawn_at_random(scene)
+    drawn, _ = method.draw(CAMERA, 1)
+    alpha = drawn.alpha.detach()[..., None]
+    assert 0.05 < alpha.mean() < 0.95
+    picture = (drawn.normal + alpha) / 2 + (1 - alpha) * background
+    depth = drawn.depth.detach() * alpha[..., 0] + (1 - alpha[..., 0]) * background
+    known = depth_normals(depth, CAMERA)
+    reference = known * alpha + (1 - alpha) * background
+    error = known.any(-1).float() - ((2 * picture - 1) * reference).sum(-1)
+    terms = method.losses(drawn, torch.zeros(24, 32, 3), tiny_scene().test[0], 1)
+    torch.testing.assert_close(terms["normal"], 0.2 * (least_around(drawn.alpha) * error).mean())
+
+
+def test_of_the_tuned_one_normals_are_drawn_alone_and_axes_are_axes() -> None:
+    published, tuned = initialized(tiny_scene()), initialized(tiny_scene(), recipe="ours", max_primitives=100)
+    assert (published.settings.rule.normal_drawn, published.settings.rule.shortest_axis) == ("as_color", "row")
+    assert (tuned.settings.rule.normal_drawn, tuned.settings.rule.shortest_axis) == ("alone", "column")
 
 
 def test_a_map_is_cut_to_colors_and_learns_on_from_there() -> None:

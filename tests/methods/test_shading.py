@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import pytest
 import torch
 from torch.nn import functional
@@ -35,6 +38,16 @@ def test_normals_are_those_that_the_core_draws(axes: int, seed: int) -> None:
     torch.testing.assert_close(normals[0], functional.normalize(drawn.normal[row, column], dim=0), atol=1e-4, rtol=0)
     torch.testing.assert_close(directions[0], functional.normalize(-CAMERA.center, dim=0))
     assert (directions * normals).sum() <= 0
+
+
+def test_a_row_in_the_order_of_the_scales_may_stand_for_the_shortest_axis() -> None:
+    """As GaussianShader's code takes it; of a quarter turn about z, whose first row is (0, −1, 0)."""
+    turned = torch.tensor([[math.sqrt(0.5), 0, 0, math.sqrt(0.5)]])
+    gaussians = replace(one_primitive(3, 0), quaternions=turned)  # scales: y, z, x
+    for side in (-3.0, 3.0):  # the row, sorted: (−1, 0, 0)
+        _, normals, away = seen_from(gaussians, torch.tensor([side, 1, 1]), "row")
+        assert bool(away) == (side > 0)
+        torch.testing.assert_close(normals, torch.tensor([[math.copysign(1, side), 0, 0]]), atol=1e-6, rtol=0)
 
 
 def test_a_mirror_keeps_the_angle_and_turns_about_the_normal() -> None:
