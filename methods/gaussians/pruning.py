@@ -12,6 +12,7 @@ from torch import Tensor
 from envgs_bench.parts import BASE
 
 from ..training.schedule import DENSIFY_FLOOR, Every, Part
+from .beside_noise import share_beside_noise
 from .drawn_views import DrawnViews
 from .importance import least_of, without_least
 from .model import GaussianModel
@@ -45,10 +46,11 @@ class Prunings(Part):
     def __call__(self, step: int) -> None:
         """Prune after this step, where the bound allows it."""
         self._drawn.prepare()
-        allowed = self.bound.allows(quality_of(self._drawn.pictures(), self._lpips))
+        share = share_beside_noise(self._drawn.pictures())
+        allowed = self.bound.allows(quality_of(self._drawn.pictures(), self._lpips), share)
         self.counts = self.counts or [self._count()]
         if allowed:
-            prune(self._drawn, self._drawn.model.settings.prune_error)
+            prune(self._drawn, share * self._drawn.model.settings.prune_error)
         self.counts.append(self._count())
         self._tell()
 
@@ -60,7 +62,7 @@ class Prunings(Part):
         words = f"{PRUNINGS} {done} of {due}: {self.counts[-1]:,} of {self.counts[0]:,} primitives are left; "
         if self.bound.beyond:
             words += f"the last was left out, as training views lost {self.bound.beyond}; "
-        words += f"before it they had {self.bound.seen}"
+        words += f"before it they had {self.bound.seen}, and {self.bound.share:.0%} of their error was not noise"
         words += "" if self._lpips else "; LPIPS was not asked, as VGG-16's weights are not here"
         self._notes[:] = [note for note in self._notes if not note.startswith(PRUNINGS)] + [words]
 

@@ -21,21 +21,27 @@ class PruningBound:
 
     Attributes:
         best, last: the best that each number of BOUNDS has been when one was due, and what it was the last time.
+        share: of the views' squared error the last time, what was not their noise.
         beyond: by what it was worse then than it may be, in words; "" where a pruning was allowed.
     """
 
     def __init__(self) -> None:
         self.best: dict[str, float] = {}
         self.last: dict[str, float] = {}
+        self.share = 1.0
         self.beyond = ""
 
-    def allows(self, quality: Mapping[str, float]) -> bool:
-        """Whether there may be one with views of this quality: no worse by more than BOUNDS than they have been."""
-        self.last = dict(quality)
+    def allows(self, quality: Mapping[str, float], share: float = 1.0) -> bool:
+        """Whether there may be one with views of this quality: no worse by more than BOUNDS than they have been.
+
+        Of PSNR's bounds only `share`: so far PSNR falls where the error without noise rises by a whole bound.
+        """
+        self.last, self.share = dict(quality), share
         better = {name: min if name == LPIPS else max for name in quality}
         self.best = {name: better[name](self.best.get(name, value), value) for name, value in quality.items()}
         lost = {name: abs(self.best[name] - value) for name, value in quality.items()}
-        words = [f"{name} {loss:.3g}, more than {BOUNDS[name]:g}" for name, loss in lost.items() if loss > BOUNDS[name]]
+        most = {name: BOUNDS[name] * (1.0 if name == LPIPS else share) for name in quality}
+        words = [f"{name} {loss:.3g}, more than {most[name]:.3g}" for name, loss in lost.items() if loss > most[name]]
         self.beyond = " and ".join(words)
         return not words
 
@@ -45,10 +51,11 @@ class PruningBound:
         return ", ".join(f"{name} {value:.4g} (at best {self.best[name]:.4g})" for name, value in self.last.items())
 
     def training_state(self) -> dict[str, Any]:
-        return {"best": dict(self.best), "last": dict(self.last), "beyond": self.beyond}
+        return {"best": dict(self.best), "last": dict(self.last), "share": self.share, "beyond": self.beyond}
 
     def restore_training(self, state: Mapping[str, Any]) -> None:
-        self.best, self.last, self.beyond = dict(state["best"]), dict(state["last"]), state["beyond"]
+        self.best, self.last = dict(state["best"]), dict(state["last"])
+        self.share, self.beyond = state["share"], state["beyond"]
 
 
 def quality_of(
