@@ -58,7 +58,8 @@ def test_runs_are_listed_and_composed_without_torch(arguments: list[str]) -> Non
 @pytest.mark.parametrize("dry", [["--dry-run"], []], ids=["dry", "run"])
 def test_a_command_has_its_runs_made_without_torch(dry: list[str], tmp_path: Path) -> None:
     """Each run has a process of its own, which computes: what asks for it waits for no library that computes."""
-    settings = ["dataset=toy/chrome_room", "method=2dgs", "size=tiny", "steps=2", "device=cpu"]
+    toy = ["dataset=toy/chrome_room", "dataset.views=4", "dataset.supersampling=1"]
+    settings = [*toy, "method=2dgs", "size=tiny", "steps=2", "device=cpu"]
     arguments = ["run", *settings, f"runs_dir={tmp_path}", f"cache_dir={tmp_path / 'cache'}", *dry]
     assert not imported(CALL.format(arguments=arguments)) & (SLOW | {"pycolmap"}) - {"hydra"}
     assert len(list(tmp_path.rglob("record.json"))) == (not dry)
