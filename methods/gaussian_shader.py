@@ -27,7 +27,6 @@ from .lighting.brdf_table import specular_weight
 from .lighting.light_map import CubeMap, Filtered
 from .lighting.settings import GaussianShaderSettings
 from .lighting.shading import colored, diffuse_color, mirrored, seen_from
-from .training.losses import eroded
 from .training.schedule import Part, Schedule, set_rate
 
 INITIAL_TINT, INITIAL_ROUGHNESS = 0.0, 0.6  # logits
@@ -98,15 +97,16 @@ class GaussianShader(GaussianMethod):
     def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
         """Normals are held to the depth map, which is not moved by them (Ref-NeRF's predicted normals)."""
         s, alpha = self.settings, rendering.alpha.detach()
-        weight = eroded(alpha) if s.rule.normal_weighting == "eroded" else alpha
         held = replace(rendering, depth=rendering.depth.detach())
         if s.rule.normal_drawn == "as_color":
             held = drawn_as_color(held, self.model.background)
         terms = super().losses(held, target, view, step)
+        weight = self.runner.loss.pixel_weights(held)
         if s.rule.normal_drawn == "as_color" and "normal" in terms:  # the depth map's normals, too, lie over it
             behind = (held.normal * self.model.background).sum(-1) * (1 - alpha)
-            terms["normal"] = terms["normal"] - s.normal_weight * (weight * behind).mean()
-        terms["residual"] = s.residual_weight * (weight * rendering.extras[..., 1]).mean()
+            terms["normal"] = terms["normal"] - s.normal_weight * (behind if weight is None else weight * behind).mean()
+        length = rendering.extras[..., 1]
+        terms["residual"] = s.residual_weight * ((alpha if weight is None else weight) * length).mean()
         clear = rendering.alpha.clamp(LEAST_ALPHA, 1 - LEAST_ALPHA)
         terms["sparse"] = s.sparse_weight * (clear.log() + (1 - clear).log()).mean()
         return terms

@@ -60,7 +60,7 @@ class TrainingLoss:
         normal, mono, perceives, pruned = self.began(step)
         share = PRUNED_SSIM_SHARE if pruned else SSIM_SHARE
         terms = {"rgb": photometric_loss(rendering.color, target, share, backend=s.backend)}
-        weight = self._pixel_weights(rendering)
+        weight = self.pixel_weights(rendering)
         if normal and s.normal_weight > 0:
             terms["normal"] = s.normal_weight * self._depth_error(rendering, view, weight)
         if mono and s.mono_weight > 0 and view.normal is not None:
@@ -73,7 +73,7 @@ class TrainingLoss:
             terms[PERCEPTUAL] = s.perceptual_weight * perceptual(rendering.color, target)
         return terms
 
-    def _pixel_weights(self, rendering: Rendering) -> Tensor | None:
+    def pixel_weights(self, rendering: Rendering) -> Tensor | None:
         """What both normal losses count by at each pixel, [H, W]; None: alike everywhere."""
         match self.settings.rule.normal_weighting:
             case "depth":
