@@ -10,6 +10,9 @@ import pytest
 from backends import EMULATED, usable
 from core_scenes import Backend
 from cuda_emulator.emulator import emulated, find_compiler
+from hydra.core.config_store import ConfigStore
+
+from envgs_bench.runs import started_run
 
 
 def pytest_collection() -> None:
@@ -20,6 +23,22 @@ def pytest_collection_finish() -> None:
     """What was imported and collected stays to the end: the garbage collector need not look through it each time."""
     gc.freeze()
     gc.enable()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_starter() -> Iterator[None]:
+    """A test's name, which pytest puts into the environment, is no reason to start another process that starts runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(started_run, "CHANGING", (*started_run.CHANGING, "PYTEST_CURRENT_TEST"))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_store() -> Iterator[None]:
+    """Hydra copies all that it was offered before each composition, a fifth of its time, and changes nothing of it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ConfigStore, "__deepcopy__", lambda store, _: store, raising=False)
+        yield
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ import subprocess
 import sys
 import traceback
 import warnings
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,9 +20,16 @@ from envgs_bench.runs import worker
 from envgs_bench.runs.processes import JOB_VARIABLE, LOCK_VARIABLE, RUN_VARIABLE
 
 
-def forked_processes() -> AbstractContextManager[object]:
+@contextmanager
+def forked_processes() -> Iterator[None]:
     """Within it, runs' processes are forked from this one: with signals, pipes and ends of their own."""
-    return patch("envgs_bench.runs.process.StartedRun", _Forked)
+    with patch("envgs_bench.runs.process.StartedRun", _Forked), without_starter():
+        yield
+
+
+def without_starter() -> AbstractContextManager[object]:
+    """Within it, no process begins to import PyTorch for runs that it is never asked for."""
+    return patch("envgs_bench.runs.started_run.starter_here")
 
 
 class _Forked(subprocess.Popen[bytes]):

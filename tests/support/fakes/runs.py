@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from unittest.mock import patch
 
@@ -25,7 +26,7 @@ from envgs_bench.stages.events import Event
 from envgs_bench.stages.execution import execute
 from envgs_bench.stages.stop import Stop
 
-from .forked import forked_processes
+from .forked import forked_processes, without_starter
 
 SUPPORT = Path(__file__).parents[1]
 CONF = SUPPORT / "fakes" / "conf"
@@ -88,9 +89,11 @@ class Silent:
         pass
 
 
-def without_processes() -> AbstractContextManager[object]:
+@contextmanager
+def without_processes() -> Iterator[None]:
     """Within it, runs are carried out in this process: on the CPU, without log.txt and without limits."""
-    return patch("envgs_bench.runs.job.run_process", _carry_out)
+    with patch("envgs_bench.runs.job.run_process", _carry_out), without_starter():
+        yield
 
 
 def _carry_out(
