@@ -3,8 +3,8 @@
     python3 .ci/timed.py NAME SECONDS COMMAND ... [-- NAME SECONDS COMMAND ...]
 
 Several run side by side. What they print is then shown one after the other, with what failed at the end. Bounds hold
-for two cores of an AMD EPYC of the first generation with nothing else beside. A slower machine's are longer by the
-ratio of a fixed loop's times, measured before and after. A command's last line is printed after its time.
+for two cores of an AMD EPYC of the first generation with nothing but those beside. A slower machine's are longer by
+the ratio of a fixed loop's times, measured before and after. A command's last line is printed after its time.
 """
 
 from __future__ import annotations
