@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import pytest
 from fakes.runs import set_environment
 from sweeps import one_run, swept
@@ -23,6 +25,7 @@ SCORED = ("scores", "photographs", "population", "rivals", *ON_THE_PAPERS_SCENES
 WITH_TABLE_1 = ("2", "5", "7")  # tables of the runs of Table 1
 
 
+@cache
 def printed_name(method: str, swept: str = "") -> str:
     """The paper's name of a row of that method, or the row's own."""
     kind = composed([f"method={method}"]).method.kind

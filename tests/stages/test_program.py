@@ -125,13 +125,13 @@ def test_pictures_of_other_names_are_named(tmp_path: Path) -> None:
     assert "2 files without a view: 00000.png, 00001.png" in record.error.message
 
 
-@pytest.mark.parametrize(("mode", "limits"), [("killed", ()), ("greedy", ("memory_gb=2",))])
+@pytest.mark.parametrize(("mode", "limits"), [("killed", ()), ("greedy", ("memory_gb=0.5",))])
 def test_memory_that_ran_out_is_a_status_of_its_own(tmp_path: Path, mode: str, limits: tuple[str, ...]) -> None:
     assert run(tmp_path / "runs", *external(recipe_file(tmp_path, mode)), *limits) == 1
     (record,) = records(tmp_path / "runs")
     assert record.status == "out_of_memory"
     assert record.error is not None
-    assert ("memory_gb=2" if limits else "SIGKILL") in record.error.message
+    assert ("memory_gb=0.5" if limits else "SIGKILL") in record.error.message
 
 
 @pytest.mark.parametrize("mode", ["leaves-child", "floods"])

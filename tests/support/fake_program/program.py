@@ -62,7 +62,7 @@ def fail(mode: str) -> None:
         sys.exit(1)
     if mode == "greedy":
         held = [bytearray(os.urandom(1 << 20) * 64)]
-        while len(held) < 48:  # 3 GB
+        while len(held) < 16:  # 1 GB
             held.append(bytearray(held[0]))
             time.sleep(0.01)
         time.sleep(600)
