@@ -23,8 +23,8 @@ def over_scenes(runs: KeptRuns, of: str, region: str = FULL) -> str:
         if other != of:
             gained = differences(runs, of, other, column)
             rows.append([f"`{other}`", str(len(gained)), *_cells(gained, column), str(_failed(runs, other))])
-    what = f"{capital(column.axis)}, of `{of}` less the row's method, a scene counting once"
-    what += f"; brackets are 95 % intervals over scenes; failed runs of `{of}`: {_failed(runs, of)}"
+    what = f"{capital(column.axis)}, of `{of}` less the row's method; a scene counts once. "
+    what += f"Brackets are 95 % intervals over scenes. Failed runs of `{of}`: {_failed(runs, of)}"
     return f"{as_markdown([f'`{of}` less', *HEADS], rows)}\n{runs.caption(what)}\n"
 
 

@@ -324,7 +324,7 @@ def test_over_many_scenes_each_counts_once(tmp_path: Path) -> None:
     for cell, hits in ((ahead, int((gained > 0).sum())), (level, int((gained > -0.1).sum()))):
         ends = stats.binomtest(hits, 12).proportion_ci(method="exact")
         assert cell == f"{100 * hits / 12:.0f} % [{100 * ends.low:.0f}, {100 * ends.high:.0f}]"
-    assert "failed runs of `envgs`: 0" in table
+    assert "Failed runs of `envgs`: 0" in table
     assert worst == f"{gained.min():+.2f}".replace("-", "−")
 
 

@@ -29,7 +29,7 @@ def standings(runs: KeptRuns, of: str) -> str:
         rows = [list(shown(found.standing(method, part)).values()) for method in found.psnr.columns]
         count = f"{len(found.scenes(part))} scenes" + (f" for {part}, {PARTS[part]}" if part else "")
         tables.append(f"{count}:\n\n{as_markdown(heads, rows)}")
-    what = "PSNR, a scene counting once; brackets are 95 % intervals over scenes"
+    what = "PSNR; a scene counts once. Brackets are 95 % intervals over scenes"
     return "\n".join([*tables, runs.caption(what), ""])
 
 
