@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -195,9 +196,13 @@ class GaussianMethod(Method):
         self.drawn = DrawnViews(self.model, self.draw, self.prepare, views.all_of(scene.train), views.all_of(some))
         prunings = None
         if s.prune_error > 0:
-            prunings = self.parts["prunings"] = Prunings(self.drawn, self.notes, self.perceptual.get("lpips"))
+            prunings = Prunings(self.drawn, self.notes, self._hear_of_noise, self.perceptual.get("lpips"))
+            self.parts["prunings"] = prunings
         of_parts = [event for part in self.parts.values() for event in part.events()]
         self.runner.start(schedule, s.rule.average_from, views, events_of(self.model, prunings, of_parts))
+
+    def _hear_of_noise(self, beside: float) -> None:
+        self.runner.loss = replace(self.runner.loss, beside_noise=beside)
 
     def training_step(self, view: View, step: int) -> dict[str, Tensor]:
         # A perceptual loss is a large network's, which is worth all threads.

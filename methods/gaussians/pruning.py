@@ -11,7 +11,9 @@ from torch import Tensor
 
 from envgs_bench.parts import BASE
 
+from ..training.losses import pruned_ssim_share
 from ..training.schedule import DENSIFY_FLOOR, Every, Part
+from .beside_noise import share_beside_noise
 from .drawn_views import DrawnViews
 from .importance import least_of, without_least
 from .model import GaussianModel
@@ -28,19 +30,33 @@ class Prunings(Part):
     Attributes:
         bound: what they may cost.
         counts: primitives before the first pruning, and after each time that one was due.
+        beside_noise: of the views' squared error, what was not their noise as prunings began.
     """
 
     def __init__(
-        self, drawn: DrawnViews, notes: list[str], lpips: Callable[[Tensor, Tensor], Tensor] | None = None
+        self,
+        drawn: DrawnViews,
+        notes: list[str],
+        tell: Callable[[float], None],
+        lpips: Callable[[Tensor, Tensor], Tensor] | None = None,
     ) -> None:
         """
         Args:
             notes: where the method says what was found.
+            tell: what is told `beside_noise`, as soon as it is found.
             lpips: of a picture and its target, [H, W, 3] in [0, 1]; None: it is not to be had, and the bound is PSNR's.
         """
-        self._drawn, self._notes, self._lpips = drawn, notes, lpips
+        self._drawn, self._notes, self._tell, self._lpips = drawn, notes, tell, lpips
         self.bound = PruningBound()
         self.counts: list[int] = []
+        self.beside_noise = 1.0
+
+    def begin(self, step: int) -> None:
+        """Find how noisy the views are, before anything is pruned."""
+        self._drawn.prepare()
+        self.beside_noise = share_beside_noise(self._drawn.pictures())
+        self._drawn.model.prepared.clear()
+        self._tell(self.beside_noise)
 
     def __call__(self, step: int) -> None:
         """Prune after this step, where the bound allows it."""
@@ -50,28 +66,33 @@ class Prunings(Part):
         if allowed:
             prune(self._drawn, self._drawn.model.settings.prune_error)
         self.counts.append(self._count())
-        self._tell()
+        self._note()
 
     def _count(self) -> int:
         return sum(self._drawn.model.primitives().values())
 
-    def _tell(self) -> None:
+    def _note(self) -> None:
         due, done = len(self.counts) - 1, sum(b < a for a, b in pairwise(self.counts))
         words = f"{PRUNINGS} {done} of {due}: {self.counts[-1]:,} of {self.counts[0]:,} primitives are left; "
         if self.bound.beyond:
             words += f"the last was left out, as training views lost {self.bound.beyond}; "
-        words += f"before it they had {self.bound.seen}"
+        words += f"before it they had {self.bound.seen}; "
+        words += f"{self.beside_noise:.0%} of their error was not noise as prunings began, "
+        words += f"so SSIM had {pruned_ssim_share(self.beside_noise):.2f} of the photometric loss"
         words += "" if self._lpips else "; LPIPS was not asked, as VGG-16's weights are not here"
         self._notes[:] = [note for note in self._notes if not note.startswith(PRUNINGS)] + [words]
 
     def training_state(self) -> dict[str, Any]:
-        return {"counts": list(self.counts), "bound": self.bound.training_state()}
+        state = {"counts": list(self.counts), "bound": self.bound.training_state()}
+        return state | {"beside_noise": self.beside_noise}
 
     def restore_training(self, state: Mapping[str, Any]) -> None:
         self.counts = list(state["counts"])
         self.bound.restore_training(state["bound"])
+        self.beside_noise = state["beside_noise"]
+        self._tell(self.beside_noise)
         if self.counts:
-            self._tell()
+            self._note()
 
 
 def prune(drawn: DrawnViews, rise: float) -> None:
@@ -112,8 +133,9 @@ def events_of(model: GaussianModel, prunings: Prunings | None, of_parts: Sequenc
     schedule, events = model.schedule, []
     if prunings is not None:
         every = schedule.interval(PRUNE_EVERY, DENSIFY_FLOOR)
-        span = schedule.at(model.settings.prune_from), schedule.at(PRUNE_UNTIL)
-        events.append(Every("prune", prunings, lambda step: every, *span, unless=partial(_too_early, model)))
+        start, stop = schedule.at(model.settings.prune_from), schedule.at(PRUNE_UNTIL)
+        events.append(Every("begin_prunings", prunings.begin, also=lambda step: step == start))
+        events.append(Every("prune", prunings, lambda step: every, start, stop, unless=partial(_too_early, model)))
     for name, policy in model.policies.items():
         events.append(policy.densification(partial(model.densify, name)))
         if not policy.fills_limit:

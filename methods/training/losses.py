@@ -31,13 +31,15 @@ class TrainingLoss:
     settings: GaussianSettings
     schedule: Schedule
     normal_weight: float = 1.0  # × L_mono: what the views' normals are worth
+    beside_noise: float = 1.0  # of the views' squared error, what was not their noise as prunings began
 
-    def began(self, step: int) -> tuple[bool, bool, bool, bool]:
-        """Whether L_norm, L_mono and L_perc may count as of a step, and whether sets may be pruned."""
+    def began(self, step: int) -> tuple[bool, bool, bool, float]:
+        """Whether L_norm, L_mono and L_perc may count as of a step, and SSIM's share of the photometric loss then."""
         s, at = self.settings, self.schedule.at
         starts = s.normal_from, s.rule.mono_from, s.rule.perceptual_from
         normal, mono, perceives = (step > at(start) for start in starts)
-        return normal, mono, perceives, s.prune_error > 0 and step > at(s.prune_from)
+        pruned = s.prune_error > 0 and step > at(s.prune_from)
+        return normal, mono, perceives, pruned_ssim_share(self.beside_noise) if pruned else SSIM_SHARE
 
     def terms(
         self,
@@ -57,8 +59,7 @@ class TrainingLoss:
             perceptual: what L_perc is of an image and its target; None without it.
         """
         s = self.settings
-        normal, mono, perceives, pruned = self.began(step)
-        share = PRUNED_SSIM_SHARE if pruned else SSIM_SHARE
+        normal, mono, perceives, share = self.began(step)
         terms = {"rgb": photometric_loss(rendering.color, target, share, backend=s.backend)}
         weight = self.pixel_weights(rendering)
         if normal and s.normal_weight > 0:
@@ -132,6 +133,11 @@ def lacking_normals(scene: Scene) -> str:
     if not those:
         return "the data set has no normals for its training views"
     return f"only {those} of {count} training views have normals, and it counts at those alone"
+
+
+def pruned_ssim_share(beside_noise: float) -> float:
+    """Of a set that is pruned, where so much of its views' squared error is not their noise: SSIM would learn that."""
+    return beside_noise * PRUNED_SSIM_SHARE + (1 - beside_noise) * SSIM_SHARE
 
 
 def photometric_loss(image: Tensor, target: Tensor, ssim_share: float = SSIM_SHARE, *, backend: str = "auto") -> Tensor:

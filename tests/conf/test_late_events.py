@@ -18,6 +18,7 @@ SCENE = Scene(
 LEFT = {  # the fewest steps that a run has after each event
     "densify_base": 30,
     "densify_env": 30,
+    "begin_prunings": 1,
     "prune": 30,
     "reset_base_opacity": 600,
     "reset_env_opacity": 300,
