@@ -178,9 +178,10 @@ def print_outcomes(outcomes: list[Outcome], console: Console) -> None:
             text = f"{outcome.name}: {outcome.message}\n  {outcome.folder}\n  {help_on(error)}"
             console.print(plain(text), soft_wrap=True, highlight=False, markup=False)
 
-    remarks = Counter(remark for outcome in outcomes for remark in outcome.remarks)
-    for remark, count in remarks.items():
-        text = f"{count} of {len(outcomes)} runs: {remark}"
+    counts = Counter(key for outcome in outcomes for key in outcome.remarks)
+    phrases = {key: phrase for outcome in reversed(outcomes) for key, phrase in outcome.remarks.items()}  # the first's
+    for key, count in counts.items():
+        text = f"{count} of {len(outcomes)} runs: {phrases[key]}"
         console.print(plain(text), soft_wrap=True, highlight=False, markup=False)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from envgs_bench.parts import LOSSES
@@ -26,7 +26,7 @@ class Outcome:
     folder: str
     root: str = ""  # of its data
     data: str | None = None  # their hash
-    remarks: tuple[str, ...] = ()  # what was noticed of its data, and what it trained without
+    remarks: dict[str, str] = field(default_factory=dict)  # `remarks_of` its record
 
     @property
     def ok(self) -> bool:
@@ -72,10 +72,21 @@ def outcome_of(folder: Path, settings: RunSettings, action: str, message: str = 
         folder=str(folder),
         root=str(settings.dataset.get("root") or ""),
         data=record.data if record else None,
-        remarks=remarks_of(record) if record else (),
+        remarks=remarks_of(record) if record else {},
     )
 
 
-def remarks_of(record: Record) -> tuple[str, ...]:
-    """What was noticed of the run's data, and which losses it trained without, a phrase each."""
-    return (*record.notes, *(f"without {LOSSES.get(loss, loss)}: {why}" for loss, why in record.dropped_losses.items()))
+def remarks_of(record: Record) -> dict[str, str]:
+    """What was noticed of the run and its data, and which losses it trained without, a phrase each.
+
+    Keys are equal where phrases say the same: warnings of several runs differ in their numbers.
+    """
+    phrases = [
+        *record.notes,
+        *(f"without {LOSSES.get(loss, loss)}: {why}" for loss, why in record.dropped_losses.items()),
+    ]
+    remarks = {phrase: phrase for phrase in phrases}
+    for warning in record.warnings:
+        words = f"warning: {warning.kind} {warning.part}".rstrip().replace("_", " ")
+        remarks.setdefault(words, f"{words}: {warning.message}")
+    return remarks

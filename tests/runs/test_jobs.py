@@ -88,3 +88,15 @@ def test_a_run_that_another_process_is_at_is_left_to_it(
     out = capsys.readouterr().out
     assert "ok (skipped)" in out
     assert "another process is running it" in out
+
+
+def test_warnings_of_trainings_are_told_below_the_table_of_reused_runs_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for steps in ("1,2", "2,1"):
+        assert run_here(tmp_path, f"steps={steps}", flags=("-m",)) == 0
+        below = capsys.readouterr().out.rpartition("└")[2]
+        said = (
+            f"2 of 2 runs: warning: run short: each of 4 training views is learned from {int(steps[0]) / 4:.1f} times"
+        )
+        assert below.count("warning: run short: ") == below.count(said) == 1
