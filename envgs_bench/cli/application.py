@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
+from envgs_bench.datasets import DatasetError
 from envgs_bench.pages import FAILED, OF_ERRORS
 from envgs_bench.plain_text import plain
 from envgs_bench.runs.display import make_display
@@ -77,7 +78,7 @@ def _run(arguments: list[str]) -> int:
     register_choices(arguments)
     try:
         arguments = checked(arguments)
-    except (CompactHydraException, HydraException, OmegaConfBaseException, SettingsError) as error:
+    except (CompactHydraException, HydraException, OmegaConfBaseException, DatasetError, SettingsError) as error:
         complain("run", explain(error), see=OF_ERRORS.get(type(error).__name__, FAILED))
         return 2
     program, sys.argv = sys.argv, ["envgs-bench run", *_flags_first(arguments)]

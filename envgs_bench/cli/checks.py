@@ -26,7 +26,7 @@ def checked(arguments: list[str]) -> list[str]:
     is wrong ends the call before it leaves a record. Arguments that ask Hydra for something else pass as they are.
 
     Raises:
-        SettingsError, CompactHydraException, OmegaConfBaseException: a job of the call cannot be run.
+        DatasetError, SettingsError, CompactHydraException, OmegaConfBaseException: a job of the call cannot be run.
     """
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("-m", "--multirun", action="store_true")

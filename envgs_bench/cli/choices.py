@@ -33,7 +33,12 @@ def check_choices(settings: RunSettings) -> None:
 
 
 def check_run(settings: RunSettings) -> None:
-    """Raise a SettingsError where a run with these settings cannot start on this machine, with these data."""
+    """Refuse settings with which no run can start on this machine, with these data.
+
+    Raises:
+        DatasetError: it is the data.
+        SettingsError: it is anything else.
+    """
     check_choices(settings)
     resolve_device(settings.device)
     actual = perturbed_settings(settings)
@@ -44,9 +49,7 @@ def check_run(settings: RunSettings) -> None:
             make_settings(settings_type(kind), actual.method.settings, f"method {kind}: ")
         elif settings.method.kind == RENDERS and not Path(str(settings.method.settings.get("path"))).exists():
             raise SettingsError(f"path={settings.method.settings.get('path')}: there is no such folder of renders")
-    except DatasetError as error:
-        raise SettingsError(str(error)) from error
-    except SettingsError:
+    except (DatasetError, SettingsError):
         raise
     except ValueError as error:
         raise SettingsError(f"method {settings.method_name}: {error}") from error

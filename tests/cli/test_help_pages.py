@@ -30,6 +30,21 @@ def test_data_that_cannot_be_loaded_lead_to_data_sets(tmp_path: Path, capsys: py
     assert led_to(capsys.readouterr().err) == [page("reference/data_sets")]
 
 
+@pytest.mark.parametrize("lacking", ["folder", "images", "model"])
+def test_data_that_no_run_can_start_with_lead_to_data_sets(
+    lacking: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "data"
+    if lacking != "folder":
+        (root / "sparse" / "0").mkdir(parents=True)
+    if lacking == "model":
+        (root / "images").mkdir()
+    assert run_here(tmp_path / "runs", "dataset=colmap", f"dataset.root={root}") == 2
+    shown = capsys.readouterr().err
+    assert str(root) in shown
+    assert led_to(shown) == [page("reference/data_sets")]
+
+
 def test_a_folder_without_records_leads_to_records(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", str(tmp_path / "none")]) == 1
     assert led_to(capsys.readouterr().err) == [page("reference/records")]
