@@ -75,8 +75,8 @@ def run(arguments: list[str], dry: bool = False) -> int:
 
 
 def _run(arguments: list[str]) -> int:
-    register_choices(arguments)
     try:
+        register_choices(arguments)
         arguments = checked(arguments)
     except (CompactHydraException, HydraException, OmegaConfBaseException, DatasetError, SettingsError) as error:
         complain("run", explain(error), see=OF_ERRORS.get(type(error).__name__, FAILED))

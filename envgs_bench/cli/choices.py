@@ -5,13 +5,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from envgs_bench.datasets import DatasetError
 from envgs_bench.datasets.registry import check_source
 from envgs_bench.loggers.opening import require_logger
-from envgs_bench.methods.registry import BUILT_IN, settings_type
+from envgs_bench.methods.registry import settings_type
 from envgs_bench.methods.settings import make_settings
 from envgs_bench.metrics import WeightsUnavailable, find_weights, get_protocol
-from envgs_bench.records import RENDERS
+from envgs_bench.records import ELSEWHERE, RENDERS
 from envgs_bench.runs.job import resolve_device
 from envgs_bench.settings import RunSettings, SettingsError
 from envgs_bench.stages.perturbations import perturbation_of, perturbed_settings
@@ -41,18 +40,15 @@ def check_run(settings: RunSettings) -> None:
     """
     check_choices(settings)
     resolve_device(settings.device)
-    actual = perturbed_settings(settings)
-    try:
-        check_source(actual.dataset)
-        if settings.method.kind in BUILT_IN:  # what is somebody else's says itself, in a record
-            kind = settings.method.kind
+    actual, kind = perturbed_settings(settings), settings.method.kind
+    check_source(actual.dataset)
+    if kind == RENDERS and not Path(str(settings.method.settings.get("path"))).exists():
+        raise SettingsError(f"path={settings.method.settings.get('path')}: there is no such folder of renders")
+    if kind not in ELSEWHERE:
+        try:
             make_settings(settings_type(kind), actual.method.settings, f"method {kind}: ")
-        elif settings.method.kind == RENDERS and not Path(str(settings.method.settings.get("path"))).exists():
-            raise SettingsError(f"path={settings.method.settings.get('path')}: there is no such folder of renders")
-    except (DatasetError, SettingsError):
-        raise
-    except ValueError as error:
-        raise SettingsError(f"method {settings.method_name}: {error}") from error
+        except ValueError as error:
+            raise SettingsError(str(error)) from error
 
 
 def tell_of_weights() -> None:

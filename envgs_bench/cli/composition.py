@@ -53,8 +53,8 @@ def _whole(options: Iterable[str]) -> Iterable[str]:
 
 def composed(overrides: list[str]) -> RunSettings:
     """The settings that one run with these overrides has. Raises SettingsError, explained, where there is none."""
-    register_choices(overrides)
     try:
+        register_choices(overrides)
         with initialize_config_dir(str(CONF), version_base="1.3"):
             return settings_of(compose("config", [*map(_forced, overrides)]), overrides)
     except (CompactHydraException, OmegaConfBaseException, SettingsError) as error:
@@ -106,6 +106,9 @@ def register_choices(overrides: Iterable[str] = ()) -> None:
 
     The methods are the ones built in, those of installed packages, and whatever `overrides` choose by import path, as
     method=package.module:Class.
+
+    Raises:
+        SettingsError: one chosen so cannot be loaded. Of those that are not chosen, standard error says so.
     """
     store = ConfigStore.instance()
     for kind in DATASET_KINDS:
@@ -115,13 +118,13 @@ def register_choices(overrides: Iterable[str] = ()) -> None:
     for kind in LOGGERS:
         store.store(group="logger", name=kind, node=LoggerChoice(kind=kind).model_dump())
     chosen = [override.partition("=")[2].split(",") for override in overrides if override.startswith("method=")]
-    by_path = {path: path for paths in chosen for path in paths if ":" in path}
-    for kind, path in {**by_path, **method_paths()}.items():
+    for path in (path for paths in chosen for path in paths if ":" in path):
+        _offer_method(path, path)
+    for kind, path in method_paths().items():
         try:
-            _offer(kind, settings_type(kind))
-        except Exception as error:
-            named = kind in str(error)
-            print(error if named else f"method {kind} of {path} cannot be loaded: {error}", file=sys.stderr)
+            _offer_method(kind, path)
+        except SettingsError as error:
+            print(error, file=sys.stderr)
 
 
 @cache  # as below
@@ -150,6 +153,14 @@ def _offer_preset(name: str) -> None:
     ConfigStore.instance().store(group=f"dataset/{folder}", name=scene, node=node, package="_global_")
 
 
+def _offer_method(kind: str, path: str) -> None:
+    try:
+        _offer(kind, settings_type(kind))
+    except Exception as error:
+        named = kind in str(error)
+        raise SettingsError(str(error) if named else f"method {kind} of {path} cannot be loaded: {error}") from error
+
+
 @cache  # the store lives as long as the process
 def _offer(kind: str, settings: type) -> None:
     node = {"name": kind.rpartition(":")[2], "kind": kind, "settings": dataclasses.asdict(settings())}
@@ -165,7 +176,7 @@ def _accepted(method: MethodChoice, release: Mapping[str, Any], overrides: Itera
     try:
         found = settings_type(method.kind)
     except Exception:
-        return method  # a folder of renders; or what cannot be loaded, as the run itself will say
+        return method  # another program's; or what cannot be loaded, as the check before the jobs says
     given = {override.lstrip("+").partition("=")[0] for override in overrides}
     values = _with_release(method.settings, release.get(method.name) or {}, given)
     try:

@@ -38,8 +38,8 @@ def print_method_settings(name: str) -> int:
         The exit status: 0, or 2 where there is no such method; standard error then says which there are.
     """
     chosen = f"method={name}"
-    register_choices([chosen])
     try:
+        register_choices([chosen])
         with initialize_config_dir(str(CONF), version_base="1.3"):
             method = compose("config", [chosen]).method
         if method.kind == EXTERNAL:

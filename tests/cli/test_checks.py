@@ -13,6 +13,11 @@ from envgs_bench.cli.composition import register_choices
 from envgs_bench.cli.main import COMMANDS, main
 from envgs_bench.settings import SettingsError
 
+NOT_FOUND = (
+    "method 'my_method:Smooth' cannot be imported: No module named 'my_method'; expected package.module:Class of what "
+    "is installed, or of a folder in PYTHONPATH: put PYTHONPATH=. before the command"
+)
+
 
 @pytest.fixture(autouse=True)
 def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -28,6 +33,10 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
         (["dataset=colmap", "dataset.root=/a(b)"], "'dataset.root=\"/a(b)\"'"),
         (["dataset=colmap", "dataset.root=/a=b"], "'dataset.root=\"/a=b\"'"),
         (["method=renders", "path=/no/where"], "path=/no/where: there is no such folder of renders"),
+        (["method=my_method:Smooth"], NOT_FOUND),
+        (["method.kind=my_method:Smooth"], NOT_FOUND),
+        (["method.kind=fakes.methods:Raises,fakes.methods:Nobody"], "has no attribute 'Nobody'; expected package.mod"),
+        (["method.kind=smooth"], "unknown method 'smooth': the known ones are "),
     ],
 )
 def test_a_sweep_of_wrong_input_ends_before_it_begins(
@@ -37,6 +46,19 @@ def test_a_sweep_of_wrong_input_ends_before_it_begins(
     shown = capsys.readouterr().err
     assert shown.count(message) == 1
     assert shown.startswith("envgs-bench run: ")  # nothing of Hydra's before it
+    assert records(tmp_path) == []
+
+
+def test_a_module_of_ones_own_that_raises_is_said_before_the_first_job(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "raising_method.py").write_text("raise KeyError('smooth')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    for key in ("method", "method.kind"):
+        assert run(tmp_path / "runs", f"{key}=raising_method:Smooth") == 2
+        shown = capsys.readouterr().err
+        assert "'raising_method:Smooth' cannot be imported: its module raises KeyError: 'smooth'" in shown
+        assert "there is no method" not in shown
     assert records(tmp_path) == []
 
 
