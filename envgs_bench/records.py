@@ -46,6 +46,10 @@ class Failure(_Part):
     message: str
     log_tail: str  # the last lines of log.txt
 
+    def __str__(self) -> str:
+        """The message, after the class that it is of: an interruption has none that tells a user anything."""
+        return self.message if self.type == KeyboardInterrupt.__name__ else f"{self.type}: {self.message}"
+
 
 class Perturbed(_Part):
     """In what the run differs from its unperturbed partner, whose `config` is the same but for this."""

@@ -38,6 +38,11 @@ class PictureError(ValueError):
     """A run's picture that is missing or cannot be decoded; the message names the file."""
 
 
+def goes_on(run: Path) -> bool:
+    """Whether the run, if it has not ended, left what it can go on from."""
+    return (run / SNAPSHOT_NAME).is_file() or (run / PROGRAM).is_dir()
+
+
 def render_path(run: Path, view: str) -> Path:
     """The test view as the method drew it."""
     return run / "renders" / f"{view}.png"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,8 +46,11 @@ class Report:
     def __str__(self) -> str:
         runs = [item.run for section in self.sections for item in section.runs]
         runs += [item.run for section in self.sections for item in section.perturbed]
-        failed = sum(not run.ok for run in runs)
-        words = [f"{len(runs)} runs", *([f"{failed} of them failed"] if failed else [])]
+        endings = Counter(
+            "interrupted" if run.record.status == "interrupted" else "failed" for run in runs if not run.ok
+        )
+        words = [f"{len(runs)} run{'s' if len(runs) != 1 else ''}"]
+        words += [f"{count} of them {ending}" for ending, count in sorted(endings.items())]
         words += [f"{len(self.broken)} unreadable"] if self.broken else []
         return f"{', '.join(words)}: {self.page}"
 

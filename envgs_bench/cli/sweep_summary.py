@@ -96,7 +96,7 @@ def position(number: int) -> str:
 def time_left() -> str:
     """How far the sweep has come and how long it may still take; "" where there is nothing to tell."""
     sweep, (done, ran) = Sweep.current(), _entered()
-    if not sweep.jobs or sweep.jobs == done or not ran:
+    if not sweep.jobs or sweep.jobs == done or not ran or INTERRUPTION.requested:
         return ""
     elapsed = time.time() - sweep.began
     left = f"{duration(elapsed / ran * (sweep.jobs - done))} left if the others take as long on average"
@@ -110,11 +110,12 @@ def under_way() -> str:
 
 
 def _entered() -> tuple[int, int]:
-    """How many jobs have ended, and how many of them ran."""
+    """How many jobs have ended, and how many of them ran; those that were interrupted have not."""
     path = Path(os.environ[SUMMARY_VARIABLE])
     # Counted, not parsed: this is asked after every job. Within a string, quotes are escaped.
     entered = path.read_bytes() if path.is_file() else b""
-    return entered.count(b"\n"), entered.count(b'"action": "ran"')
+    interrupted = entered.count(b'"status": "interrupted", "action": "ran"')
+    return entered.count(b"\n") - interrupted, entered.count(b'"action": "ran"') - interrupted
 
 
 def shown_runs_dir() -> str:

@@ -20,6 +20,7 @@ from envgs_bench.run_folder import (
     REPLACEMENT,
     SNAPSHOT_NAME,
     clear,
+    goes_on,
     replace,
 )
 from envgs_bench.run_lock import RunLock, holder_of, locked
@@ -148,8 +149,7 @@ def _run_locked(
 
 def _start_over(folder: Path, keep: tuple[str, ...]) -> None:
     """Remove what an earlier attempt left, but for `keep` where there is something to go on from."""
-    goes_on = (folder / SNAPSHOT_NAME).is_file() or (folder / PROGRAM).is_dir()
-    clear(folder, keep if goes_on else ())
+    clear(folder, keep if goes_on(folder) else ())
 
 
 def _run_in(

@@ -58,7 +58,7 @@ def outcome_of(folder: Path, settings: RunSettings, action: str, message: str = 
     except RecordError:
         record = None
     if record and record.error and not failed:
-        message = f"{record.error.type}: {record.error.message}" + (f" ({message})" if message else "")
+        message = f"{record.error} ({message})" if message else str(record.error)
     return Outcome(
         dataset=record.dataset if record else settings.dataset_name,
         method=settings.method_name,

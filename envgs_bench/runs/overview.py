@@ -68,4 +68,4 @@ def _state(folder: Path) -> RunState:
         record = read_record(folder)
     except RecordError as error:
         return RunState(folder, UNREADABLE, str(error))
-    return RunState(folder, record.status, f"{record.error.type}: {record.error.message}" if record.error else "")
+    return RunState(folder, record.status, str(record.error or ""))

@@ -21,6 +21,7 @@ import torch
 from envgs_bench.loggers.opening import logging_of
 from envgs_bench.memory import lift_limit, limit_memory
 from envgs_bench.records import Failure, Status
+from envgs_bench.run_folder import goes_on
 from envgs_bench.settings import read_settings
 from envgs_bench.stages.events import Event, EventListener
 from envgs_bench.stages.execution import execute
@@ -66,7 +67,9 @@ def main(arguments: list[str]) -> int:
         # Half an import, cut off by the request to end, can fail in a way of its own.
         reason = stop.reason or error
         status = _status(reason)
-        failure = Failure(type=type(reason).__name__, message=_message(reason), log_tail="")  # which the job adds
+        failure = Failure(
+            type=type(reason).__name__, message=_message(reason, folder), log_tail=""
+        )  # which the job adds
     draft.write(status, failure)
     return 0 if status == "ok" else 1
 
@@ -115,9 +118,11 @@ def _status(error: BaseException) -> Status:
     return "failed"
 
 
-def _message(error: BaseException) -> str:
-    if isinstance(error, KeyboardInterrupt):
+def _message(error: BaseException, folder: Path) -> str:
+    if isinstance(error, KeyboardInterrupt) and goes_on(folder):
         return "interrupted; the same command goes on from where the training was saved last"
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted before anything was saved; the same command starts it again"
     if isinstance(error, BrokenPipeError):
         return "the process that started this run is gone"
     return str(error) or type(error).__name__

@@ -62,7 +62,7 @@ def failures(section: Section) -> list[dict[str, Any]]:
                         "method": item.method,
                         "seed": record.seed,
                         "status": record.status,
-                        "message": f"{record.error.type}: {record.error.message}",
+                        "message": str(record.error),
                         "log": record.error.log_tail,
                     }
                 )

@@ -36,7 +36,7 @@ def _chapter(chapter: Chapter) -> list[str]:
         lines += ["### Failed runs", ""]
         for item in failures:
             error = item.run.record.error
-            why = f": {error.type}: {error.message}" if error else ""
+            why = f": {error}" if error else ""
             status = item.run.record.status.replace("_", " ")
             lines.append("* " + _escaped(f"{item.dataset}, {item.method}, seed {item.run.record.seed}: {status}{why}"))
         lines.append("")

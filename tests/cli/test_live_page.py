@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,8 @@ from fakes.runs import run_here, set_environment
 
 from envgs_bench import reports
 from envgs_bench.cli.live_page import PAGE_VARIABLE, renew_page
+from envgs_bench.cli.sweep_summary import SUMMARY_VARIABLE, SWEEP_VARIABLE, Sweep, enter, time_left, under_way
+from envgs_bench.runs.outcome import Outcome
 
 WAITING = "1 of 2 runs have ended: this page fills as the others do."
 
@@ -89,3 +93,14 @@ def test_of_two_that_renew_a_page_one_waits(tmp_path: Path, monkeypatch: pytest.
             ended.result()
     assert steps == ["first", "first", "second", "second"]
     assert list(tmp_path.iterdir()) == []  # no lock is left
+
+
+def test_an_interrupted_job_is_none_that_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(SUMMARY_VARIABLE, str(tmp_path / "outcomes.jsonl"))
+    monkeypatch.setenv(SWEEP_VARIABLE, "")
+    Sweep(0, time.time() - 20, jobs=4).announce()
+    done = Outcome("tiny", "fake", 0, "ok", "ran", "", None, None, None, "runs/seed0-1")
+    for status in ("ok", "interrupted", "ok"):
+        enter(replace(done, status=status))
+    assert time_left() == "2 of 4 jobs done in 20 s, 20 s left if the others take as long on average"
+    assert under_way().startswith("2 of 4 runs have ended")

@@ -226,6 +226,17 @@ def test_the_page_prints_the_tables_numbers(report: Report) -> None:
                 assert " ".join(cell.split()) == " ".join(expected.split())
 
 
+def test_interrupted_runs_are_not_said_to_have_failed(tmp_path: Path) -> None:
+    error = {"type": "KeyboardInterrupt", "message": "interrupted", "log_tail": ""}
+    ended = record("toy/room", "envgs", 0) | {"status": "interrupted", "error": error}
+    write_record(run_folder(tmp_path / "runs", "toy/room", "envgs", 0), ended)
+    report = build_report(tmp_path / "runs", tmp_path / "report")
+    assert str(report).startswith("1 run, 1 of them interrupted: ")
+    table = (tmp_path / "report" / "table.md").read_text()
+    assert "interrupted: interrupted" in table
+    assert "KeyboardInterrupt" not in table
+
+
 def test_nothing_is_fetched_from_elsewhere(report: Report) -> None:
     page = Page(report.page.read_text())
     places = [place for _, given in page.tags for key in ("src", "href") if (place := given.get(key))]

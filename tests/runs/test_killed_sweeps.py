@@ -204,7 +204,9 @@ def test_two_sweeps_of_one_folder_share_the_work(tmp_path: Path, start: Start) -
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_ctrl_c_and_kill_save_where_it_was_and_the_same_command_goes_on(tmp_path: Path, how: signal.Signals) -> None:
+def test_ctrl_c_and_kill_save_where_it_was_and_the_same_command_goes_on(
+    tmp_path: Path, how: signal.Signals, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Of a long step's middle nothing is saved: the snapshot is of the step's end."""
     runs = tmp_path / "runs"
 
@@ -215,6 +217,10 @@ def test_ctrl_c_and_kill_save_where_it_was_and_the_same_command_goes_on(tmp_path
 
     threading.Thread(target=interrupt).start()
     assert run(runs, *LEARNS, "snapshot_minutes=60", "seed=0,1", flags=("-m",)) == 130
+    shown = capsys.readouterr()
+    assert "jobs done" not in shown.err
+    assert ": interrupted; the same command goes on from where the training was saved last" in shown.out
+    assert "KeyboardInterrupt" not in shown.out
     (record,) = records(runs)  # the sweep ended there
     assert record.status == "interrupted"
     assert record.seed == 0

@@ -39,4 +39,5 @@ def test_who_was_asked_to_end_and_failed_over_it_was_interrupted(
     assert record.status == "interrupted"
     assert record.error is not None
     assert record.error.type == "KeyboardInterrupt"
+    assert str(record.error) == "interrupted before anything was saved; the same command starts it again"
     assert "RecursionError: half of a module" in record.error.log_tail

@@ -165,7 +165,7 @@ def _failures(stability: Stability) -> list[dict[str, Any]]:
                             {
                                 "run": f"{case[0]}, {case[1]} {severity}, {method}, seed {run.record.seed}",
                                 "outcome": NAMES[run.outcome],
-                                "message": f"{error.type}: {error.message}",
+                                "message": str(error),
                             }
                         )
     return found
