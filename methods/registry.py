@@ -103,23 +103,11 @@ def method_class(kind: str) -> type[Method]:
         )
     try:
         found = load_import_path(path)
-    except Exception as error:  # whatever somebody else's module raises
+    except ImportError as error:
         place = f" from {path}" if path != kind else ""
-        raise ValueError(f"method {kind!r} cannot be imported{place}: {_why_not_imported(path, error)}") from error
+        raise ValueError(f"method {kind!r} cannot be imported{place}: {error}") from error
     from .method import Method
 
     if not (isinstance(found, type) and issubclass(found, Method)):
         raise ValueError(f"method {kind!r}: {path} is not a subclass of envgs_bench.methods.method.Method")
     return found
-
-
-def _why_not_imported(path: str, error: Exception) -> str:
-    """What is wrong with the import path, or with the module itself, and what to do."""
-    if not isinstance(error, ImportError):
-        return f"its module raises {type(error).__name__}: {error}"
-    if isinstance(error, ModuleNotFoundError) and error.name == path.partition(":")[0].partition(".")[0]:
-        return (
-            f"{error}; expected package.module:Class of what is installed, or of a folder in PYTHONPATH: "
-            "put PYTHONPATH=. before the command where the file lies in this folder"
-        )
-    return f"{error}; expected package.module:Class"
