@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+from pydantic_core import ErrorDetails
 
 from envgs_bench.records import RepairKind, ScoredOn
 
@@ -94,6 +95,12 @@ class MethodChoice(BaseModel):
     @classmethod
     def _absolute(cls, node: dict[str, Any]) -> dict[str, Any]:
         return _with_absolute_paths(node)
+
+
+CHOICES: dict[str, type[BaseModel]] = {
+    choice.__name__: choice
+    for choice in (TimingSettings, PerturbationChoice, Gates, BudgetChoice, LoggerChoice, MethodChoice)
+}
 
 
 class RunSettings(BaseModel):
@@ -195,11 +202,17 @@ def parse_settings(content: Any) -> RunSettings:
     try:
         return RunSettings.model_validate(content)
     except ValidationError as error:
-        problems = [
-            f"{'.'.join(map(str, item['loc']))}={item['input']!r}: {item['msg'].removeprefix('Value error, ')}"
-            for item in error.errors()
-        ]
-        raise SettingsError("\n".join(problems)) from error
+        problems = [(".".join(map(str, item["loc"])), item) for item in error.errors()]
+        lines = [f"{key}={item['input']!r}: {_expected(key, item)}" for key, item in problems]
+        raise SettingsError("\n".join(lines)) from error
+
+
+def _expected(key: str, problem: ErrorDetails) -> str:
+    """What the key takes, in words."""
+    name = problem.get("ctx", {}).get("class_name")
+    if problem["type"] != "model_type" or name not in CHOICES:
+        return problem["msg"].removeprefix("Value error, ")
+    return f"expected its keys: {', '.join(f'{key}.{field}=' for field in CHOICES[name].model_fields)}"
 
 
 def read_settings(folder: Path) -> RunSettings:

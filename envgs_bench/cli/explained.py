@@ -4,18 +4,33 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 from envgs_bench.pages import FAILED, help_at, help_on
 from envgs_bench.plain_text import plain
 
 
-def explained(command: str, work: Callable[[], int]) -> int:
-    """The exit status of `work`; 1 with the explanation on standard error where its input cannot be used."""
+def explained(command: str, work: Callable[[], int], out: Path | None = None) -> int:
+    """The exit status of `work`; 1 with the explanation on standard error where its input cannot be used.
+
+    Args:
+        out: what was given as --out.
+    """
     try:
         return work()
     except (OSError, ValueError) as error:
-        complain(command, error)
+        complain(command, _of_out(error, out) or error)
         return 1
+
+
+def _of_out(error: Exception, out: Path | None) -> str:
+    """What is wrong with --out; "" where the error is another."""
+    if out is None or not isinstance(error, OSError) or not isinstance(error.filename, str):
+        return ""
+    path = Path(error.filename)
+    if not path.is_relative_to(out) and not out.is_relative_to(path):
+        return ""
+    return f"--out {out}: cannot be written ({error.strerror}: {path}); give another place as --out"
 
 
 def complain(command: str, *errors: Exception | str, see: str = FAILED) -> None:

@@ -54,7 +54,7 @@ def main(arguments: Sequence[str]) -> int:
     options = parser.parse_args(arguments)
     if options.out is None and options.cameras is None:
         parser.error("nothing to write: give --out FILE for a film, --cameras FILE for its path, or both")
-    return explained("render", lambda: _render(options))
+    return explained("render", lambda: _render(options), options.out)
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -72,7 +72,7 @@ def main(arguments: Sequence[str]) -> int:
         return explained("report", lambda: _figure(options))
     if options.keep or options.keep_perturbed:
         return explained("report", lambda: _keep(options))
-    return explained("report", lambda: _report(options))
+    return explained("report", lambda: _report(options), options.out)
 
 
 def _fill(page: Path, folder: Path) -> int:

@@ -29,7 +29,7 @@ def main(arguments: Sequence[str]) -> int:
         "--device", default="auto", choices=["auto", "cpu", "cuda"], help="where LPIPS is computed, and --redraw draws"
     )
     options = parser.parse_args(arguments)
-    return explained("rescore", lambda: _rescore(options))
+    return explained("rescore", lambda: _rescore(options), options.out)
 
 
 def _rescore(options: argparse.Namespace) -> int:
@@ -37,12 +37,16 @@ def _rescore(options: argparse.Namespace) -> int:
     from rich.progress import track
 
     from envgs_bench.metrics import get_protocol
-    from envgs_bench.records import find_records
+    from envgs_bench.records import RecordError, find_records
     from envgs_bench.stored.rescoring import redraw, rescore
 
     runs, protocol = options.runs, get_protocol(options.protocol)
     out = options.out or Path(f"{runs.resolve()}-{options.protocol}")
     folders = [path.parent for path in find_records(runs) if out.resolve() not in path.resolve().parents]
+    if not folders:
+        raise RecordError(
+            f"{runs}: no record.json under it: give the runs_dir of an `envgs-bench run`, or one run's folder"
+        )
     names, problems = set(), []
     for folder in track(folders, "scoring", console=Console(stderr=True), transient=True):
         below = folder.relative_to(runs)
@@ -58,4 +62,4 @@ def _rescore(options: argparse.Namespace) -> int:
             problems.append(error)
     print(f"{len(folders) - len(problems)} records under protocol {', '.join(sorted(names)) or protocol.name}: {out}")
     complain("rescore", *problems)
-    return int(bool(problems) or not folders)
+    return int(bool(problems))

@@ -25,7 +25,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--layout", required=True, metavar="NAME", help="`envgs-bench list` names them")
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="where the files are written")
     options = parser.parse_args(arguments)
-    return explained("store", lambda: _store(options.run, options.layout, options.out))
+    return explained("store", lambda: _store(options.run, options.layout, options.out), options.out)
 
 
 def _store(run: Path, name: str, out: Path) -> int:

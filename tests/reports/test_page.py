@@ -14,6 +14,7 @@ from urllib.parse import unquote
 import pytest
 from reports_runs import chapter, record, run_folder, write_failure, write_record, write_runs
 
+from envgs_bench.cli.main import main
 from envgs_bench.reports import Report, build_report
 from envgs_bench.reports.charts.pareto import front, points
 from envgs_bench.reports.page.html import SCRIPTS
@@ -235,6 +236,16 @@ def test_interrupted_runs_are_not_said_to_have_failed(tmp_path: Path) -> None:
     table = (tmp_path / "report" / "table.md").read_text()
     assert "interrupted: interrupted" in table
     assert "KeyboardInterrupt" not in table
+
+
+def test_a_folder_that_cannot_be_written_names_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_record(run_folder(tmp_path / "runs", "toy/room", "envgs", 0), record("toy/room", "envgs", 0))
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file", Path("/proc/none/report")):
+        assert main(["report", str(tmp_path / "runs"), "--out", str(out)]) == 1
+        shown = capsys.readouterr().err
+        assert shown.startswith(f"envgs-bench report: --out {out}: cannot be written (")
+        assert "); give another place as --out\n" in shown
 
 
 def test_nothing_is_fetched_from_elsewhere(report: Report) -> None:

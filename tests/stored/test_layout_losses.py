@@ -86,6 +86,14 @@ def test_what_has_no_place_for_a_part_has_a_size_and_no_score(runs: Path, tmp_pa
     assert "| spz (no place for β) |" in (tmp_path / "layouts.md").read_text()
 
 
+def test_a_file_in_the_place_of_the_folder_names_out(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    assert main(["store", str(runs / "envgs"), "--layout", "ply", "--out", str(tmp_path / "file")]) == 1
+    assert f"store: --out {tmp_path / 'file'}: cannot be written (File exists: " in capsys.readouterr().err
+
+
 def test_a_stored_model_takes_the_checkpoints_place(runs: Path, tmp_path: Path) -> None:
     """Every command that opens a run opens one that has nothing but the compact file."""
     assert main(["store", str(runs / "envgs"), "--layout", "compact", "--out", str(tmp_path / CHECKPOINT)]) == 0

@@ -47,6 +47,13 @@ def test_a_protocol_that_rounds_gets_the_runs_own_numbers_to_the_last_digit(tmp_
     assert again.protocol == direct.protocol
 
 
+def test_a_folder_without_runs_is_none_to_rescore(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["rescore", str(tmp_path), "--protocol", "strict"]) == 1
+    shown = capsys.readouterr()
+    assert f"{tmp_path}: no record.json under it: give the runs_dir of an `envgs-bench run`" in shown.err
+    assert shown.out == ""
+
+
 @pytest.mark.parametrize("protocol", ["strict", "inria"])
 def test_pictures_and_checkpoints_agree_where_protocols_round(tmp_path: Path, finished: Path, protocol: str) -> None:
     command = ["rescore", str(finished), "--protocol", protocol, "--device", "cpu", "--out"]

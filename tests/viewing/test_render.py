@@ -39,6 +39,13 @@ def render(run: Path, out: Path, *options: str) -> int:
     return main(["render", str(run), "--out", str(out), *options])
 
 
+def test_a_film_that_cannot_be_written_names_out(
+    trained: tuple[Path, Method], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert render(trained[0], Path("/proc/none/film.webp"), "--seconds", "0.1") == 1
+    assert "render: --out /proc/none/film.webp: cannot be written (No such file or" in capsys.readouterr().err
+
+
 def test_a_film_from_test_camera_to_test_camera_begins_with_what_the_run_scored(
     tmp_path: Path, trained: tuple[Path, Method], capsys: pytest.CaptureFixture[str]
 ) -> None:
