@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from rich.console import Console
@@ -54,7 +55,7 @@ class Plan:
         self._rows.append((*names, happens, about, folder.name.rpartition("-")[2]))
 
     def print(self) -> None:
-        console = Console()
+        console = Console(width=None if sys.stdout.isatty() else 160)
         table = Table("dataset", "method", "seed", "steps", "what happens", "about", "run")
         for name, row in zip(told_apart(self._captures), self._rows, strict=True):
             table.add_row(*(Text(plain(cell)) for cell in (name, *row)))

@@ -185,6 +185,14 @@ def test_a_dry_run_says_what_would_run(finished: Path, tmp_path: Path, capsys: p
     assert [path for path in sorted(tmp_path.rglob("*")) if path.name != "multirun.yaml"] == before
 
 
+def test_a_dry_run_into_a_pipe_shortens_no_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    named = ("dataset.name=captures/a_room_with_a_mirror", "method.name=fake_of_a_long_name")
+    assert run(tmp_path, *named, flags=("--dry-run",)) == 0
+    shown = capsys.readouterr().out
+    assert "captures/a_room_with_a_mirror" in shown
+    assert "fake_of_a_long_name" in shown
+
+
 @pytest.mark.slow
 def test_a_sweep_says_which_job_it_is_at(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "envgs_bench.cli.main", "run", "--config-dir", str(CONF), "-m", *QUICK]
