@@ -349,6 +349,33 @@ def browse(report: Report, folder: Path, width: int) -> dict[str, Any]:
     return seen
 
 
+NAMES_BESIDE_THE_AXIS = """
+addEventListener("load", () => setTimeout(() => {
+  const left = (element) => element.getBoundingClientRect().left;
+  const names = Array.from(document.querySelectorAll(".chart .textpoint text"), left);
+  const axis = left(document.querySelector(".chart .nsewdrag"));
+  document.body.append(`FROM${JSON.stringify(names.map((name) => name - axis))}FROM`);
+}, 3000));
+"""
+
+
+@needs_chromium
+def test_names_in_the_chart_keep_clear_of_the_axis(tmp_path: Path) -> None:
+    for method, frame_ms, psnr in (("3dgs_tuned", 27.1, 19.87), ("envgs", 311.9, 20.88)):
+        content = record("toy/room", method, 0)
+        content["timing"]["frame_ms"], content["metrics"]["mean"]["psnr"] = frame_ms, psnr
+        write_record(run_folder(tmp_path / "runs", "toy/room", method, 0), content)
+    page = build_report(tmp_path / "runs", tmp_path / "page").page
+    (page.parent / "assets/probe.js").write_text(NAMES_BESIDE_THE_AXIS)
+    page.write_text(page.read_text().replace("<title>", '<script src="assets/probe.js"></script><title>', 1))
+    flags = "--headless --no-sandbox --disable-gpu --virtual-time-budget=20000 --dump-dom --window-size=1280,1000"
+    command = [str(CHROMIUM), *flags.split(), f"--user-data-dir={tmp_path / 'profile'}", page.as_uri()]
+    shown = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120).stdout
+    distances = json.loads(re.findall(r"FROM(\[[^\]]*\])FROM", shown)[-1])
+    assert len(distances) == 2
+    assert min(distances) > 3
+
+
 @needs_chromium
 def test_the_page_works_in_a_browser_without_network(report: Report, tmp_path: Path) -> None:
     seen = browse(report, tmp_path, 1300)

@@ -2,6 +2,7 @@
 /* What the charts' axes, ranges and names look like. */
 window.Report.axes = (function () {
   const MAX_NAMED = 12; // points, above which a name that covers others is left to the hover and the list
+  const FROM_AXIS = 6; // pixels between a name and the axis beside it
   const SIDES = { "top left": [-1, 1], "top right": [1, 1], "bottom right": [1, -1], "bottom left": [-1, -1], "top center": [0, 1], "bottom center": [0, -1], "middle right": [1, 0], "middle left": [-1, 0] };
   const CONFIG = { responsive: true, displaylogo: false, modeBarButtons: [["toImage", "zoom2d", "pan2d", "resetScale2d"]] };
 
@@ -59,15 +60,17 @@ window.Report.axes = (function () {
     const along = (value, axis, size) => (size * ((axis.type === "log" ? Math.log10(value) : value) - axis.range[0])) / (axis.range[1] - axis.range[0]);
     const marks = points.map((p) => [along(p.x, shape.xaxis, width), along(p.y, shape.yaxis, height)]);
     const taken = marks.map(([x, y]) => [x - 8, y - 8, x + 8, y + 8]);
+    const pen = document.createElement("canvas").getContext("2d");
     return points.map((point, i) => {
-      const long = 7.4 * point.name.length;
+      pen.font = `${needed.includes(point) ? "bold " : ""}13px ${shape.font.family}`;
+      const long = pen.measureText(point.name).width;
       const box = ([h, v]) => {
         const left = marks[i][0] + (h === 0 ? -long / 2 : h > 0 ? 9 : -9 - long);
         const bottom = marks[i][1] + (v === 0 ? -8 : v > 0 ? 9 : -25);
         return [left, bottom, left + long, bottom + 16];
       };
       const area = (a, b) => Math.max(0, Math.min(a[2], b[2]) - Math.max(a[0], b[0])) * Math.max(0, Math.min(a[3], b[3]) - Math.max(a[1], b[1]));
-      const cost = (b) => taken.reduce((sum, other) => sum + area(b, other), 0) + 30 * Math.max(0, -b[0], b[2] - width);
+      const cost = (b) => taken.reduce((sum, other) => sum + area(b, other), 0) + 30 * Math.max(0, FROM_AXIS - b[0], b[2] - width);
       const best = Object.keys(SIDES).reduce((a, b) => (cost(box(SIDES[b])) < cost(box(SIDES[a])) ? b : a));
       if (points.length > MAX_NAMED && cost(box(SIDES[best])) > 400 && !needed.includes(point)) return null;
       taken.push(box(SIDES[best]));
