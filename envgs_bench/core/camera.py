@@ -23,7 +23,7 @@ class Camera:
     and `clone` return.
 
     Raises:
-        ValueError: a shape or a dtype is wrong, a value not finite, the size not positive, the rotation off by more
+        ValueError: a shape is wrong, a value not finite, the size not positive, the rotation off by more
             than 1e-5, or K not upper triangular with a last row of (0, 0, 1).
     """
 
@@ -59,12 +59,6 @@ class Camera:
             raise ValueError(f"Camera.world_to_camera has shape {tuple(self.world_to_camera.shape)}, expected (4, 4)")
         if tuple(self.intrinsics.shape) != (3, 3):
             raise ValueError(f"Camera.intrinsics has shape {tuple(self.intrinsics.shape)}, expected (3, 3)")
-        pose, k = self.world_to_camera, self.intrinsics
-        if not pose.is_floating_point() or (k.dtype, k.device) != (pose.dtype, pose.device):
-            raise ValueError(
-                f"Camera.world_to_camera is {pose.dtype} on {pose.device}, intrinsics {k.dtype} on {k.device}, "
-                "expected one floating-point dtype on one device: convert one"
-            )
         if self.width < 1 or self.height < 1:
             raise ValueError(f"Camera is {self.width}×{self.height} pixels, expected at least 1×1")
 
@@ -126,8 +120,9 @@ class Camera:
 
     def check_like(self, tensor: Tensor, name: str) -> None:
         """Raise ValueError where kernels that read `tensor` would read the camera as something else."""
-        if (self.world_to_camera.dtype, self.device) != (tensor.dtype, tensor.device):
-            raise ValueError(
-                f"camera is {self.world_to_camera.dtype} on {self.device}, {name} {tensor.dtype} on {tensor.device}: "
-                "convert one with .to()"
-            )
+        for field in (self.world_to_camera, self.intrinsics):
+            if (field.dtype, field.device) != (tensor.dtype, tensor.device):
+                raise ValueError(
+                    f"camera is {field.dtype} on {field.device}, {name} {tensor.dtype} on {tensor.device}: "
+                    "convert one with .to()"
+                )

@@ -33,6 +33,11 @@ def test_a_camera_of_another_dtype_is_refused(backend, draw, columns):
         ValueError, match=r"camera is torch.float64 on cpu, gaussians torch.float32 on cpu: convert one"
     ):
         draw(random_set(9, columns=columns), double(plain_camera()), backend=backend)
+    mixed = replace(plain_camera(), intrinsics=plain_camera().intrinsics.double())
+    with pytest.raises(
+        ValueError, match=r"camera is torch.float64 on cpu, gaussians torch.float32 on cpu: convert one"
+    ):
+        draw(random_set(9, columns=columns), mixed, backend=backend)
 
 
 @BACKENDS
