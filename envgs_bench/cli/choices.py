@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from envgs_bench.datasets import DatasetError
 from envgs_bench.datasets.registry import check_source
@@ -36,6 +37,7 @@ def check_run(settings: RunSettings) -> None:
     """Raise a SettingsError where a run with these settings cannot start on this machine, with these data."""
     check_choices(settings)
     resolve_device(settings.device)
+    _check_cache(settings.cache_dir)
     actual = perturbed_settings(settings)
     try:
         check_source(actual.dataset)
@@ -50,6 +52,18 @@ def check_run(settings: RunSettings) -> None:
         raise
     except ValueError as error:
         raise SettingsError(f"method {settings.method_name}: {error}") from error
+
+
+def _check_cache(folder: Path) -> None:
+    """Without a cache every run would make its scene again, and models of photographs cannot be made at all."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise SettingsError(
+            f"cache_dir={folder}: cannot be written ({error.strerror}); give a folder that can be written as "
+            "cache_dir=, or set ENVGS_BENCH_CACHE to one"
+        ) from error
 
 
 def tell_of_weights() -> None:
