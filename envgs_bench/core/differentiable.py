@@ -86,7 +86,8 @@ class _Draw(torch.autograd.Function):
     ) -> tuple[Tensor, ...]:
         drawn = draw_pass.forward(keep)
         ctx.draw_pass, ctx.slot, ctx.color_statistics = draw_pass, slot, color_statistics
-        ctx.save_for_backward(*drawn.planes)
+        # The pass reads the inputs again: saved, they are refused where they have changed in place by then.
+        ctx.save_for_backward(*drawn.planes, *inputs)
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(drawn.hits, drawn.weights)
         return (*drawn.planes, drawn.hits, drawn.weights)
@@ -94,7 +95,7 @@ class _Draw(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        planes = Planes(*ctx.saved_tensors)
+        planes = Planes(*ctx.saved_tensors[: len(Planes._fields)])
         contiguous = tuple(g if g is None else g.contiguous() for g in gradients[:5])
         result = ctx.draw_pass.backward(planes, contiguous)
         if ctx.needs_input_grad[INPUTS_FROM]:  # the means
