@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping
 from contextlib import nullcontext
-from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -196,13 +195,10 @@ class GaussianMethod(Method):
         self.drawn = DrawnViews(self.model, self.draw, self.prepare, views.all_of(scene.train), views.all_of(some))
         prunings = None
         if s.prune_error > 0:
-            prunings = Prunings(self.drawn, self.notes, self._hear_of_noise, self.perceptual.get("lpips"))
-            self.parts["prunings"] = prunings
+            lpips = self.perceptual.get("lpips")
+            prunings = self.parts["prunings"] = Prunings(self.drawn, self.notes, self.runner.hear_of_noise, lpips)
         of_parts = [event for part in self.parts.values() for event in part.events()]
         self.runner.start(schedule, s.rule.average_from, views, events_of(self.model, prunings, of_parts))
-
-    def _hear_of_noise(self, beside: float) -> None:
-        self.runner.loss = replace(self.runner.loss, beside_noise=beside)
 
     def training_step(self, view: View, step: int) -> dict[str, Tensor]:
         # A perceptual loss is a large network's, which is worth all threads.
@@ -283,9 +279,8 @@ class GaussianMethod(Method):
         try:
             self.restore(state)
         except (AttributeError, KeyError, RuntimeError, TypeError) as error:
-            raise ValueError(
-                f"{folder}: its checkpoint lacks what the method needs ({error!r}); train again"
-            ) from error
+            lacks = f"{folder}: its checkpoint lacks what the method needs ({error!r}); train again"
+            raise ValueError(lacks) from error
         _forget_prepared(self)
 
     def state(self) -> dict[str, Any]:

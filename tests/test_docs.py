@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
-from envgs_bench.cli.composition import config_names
+from envgs_bench.cli.composition import composed, config_names
 from envgs_bench.cli.main import COMMANDS
 from envgs_bench.metrics import PROTOCOLS
 
@@ -219,3 +219,9 @@ def test_a_version_is_cited_that_there_is_and_the_change_list_begins_with_what_i
     workflow = yaml.safe_load((ROOT / ".github/workflows/checks.yaml").read_text(encoding="utf-8"))
     pythons = workflow["jobs"]["checks"]["strategy"]["matrix"]["python"]
     assert [f"Programming Language :: Python :: {python}" in project["classifiers"] for python in pythons] == [True] * 3
+
+
+def test_the_command_for_a_new_data_format_is_read() -> None:
+    page = (DOCS / "how_to" / "add_data_format.md").read_text(encoding="utf-8")
+    (command,) = re.findall(r"^PYTHONPATH=\. envgs-bench run (.+)$", page, re.MULTILINE)
+    assert composed(command.split()).dataset["root"].endswith("FOLDER")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,7 +36,8 @@ class _Track(NamedTuple):
 def check_tracks(folder: Path, model: pycolmap.Reconstruction) -> None:
     """Refuse a model whose cameras, poses, points and observations are not of each other, and note odd images.
 
-    A model without observations, as of known poses, says nothing of itself and passes.
+    A model without observations, as of known poses, says nothing of itself and passes. Observations of points that are
+    not there any more are ignored.
 
     Args:
         folder: names it in messages.
@@ -43,7 +45,9 @@ def check_tracks(folder: Path, model: pycolmap.Reconstruction) -> None:
     Raises:
         DatasetError: points lie behind most cameras, far from where images show them, or beside the pictures.
     """
-    tracks = [track for image in model.images.values() if image.has_pose and (track := _track(image, model))]
+    known = frozenset(model.points3D)  # people thin clouds, and images still show what is gone
+    posed = [image for image in model.images.values() if image.has_pose]
+    tracks = [track for image in posed if (track := _track(image, model, known))]
     if not tracks:
         return
     errors = np.concatenate([track.errors for track in tracks])
@@ -90,11 +94,12 @@ def _note_odd_images(folder: Path, tracks: list[_Track]) -> None:
 
 
 @np.errstate(all="ignore")
-def _track(image: pycolmap.Image, model: pycolmap.Reconstruction) -> _Track | None:
-    indices = image.get_observation_point2D_idxs()
-    if len(indices) < LEAST:
+def _track(image: pycolmap.Image, model: pycolmap.Reconstruction, known: Set[int]) -> _Track | None:
+    observations = [image.point2D(int(index)) for index in image.get_observation_point2D_idxs()]
+    observations = [point for point in observations if point.point3D_id in known]
+    if len(observations) < LEAST:
         return None
-    chosen = [image.point2D(int(indices[i])) for i in np.linspace(0, len(indices) - 1, PER_IMAGE).astype(int)]
+    chosen = [observations[i] for i in np.linspace(0, len(observations) - 1, PER_IMAGE).astype(int)]
     shown = np.array([point.xy for point in chosen])
     points = np.array([model.points3D[point.point3D_id].xyz for point in chosen])
     camera = model.cameras[image.camera_id]

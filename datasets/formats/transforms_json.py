@@ -27,7 +27,8 @@ FLAT_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV",
 FISHEYE_MODELS = ("OPENCV_FISHEYE", "FISHEYE")
 INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y")
 MOST_BYTES = 500_000_000  # of such a file; a frame takes a thousand
-ORTHONORMAL = 1e-3  # error of a rotation, of its length and of its right angles, as `Camera` allows it
+ORTHONORMAL = 1e-3  # error of a rotation, of its length and of its right angles: three decimals leave as much
+EXACT = 1e-6  # and as much is left alone; what errs more becomes the nearest rotation, as `Camera` wants it
 LARGEST = 1e15  # no number in such a file is meant to be larger
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -117,7 +118,7 @@ class FrameFile:
             )
 
     def _unscaled(self, matrix: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-        """The matrix [4, 4] with a rotation, without the one scale that may multiply it.
+        """The matrix [4, 4] with a rotation, the nearest, and without the one scale that may multiply it.
 
         Raises:
             DatasetError: it mirrors, skews, stretches axes differently, or its last row is not (0, 0, 0, w).
@@ -137,10 +138,13 @@ class FrameFile:
             raise DatasetError(
                 f"{what} mirrors its camera (its determinant is below 0); export it with right-handed axes"
             )
-        if abs(scale - 1) <= ORTHONORMAL:
-            return matrix
-        self.scales.append(scale)
-        return np.concatenate([np.concatenate([axes / scale, matrix[:3, 3:]], axis=1), matrix[3:]])
+        if abs(scale - 1) > ORTHONORMAL:
+            self.scales.append(scale)
+            axes = axes / scale
+        if not np.allclose(axes.T @ axes, np.eye(3), rtol=0, atol=EXACT):
+            left, _, right = np.linalg.svd(axes)
+            axes = left @ right
+        return np.concatenate([np.concatenate([axes, matrix[:3, 3:]], axis=1), matrix[3:]])
 
     def focal(self, axis: str, frame: dict[str, Any], length: float) -> float | None:
         """In pixels: fl_<axis>, or of the whole field of view camera_angle_<axis>; the frame's own first."""

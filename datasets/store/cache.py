@@ -23,7 +23,7 @@ def cached_scene(cache_dir: Path, name: str, key: Mapping[str, Any], make: Calla
     """The scene stored under `key`, or else `make()`'s, which is then stored.
 
     Of several processes that ask at once one makes it, and the others wait. A file that cannot be read, or is not as it
-    was written, is made again. Where nothing can be written the scene is returned nevertheless, with a warning. What
+    was written, is made again. Where nothing can be written the scene is returned nevertheless, with a note. What
     `make` notes is said again whenever the scene is read. It may put views into the file while others are still to be
     made: see `on_disk`.
 
@@ -72,5 +72,5 @@ def _made(path: Path, make: Callable[[], Scene]) -> Scene:
             file.finish(scene, notes)
             return read_scene(path, check=False)[0]
         except OSError as error:
-            warnings.warn(f"the scene could not be cached in {path.parent}: {error}", stacklevel=3)
+            note(f"the scene could not be cached in {path.parent}, and is made again for each run: {error}")
             return scene

@@ -19,7 +19,7 @@ DESCRIPTION = """\
 Time the core and what a training step does around it: medians, and the distance between the quartiles.
 
 Without options, on a room of Gaussians: the traced and rasterized cases that targets are stated for, what else a
-training step takes (building and refitting the BVH, Adam, SSIM, a map's lookup), on a GPU also an image and a training
+training step takes (building the BVH, Adam, SSIM, a map's lookup), on a GPU also an image and a training
 step of each method, and the native backends beside the torch oracle on a picture small enough for it. With --primitives
 or --size: rasterize, trace and build at each of them, or what --op names. With --scene: all of it on what a trained run
 has learned, where its cameras stand.

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from envgs_bench.core import Camera, GaussianSet, Rendering, build_bvh, rasterize, rasterize_color, trace, trace_color
-from envgs_bench.core.differentiable import SetTensors
 from envgs_bench.core.ssim import ssim
 from envgs_bench.methods.lighting.cubemap import CubemapLayout, layout_of, sample_cubemap
 from envgs_bench.methods.lighting.prefiltered_cubemap import prefilter_of, rough_map
@@ -53,10 +52,6 @@ def work_of(case: Case, workload: Workload) -> Work:
         case "build":
             gaussians = workload.traced()
             return Work([partial(build_bvh, gaussians, backend=case.backend)], len(gaussians))
-        case "refit":
-            gaussians = workload.traced()
-            handle = build_bvh(gaussians, backend=case.backend).handle
-            return Work([partial(handle.refit, SetTensors.of(gaussians))], len(gaussians))
         case "adam":
             return _moving(workload)
         case "ssim":

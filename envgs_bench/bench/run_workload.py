@@ -82,7 +82,7 @@ def _counts(method: GaussianMethod, name: str) -> dict[str, int]:
     drawn = "rasterize_2d" if method.axes == 2 else "rasterize_3d"
     counts = {drawn: base, f"{drawn}_color": base}
     if method.axes == 2:
-        counts |= dict.fromkeys(("trace", "trace_color", "build", "refit"), method.primitives()[_traced_set(method)])
+        counts |= dict.fromkeys(("trace", "trace_color", "build"), method.primitives()[_traced_set(method)])
     counts |= {"adam": everything, **dict.fromkeys(WITHOUT_SET, 0), name: everything}
     if map_of(method) is None:
         counts = {op: count for op, count in counts.items() if op not in LOOKUPS}

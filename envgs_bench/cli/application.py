@@ -33,6 +33,7 @@ from .sweep_summary import (
     Sweep,
     close_summary,
     enter,
+    of_runs_dir,
     position,
     print_next,
     print_outcomes,
@@ -94,7 +95,7 @@ def _run(arguments: list[str]) -> int:
             complain("run", explain(error), see=OF_ERRORS.get(type(error).__name__, FAILED))
             code = 2
         except OSError as error:
-            complain("run", f"{error}; give a folder that can be written as runs_dir=")
+            complain("run", f"{error}; give a folder that can be written as runs_dir=" if of_runs_dir(error) else error)
             code = 2
         except KeyboardInterrupt:
             code = INTERRUPTED

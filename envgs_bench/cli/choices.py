@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from envgs_bench.datasets.registry import check_source
 from envgs_bench.loggers.opening import require_logger
@@ -40,6 +41,7 @@ def check_run(settings: RunSettings) -> None:
     """
     check_choices(settings)
     resolve_device(settings.device)
+    _check_cache(settings.cache_dir)
     actual, kind = perturbed_settings(settings), settings.method.kind
     check_source(actual.dataset)
     if kind == RENDERS and not Path(str(settings.method.settings.get("path"))).exists():
@@ -49,6 +51,18 @@ def check_run(settings: RunSettings) -> None:
             make_settings(settings_type(kind), actual.method.settings, f"method {kind}: ")
         except ValueError as error:
             raise SettingsError(str(error)) from error
+
+
+def _check_cache(folder: Path) -> None:
+    """Without a cache every run would make its scene again, and models of photographs cannot be made at all."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise SettingsError(
+            f"cache_dir={folder}: cannot be written ({error.strerror}); give a folder that can be written as "
+            "cache_dir=, or set ENVGS_BENCH_CACHE to one"
+        ) from error
 
 
 def tell_of_weights() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,7 +23,7 @@ def main(arguments: Sequence[str]) -> int:
         action="append",
         dest="layouts",
         metavar="NAME",
-        help="one of those that `envgs-bench list` names; may be given again, all by default",
+        help="one of those that `envgs-bench list` names; may be given again; by default all that can be written here",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="layouts.csv and layouts.md go here")
     parser.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"])
@@ -34,11 +35,12 @@ def _layouts(options: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import track
 
-    from envgs_bench.methods.storage.layouts import LAYOUTS
     from envgs_bench.records import find_records
-    from envgs_bench.stored.layout_losses import as_csv, as_markdown, layout_losses, require_layouts
+    from envgs_bench.stored.layout_losses import as_csv, as_markdown, layout_losses, layouts_here, require_layouts
 
-    layouts = require_layouts(options.layouts or list(LAYOUTS))
+    layouts, others = (require_layouts(options.layouts), "") if options.layouts else layouts_here()
+    if others:
+        print(f"envgs-bench layouts: left out: {others}", file=sys.stderr)
     folders = [path.parent for path in find_records(options.runs)]
     losses, problems = [], []
     for folder in track(folders, "storing", console=Console(stderr=True), transient=True):

@@ -138,6 +138,14 @@ def stop_file() -> Path:
     return Path(os.environ[SUMMARY_VARIABLE]).with_suffix(".stop")
 
 
+def of_runs_dir(error: OSError) -> bool:
+    """Whether what could not be read or written lies in the runs_dir of this call, or is needed to make that folder."""
+    if SUMMARY_VARIABLE not in os.environ or not isinstance(error.filename, str):
+        return False
+    path, folder = Path(error.filename).absolute(), Path(os.environ[SUMMARY_VARIABLE]).parent
+    return path.is_relative_to(folder) or (folder.is_relative_to(path) and not folder.is_dir())
+
+
 def close_summary() -> list[Outcome] | None:
     """All outcomes of this call so far, in the order in which they came, or None where no job was to run."""
     if SUMMARY_VARIABLE not in os.environ:

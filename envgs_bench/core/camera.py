@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
+
+ROTATION_ERROR = 1e-5  # of R·Rᵀ, 0.01 pixels at a focal length of 1,000: rays take Rᵀ for the inverse, projections R
 
 
 @dataclass(frozen=True)
@@ -15,9 +19,12 @@ class Camera:
     A world point p is seen at pixel (x, y) = (h₀/h₂, h₁/h₂) with h = K·(R·p + t), where [R|t] are the first three rows
     of `world_to_camera`; the center of the pixel in column c and row r is (c + 0.5, r + 0.5).
 
+    Values are checked where a camera is made, which waits for a GPU that holds them; not again in what `to`, `resized`
+    and `clone` return.
+
     Raises:
-        ValueError: a shape is wrong, a value not finite, the size not positive, the rotation not a rotation,
-            or the last row of K not (0, 0, 1).
+        ValueError: a shape is wrong, a value not finite, the size not positive, the rotation off by more
+            than 1e-5, or K not upper triangular with a last row of (0, 0, 1).
     """
 
     world_to_camera: Tensor
@@ -28,24 +35,40 @@ class Camera:
     height: int
 
     def __post_init__(self) -> None:
+        self._check_shapes()
+        pose, k = self.world_to_camera.detach().double().cpu(), self.intrinsics.detach().double().cpu()
+        if not (torch.isfinite(pose).all() and torch.isfinite(k).all()):
+            raise ValueError("Camera has a pose or intrinsics that are not finite")
+        rotation = pose[:3, :3]
+        error = float((rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max())
+        if error > ROTATION_ERROR:
+            raise ValueError(
+                f"Camera.world_to_camera[:3, :3] is not a rotation: R·Rᵀ differs from the unit matrix by {error:.1e}, "
+                f"expected at most {ROTATION_ERROR:.0e}; give the pose more digits, or take the nearest rotation"
+            )
+        if torch.linalg.det(rotation) < 0:
+            raise ValueError("Camera.world_to_camera[:3, :3] is not a rotation but a mirror (its determinant is −1)")
+        if k[2].tolist() != [0.0, 0.0, 1.0] or k[1, 0] != 0 or k[0, 0] <= 0 or k[1, 1] <= 0:
+            raise ValueError(
+                f"Camera.intrinsics is {k.tolist()}, expected positive focal lengths, 0 below them "
+                "and a last row of (0, 0, 1)"
+            )
+
+    def _check_shapes(self) -> None:
         if tuple(self.world_to_camera.shape) != (4, 4):
             raise ValueError(f"Camera.world_to_camera has shape {tuple(self.world_to_camera.shape)}, expected (4, 4)")
         if tuple(self.intrinsics.shape) != (3, 3):
             raise ValueError(f"Camera.intrinsics has shape {tuple(self.intrinsics.shape)}, expected (3, 3)")
         if self.width < 1 or self.height < 1:
             raise ValueError(f"Camera is {self.width}×{self.height} pixels, expected at least 1×1")
-        if self.world_to_camera.is_cuda:
-            return  # made by .to(): already checked, and a check here would wait for the device
-        pose, k = self.world_to_camera.double(), self.intrinsics.double()
-        if not (torch.isfinite(pose).all() and torch.isfinite(k).all()):
-            raise ValueError("Camera has a pose or intrinsics that are not finite")
-        rotation = pose[:3, :3]
-        if not torch.allclose(rotation @ rotation.T, torch.eye(3, dtype=torch.float64), atol=1e-3):
-            raise ValueError("Camera.world_to_camera[:3, :3] is not a rotation (its rows are not orthonormal)")
-        if torch.linalg.det(rotation) < 0:
-            raise ValueError("Camera.world_to_camera[:3, :3] is not a rotation but a mirror (its determinant is −1)")
-        if k[2].tolist() != [0.0, 0.0, 1.0] or k[0, 0] <= 0 or k[1, 1] <= 0:
-            raise ValueError("Camera.intrinsics needs positive focal lengths and a last row of (0, 0, 1)")
+
+    def _changed(self, **fields: Any) -> Camera:
+        """A copy with other values that follow from these, which are not checked: a GPU is not waited for."""
+        camera = copy(self)
+        for name, value in fields.items():
+            object.__setattr__(camera, name, value)
+        camera._check_shapes()
+        return camera
 
     @property
     def device(self) -> torch.device:
@@ -86,7 +109,20 @@ class Camera:
         x, y, last = self.intrinsics
         # Row by row: a tensor of scales would be copied to the device, which waits.
         intrinsics = torch.stack([x * (width / self.width), y * (height / self.height), last])
-        return replace(self, intrinsics=intrinsics, width=width, height=height)
+        return self._changed(intrinsics=intrinsics, width=width, height=height)
 
-    def to(self, device: torch.device | str) -> Camera:
-        return replace(self, world_to_camera=self.world_to_camera.to(device), intrinsics=self.intrinsics.to(device))
+    def to(self, target: torch.device | torch.dtype | str) -> Camera:
+        return self._changed(world_to_camera=self.world_to_camera.to(target), intrinsics=self.intrinsics.to(target))
+
+    def clone(self) -> Camera:
+        """The camera with tensors of its own."""
+        return self._changed(world_to_camera=self.world_to_camera.clone(), intrinsics=self.intrinsics.clone())
+
+    def check_like(self, tensor: Tensor, name: str) -> None:
+        """Raise ValueError where kernels that read `tensor` would read the camera as something else."""
+        for field in (self.world_to_camera, self.intrinsics):
+            if (field.dtype, field.device) != (tensor.dtype, tensor.device):
+                raise ValueError(
+                    f"camera is {field.dtype} on {field.device}, {name} {tensor.dtype} on {tensor.device}: "
+                    "convert one with .to()"
+                )

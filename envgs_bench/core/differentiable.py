@@ -76,6 +76,9 @@ class Pass(Protocol):
         """From the planes of forward() and ∂L/∂ of each, None for zero."""
 
 
+INPUTS_FROM = 4  # of _Draw's arguments, those that gradients are asked of
+
+
 class _Draw(torch.autograd.Function):
     @staticmethod
     def forward(
@@ -83,7 +86,8 @@ class _Draw(torch.autograd.Function):
     ) -> tuple[Tensor, ...]:
         drawn = draw_pass.forward(keep)
         ctx.draw_pass, ctx.slot, ctx.color_statistics = draw_pass, slot, color_statistics
-        ctx.save_for_backward(*drawn.planes)
+        # The pass reads the inputs again: saved, they are refused where they have changed in place by then.
+        ctx.save_for_backward(*drawn.planes, *inputs)
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(drawn.hits, drawn.weights)
         return (*drawn.planes, drawn.hits, drawn.weights)
@@ -91,20 +95,21 @@ class _Draw(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        planes = Planes(*ctx.saved_tensors)
+        planes = Planes(*ctx.saved_tensors[: len(Planes._fields)])
         contiguous = tuple(g if g is None else g.contiguous() for g in gradients[:5])
         result = ctx.draw_pass.backward(planes, contiguous)
-        counted = result.position_gradients
-        if ctx.color_statistics and any(g is not None for g in contiguous[1:]):
-            counted = ctx.draw_pass.backward(planes, (contiguous[0], None, None, None, None)).position_gradients
-        ctx.slot[0].position_gradients = counted
+        if ctx.needs_input_grad[INPUTS_FROM]:  # the means
+            counted = result.position_gradients
+            if ctx.color_statistics and any(g is not None for g in contiguous[1:]):
+                counted = ctx.draw_pass.backward(planes, (contiguous[0], None, None, None, None)).position_gradients
+            ctx.slot[0].position_gradients = counted
         wanted = (*result.set, result.origins, result.directions)
         return (
             None,
             None,
             None,
             None,
-            *(g if need else None for g, need in zip(wanted, ctx.needs_input_grad[4:], strict=True)),
+            *(g if need else None for g, need in zip(wanted, ctx.needs_input_grad[INPUTS_FROM:], strict=True)),
         )
 
 

@@ -27,10 +27,11 @@ def depth_normals(depth: Tensor, camera: Camera, *, backend: str = "auto") -> Te
         has no depth.
 
     Raises:
-        ValueError: the map has another size than the camera.
+        ValueError: the map has another size, dtype or device than the camera.
     """
     if depth.shape != (camera.height, camera.width):
         raise ValueError(f"depth {tuple(depth.shape)} is not of the camera's size {(camera.height, camera.width)}")
+    camera.check_like(depth, "depth")
     module = load_backend(backend, depth.device, depth.dtype)
     if isinstance(module, ImageKernels):
         return module.depth_normals(depth, camera)

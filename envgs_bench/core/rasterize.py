@@ -36,23 +36,24 @@ def rasterize(
 
     Args:
         gaussians: N primitives, world frame.
-        camera: the view, on the same device.
+        camera: the view, on the same device and of the same dtype.
         background: [3] color behind everything, in [0, 1]; black where None. Receives no gradient.
-        near: hits nearer than this camera-frame depth are not drawn, world units.
+        near: hits nearer than this camera-frame depth are not drawn, world units, 0 or more.
         low_pass: anti-aliasing as in the originals: a surfel's squared distance is the smaller of its own and of a
             screen-space Gaussian of √2/2 px; a 3D Gaussian's projected covariance grows by 0.3 px².
         low_pass_statistics: whether the statistics' position gradients count the pixels in which that screen-space
             Gaussian answers for a surfel; the code of 2D Gaussian Splatting leaves them out.
         color_statistics: whether they are of the loss's part through color alone, as in 3DGS-DR's code, and not through
             alpha, depth, normal and extras; then a native backend's backward pass runs twice.
-        transmittance_min: a pixel is finished by the hit that takes its transmittance below this.
+        transmittance_min: a pixel is finished by the hit that takes its transmittance below this, in [0, 1].
         backend: "auto" (by device), "cpu", "cuda" or "torch".
 
     Returns:
         Rendering with [H, W, …] fields. `statistics` covers this call; its position gradients appear after backward().
 
     Raises:
-        ValueError: camera and set are on different devices, a bad background, or an unknown backend.
+        ValueError: camera and set differ in device or dtype, a bad background, a negative `near`, a `transmittance_min`
+            beyond 0 to 1, or an unknown backend.
         RuntimeError: the backend does not work on this machine.
     """
     module, options = _checked(gaussians, camera, background, near, low_pass, transmittance_min, backend)
@@ -106,13 +107,22 @@ def _checked(
     transmittance_min: float,
     backend: str,
 ) -> tuple[Rasterizer, RasterizeOptions]:
-    if camera.device != gaussians.device:
-        raise ValueError(f"camera is on {camera.device}, gaussians on {gaussians.device}: move one with .to()")
+    camera.check_like(gaussians.means, "gaussians")
+    check_not_negative("near", near)
+    if not 0 <= transmittance_min <= 1:
+        raise ValueError(f"transmittance_min is {transmittance_min}, expected a number from 0 to 1")
     options = RasterizeOptions(checked_background(background, gaussians), near, low_pass, transmittance_min)
     module = load_backend(backend, gaussians.device, gaussians.means.dtype)
     if not isinstance(module, Rasterizer):
         raise ValueError(f"backend {backend!r} traces rays only, it cannot rasterize")
     return module, options
+
+
+def check_not_negative(name: str, distance: float) -> None:
+    if not distance >= 0:
+        raise ValueError(
+            f"{name} is {distance}, expected 0 or more: nothing is drawn behind a camera or a ray's origin"
+        )
 
 
 def checked_background(background: Tensor | None, gaussians: GaussianSet) -> Tensor:

@@ -13,10 +13,10 @@ from torch import Tensor
 class Statistics:
     """What one pass learned of each primitive. Without gradients; densification and pruning read it.
 
-    `position_gradients` is filled by the backward pass (None before): Σ over hits of t·∂L/∂mean, world frame, where t
-    is the hit's distance along its ray. `rasterize` leaves some out where it is given `low_pass_statistics=False` or
-    `color_statistics=True`. A method's densification criterion is its norm times a constant: W/(2·f) gives 3DGS's
-    gradient of the projected center, ½ gives the EnvGS paper's (Sec. 5.1).
+    `position_gradients` is filled by the backward pass (None before, and where the set's means require no gradient):
+    Σ over hits of t·∂L/∂mean, world frame, where t is the hit's distance along its ray. `rasterize` leaves some out
+    where it is given `low_pass_statistics=False` or `color_statistics=True`. A method's densification criterion is its
+    norm times a constant: W/(2·f) gives 3DGS's gradient of the projected center, ½ gives the EnvGS paper's (Sec. 5.1).
     """
 
     weights: Tensor

@@ -42,7 +42,7 @@ def ssim_map(image: Tensor, target: Tensor, padding: str = "zero", *, backend: s
     """SSIM of every pixel and channel. Differentiable in `image`.
 
     Args:
-        image, target: [H, W, C] in [0, 1], of one floating-point dtype.
+        image, target: [H, W, C] in [0, 1], of one floating-point dtype on one device.
         padding: "zero", the border's windows see black beyond the image (3D Gaussian Splatting), or "valid", only
             windows that lie inside the image count (Wang et al. 2004).
         backend: "auto" (by device) or a name, as for `rasterize`; "torch" takes any dtype.
@@ -51,12 +51,17 @@ def ssim_map(image: Tensor, target: Tensor, padding: str = "zero", *, backend: s
         [H, W, C] for "zero", [H − 10, W − 10, C] for "valid".
 
     Raises:
-        ValueError: shapes differ, `target` needs a gradient, the padding is unknown, a valid map would be empty, or
-            the backend does not take these images.
+        ValueError: shapes, dtypes or devices differ, `target` needs a gradient, the padding is unknown, a valid map
+            would be empty, or the backend does not take these images.
         RuntimeError: the backend does not work on this machine.
     """
     if image.ndim != 3 or image.shape != target.shape:
         raise ValueError(f"image {tuple(image.shape)} and target {tuple(target.shape)} must share a shape [H, W, C]")
+    if (target.dtype, target.device) != (image.dtype, image.device):
+        raise ValueError(
+            f"target is {target.dtype} on {target.device}, image {image.dtype} on {image.device}: convert one with "
+            ".to()"
+        )
     if target.requires_grad:
         raise ValueError("ssim_map gives no gradient for its target: pass target.detach(), or swap the two")
     if padding not in PADDINGS:

@@ -8,7 +8,7 @@ from torch import Tensor
 from .backends import load_backend
 from .contract import Backend, Bvh, ColorKernels, TraceOptions
 from .gaussians import GaussianSet
-from .rasterize import checked_background, refuse_gradients
+from .rasterize import check_not_negative, checked_background, refuse_gradients
 from .removals import removals_wanted
 from .rendering import Rendering
 
@@ -35,7 +35,7 @@ def trace(
 ) -> Rendering:
     """Blend the surfels along each ray in the order of their hits (EnvGS paper, Sec. 4.2, App. D).
 
-    Differentiable in every field of the set and in the rays' origins and directions. A ray is o + t·d, t > 0, and d
+    Differentiable in every field of the set and in the rays' origins and directions. A ray is o + t·d, t ≥ 0, and d
     need not have unit length: distances are in units of |d|. Where d is zero, nothing is hit. Hits at equal t are
     blended in the order of their index. Tracing `camera.rays()` with t_min = near gives what
     `rasterize(..., low_pass=False)` draws wherever hits and centers sort alike.
@@ -44,9 +44,10 @@ def trace(
         gaussians: N surfels, world frame.
         origins, directions: rays, world frame, any leading shape.
         background: [3] color behind everything, in [0, 1]; black where None. Receives no gradient.
-        t_min: hits at smaller t are not drawn.
+        t_min: hits at smaller t are not drawn, 0 or more.
         transmittance_min: a ray ends with the hit that takes its transmittance below this, of each ray or of all. A
-            ray that counts little may end sooner. Receives no gradient.
+            ray that counts little may end sooner. One of which this is above 1 or NaN draws nothing. Receives no
+            gradient.
         sh_direction: where spherical harmonics are evaluated: "center", from the ray's origin toward each surfel's
             center, as an image of a camera there has them; or "ray", along the ray, whose direction then gets their
             gradient, and no center does (EnvGS's released tracer).
@@ -57,8 +58,8 @@ def trace(
         Rendering with the rays' leading shape. `statistics` covers this call; position gradients after backward().
 
     Raises:
-        ValueError: rays of a wrong shape, dtype or device, 3D Gaussians, a foreign BVH, an unknown backend or
-            `sh_direction`.
+        ValueError: rays of a wrong shape, dtype or device, 3D Gaussians, a negative `t_min`, a foreign BVH, an unknown
+            backend or `sh_direction`.
         RuntimeError: the backend does not work on this machine.
     """
     module, options = _checked(
@@ -125,6 +126,7 @@ def _checked(
             raise ValueError(
                 f"{name} are {rays.dtype} on {rays.device}, gaussians {gaussians.means.dtype} on {gaussians.device}"
             )
+    check_not_negative("t_min", t_min)
     if sh_direction not in SH_DIRECTIONS:
         raise ValueError(f"sh_direction is {sh_direction!r}, expected {' or '.join(SH_DIRECTIONS)}")
     module = load_backend(backend, gaussians.device, gaussians.means.dtype)

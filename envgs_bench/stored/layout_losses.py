@@ -18,6 +18,7 @@ from envgs_bench.core import View
 from envgs_bench.methods.gaussian_method import GaussianMethod
 from envgs_bench.methods.storage.checkpoint import on_device
 from envgs_bench.methods.storage.layouts import LAYOUTS, Layout, stored_bytes
+from envgs_bench.methods.storage.splats import SPLAT_LAYOUTS, require_library
 from envgs_bench.metrics import Protocol, get_protocol
 from envgs_bench.records import Scores
 from envgs_bench.settings import RunSettings
@@ -47,11 +48,21 @@ class LayoutLoss:
 
 
 def require_layouts(names: Sequence[str]) -> dict[str, Layout]:
-    """The layouts of these names. Raises ValueError where there is no such layout."""
+    """The layouts of these names. Raises ValueError where there is no such layout, or its library is not installed."""
     unknown = [name for name in names if name not in LAYOUTS]
     if unknown:
         raise ValueError(f"unknown layout {', '.join(map(repr, unknown))}: the known ones are {', '.join(LAYOUTS)}")
+    if not SPLAT_LAYOUTS.keys().isdisjoint(names):
+        require_library()
     return {name: LAYOUTS[name] for name in names}
+
+
+def layouts_here() -> tuple[dict[str, Layout], str]:
+    """All layouts that can be written here, and in words why the others cannot; "" where there are no others."""
+    try:
+        return require_layouts(list(LAYOUTS)), ""
+    except ValueError as error:
+        return require_layouts([name for name in LAYOUTS if name not in SPLAT_LAYOUTS]), str(error)
 
 
 def open_sets(run: Path, device: str = "auto") -> tuple[RunSettings, GaussianMethod]:

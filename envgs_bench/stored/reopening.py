@@ -11,24 +11,49 @@ from envgs_bench.methods.storage.gaussian_files import READERS
 from envgs_bench.methods.storage.sog_file import META
 from envgs_bench.programs.gaussians import open_gaussians
 from envgs_bench.programs.recipe import parse_choice
-from envgs_bench.records import EXTERNAL, RENDERS, read_record
+from envgs_bench.records import EXTERNAL, RENDERS, Record, RecordError, read_record
 from envgs_bench.run_folder import CHECKPOINT, CONFIG_NAME, RECORD_NAME
 from envgs_bench.runs.job import resolve_device
-from envgs_bench.settings import RunSettings, SettingsError, read_settings
+from envgs_bench.settings import RunSettings, read_settings
 from envgs_bench.stages.perturbations import load_run_scene, perturbed_settings
 
 
 def reopen(folder: Path, device: str = "auto") -> tuple[RunSettings, Method]:
     """The settings of the run in `folder`, and its method, ready to `prepare` and to `render` on `device`.
 
+    A folder without a record is opened: somebody put a model there.
+
     Raises:
-        SettingsError: no run's folder, or the device cannot be had.
+        ValueError: the run did not end with status ok: its model is half trained, or there is none.
+        RecordError: its record cannot be read.
+        SettingsError, ValueError, FileNotFoundError: as `reopen_unfinished`.
+    """
+    record = read_record(folder) if (folder / RECORD_NAME).is_file() else None
+    if record is not None and record.status != "ok":
+        raise ValueError(f"{folder}: the run {_ending(record)}")
+    return reopen_unfinished(folder, device)
+
+
+def _ending(record: Record) -> str:
+    """How a run ended that did not end ok, what is expected, and what to do."""
+    if record.status == "interrupted":
+        return "was interrupted; expected one that ended ok. The command that started it goes on with it"
+    why = f" ({record.error})" if record.error else ""
+    return f"ended as {record.status}{why}; expected one that ended ok. Mend the cause and run it with force=true"
+
+
+def reopen_unfinished(folder: Path, device: str = "auto") -> tuple[RunSettings, Method]:
+    """As `reopen`, however the run ended.
+
+    Raises:
+        RecordError: no run's folder.
+        SettingsError: the device cannot be had.
         ValueError: another program drew the run's pictures, settings that the method does not have (any more), or a
             checkpoint of another method.
         FileNotFoundError: the run left no checkpoint.
     """
     if not (folder / CONFIG_NAME).is_file():
-        raise SettingsError(f"{folder}: holds no {CONFIG_NAME}; expected the folder of one run")
+        raise RecordError(f"{folder}: holds no {CONFIG_NAME}; expected the folder of one run")
     settings = perturbed_settings(read_settings(folder))
     if settings.method.kind == RENDERS:
         raise ValueError(f"{folder}: another program drew its pictures, there is no model to open; take a trained run")

@@ -48,7 +48,7 @@ from envgs_bench.stages.pose_alignment import ALIGNED, alignment_of
 from envgs_bench.stages.renders import score_renders
 from envgs_bench.stages.scoring import FULL, Pair, score_pairs
 
-from .reopening import reopen, reopen_scene
+from .reopening import reopen_scene, reopen_unfinished
 
 
 def rescore(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Record:
@@ -81,7 +81,7 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
     """As `rescore`, of the test views drawn again from the run's checkpoint, with the masks that the data have now.
 
     Raises:
-        RecordError, ValueError, FileNotFoundError: as `read_record`, `reopen` and `reopen_scene`.
+        RecordError, ValueError, FileNotFoundError: as `read_record`, `reopen_unfinished` and `reopen_scene`.
     """
     record = read_record(run)
     scores, unseen = None, {}
@@ -99,7 +99,7 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
                 settings.method.settings, views, scene.background, protocol, out, _silent, resolve_device(device)
             )
         else:
-            _, method = reopen(run, device)
+            _, method = reopen_unfinished(run, device)  # it came as far as to be scored
             method.prepare()
             scores = evaluate(method, views, protocol, out, _silent, alignment_of(settings, scene, protocol))
             if record.unseen:

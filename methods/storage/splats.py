@@ -56,7 +56,7 @@ def encode_splats(layout: str, tensors: Mapping[str, Tensor]) -> bytes:
     degree = round((rest.size // max(count, 1) // 3 + 1) ** 0.5) - 1
     cloud: dict[str, Any] = {"numPoints": count, "meta": {"shDegree": degree, "sourceFormat": "ply"}}
     cloud |= {name: np.ascontiguousarray(values[order], np.float32).tobytes() for name, values in fields.items()}
-    return _data(layout, _library().write(cloud, SPLAT_LAYOUTS[layout]))
+    return _data(layout, require_library().write(cloud, SPLAT_LAYOUTS[layout]))
 
 
 def decode_splats(layout: str, content: bytes, axes: int) -> dict[str, Tensor]:
@@ -65,7 +65,7 @@ def decode_splats(layout: str, content: bytes, axes: int) -> dict[str, Tensor]:
     Raises:
         ValueError: the library is not installed or cannot read the file.
     """
-    ply = _data(layout, _library().convert(content, SPLAT_LAYOUTS[layout], "ply"))
+    ply = _data(layout, require_library().convert(content, SPLAT_LAYOUTS[layout], "ply"))
     with TemporaryDirectory() as folder:  # plyfile reads a file at once, and a stream row by row
         path = Path(folder) / "set.ply"
         path.write_bytes(ply)
@@ -86,7 +86,8 @@ def half_turn(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     }
 
 
-def _library() -> Any:
+def require_library() -> Any:
+    """What reads and writes these layouts. Raises ValueError, with how to install it, where it is not installed."""
     try:
         import gaussforge
     except ImportError as error:

@@ -5,13 +5,10 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from functools import cache
 from typing import TypeVar
 
 import torch
-
-from envgs_bench.core import Camera
 
 SPARE_SHARE = 1 / 32  # of a GPU's memory, that torch may keep for nothing: sizes change with each recording
 
@@ -60,12 +57,6 @@ def on_own_stream(device: torch.device) -> Iterator[None]:
             yield
     finally:
         outside.wait_stream(stream)
-
-
-def own_camera(camera: Camera) -> Camera:
-    """The camera with tensors of its own, for a recording to read."""
-    pose, intrinsics = camera.world_to_camera.clone(), camera.intrinsics.clone()
-    return replace(camera, world_to_camera=pose, intrinsics=intrinsics)
 
 
 @contextmanager

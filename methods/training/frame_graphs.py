@@ -16,7 +16,7 @@ from torch import Tensor
 
 from envgs_bench.core import Camera, Rendering, Statistics
 
-from .cuda_graphs import on_own_stream, own_camera, recorded
+from .cuda_graphs import on_own_stream, recorded
 
 Drawn = TypeVar("Drawn")
 
@@ -103,7 +103,7 @@ class _Graph(Generic[Drawn]):
     """One recording of a drawing, with its own copy of a camera to read."""
 
     def __init__(self, drawing: Drawing[Drawn], camera: Camera) -> None:
-        self._camera, self._copy = own_camera(camera), drawing.copy
+        self._camera, self._copy = camera.clone(), drawing.copy
 
         def sampled() -> tuple[Drawn, Tensor]:
             drawn = drawing.draw(self._camera)

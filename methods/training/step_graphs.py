@@ -24,7 +24,7 @@ from torch import Tensor
 
 from envgs_bench.core import View
 
-from .cuda_graphs import on_own_stream, own_camera, recorded
+from .cuda_graphs import on_own_stream, recorded
 from .losses import StepNumbers
 
 IN_FLIGHT = 1  # steps that the device may be behind when another is launched: it then never waits for the host
@@ -192,7 +192,7 @@ Launch = Callable[[View, int], StepNumbers]
 
 def _copied(view: View) -> View:
     normal = None if view.normal is None else view.normal.clone()
-    return replace(view, camera=own_camera(view.camera), image=view.image.clone(), normal=normal)
+    return replace(view, camera=view.camera.clone(), image=view.image.clone(), normal=normal)
 
 
 def _tensors(view: View) -> Iterator[Tensor]:

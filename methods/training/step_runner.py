@@ -103,6 +103,10 @@ class StepRunner:
         self._average_parameters(step, anew=bool(due))
         return numbers.losses()
 
+    def hear_of_noise(self, beside: float) -> None:
+        """From here on the loss knows which share of the views' squared error is not their noise."""
+        self.loss = replace(self.loss, beside_noise=beside)
+
     def due(self, step: int) -> list[Every]:
         """What befalls the model after a step, in this order."""
         return [event for event in self.events if event.due(step, self._schedule.steps)]

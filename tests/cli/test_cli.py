@@ -11,6 +11,8 @@ from fakes.runs import CONF, records, run, set_environment
 
 from envgs_bench.cli import examination
 from envgs_bench.cli.main import main
+from envgs_bench.runs import job
+from envgs_bench.settings import RunSettings
 
 
 @pytest.fixture(autouse=True)
@@ -129,12 +131,41 @@ def test_one_wrong_option_of_a_sweep_stops_it_before_anything_runs(
     assert records(tmp_path) == []
 
 
-def test_a_runs_dir_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("below", ["", "a/b"])
+def test_a_runs_dir_that_cannot_be_written_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], below: str
+) -> None:
     (tmp_path / "file").touch()
-    assert run(tmp_path / "file") == 2
+    assert run(tmp_path / "file" / below) == 2
     message = capsys.readouterr().err
     assert str(tmp_path / "file") in message
-    assert "runs_dir=" in message
+    assert "; give a folder that can be written as runs_dir=" in message
+
+
+def test_what_cannot_be_read_elsewhere_is_not_laid_on_runs_dir(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "data").mkdir()
+
+    def gone(settings: RunSettings) -> None:
+        (tmp_path / "data/cameras.bin").read_bytes()
+
+    monkeypatch.setattr(job, "located", gone)
+    assert run(tmp_path / "runs") == 2
+    message = capsys.readouterr().err
+    assert f"envgs-bench run: [Errno 2] No such file or directory: '{tmp_path / 'data/cameras.bin'}'\n" in message
+
+
+def test_a_cache_dir_that_cannot_be_written_ends_the_call_before_the_first_job(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    for folder in (tmp_path / "file", Path("/proc/x")):  # which root cannot write either
+        assert run(tmp_path / "runs", f"cache_dir={folder}") == 2
+        said = capsys.readouterr().err
+        assert f"cache_dir={folder}: cannot be written (" in said
+        assert "give a folder that can be written as cache_dir=, or set ENVGS_BENCH_CACHE to one" in said
+    assert not (tmp_path / "runs").exists()
 
 
 def test_flags_may_stand_between_overrides(capsys: pytest.CaptureFixture[str]) -> None:

@@ -79,6 +79,8 @@ def test_doctor_leads_to_what_to_do_about_what_is_missing(
         (["list", "dataset", "nothing"], "reference/data_sets"),
         (["export", "dataset.nothing=1", "--out", "out"], "reference/settings"),
         (["diagnose", "--seeds", "x", "--out", "out.csv"], "reference/sampled_scenes"),
+        (["store", ".", "--layout", "ply", "--out", "out"], "reference/records"),
+        (["render", ".", "--out", "film.webp"], "reference/records"),
         (["report", "nowhere", "--figure", "figure.png"], "reference/reports"),
         (["report", "nowhere", "--fill", "page.md"], FAILED),
     ],

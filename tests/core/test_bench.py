@@ -322,9 +322,9 @@ def test_what_a_training_step_takes_is_timed_alone(op):
 def test_a_backend_is_asked_for_what_it_has():
     default = {backend: {c.op for c in chosen_cases([backend], None, None)} for backend in ("cpu", "cuda", "torch")}
     assert {"adam", "ssim", "cubemap", "prefiltered"} <= default["cpu"] & default["cuda"]
-    assert {"refit", "rasterize_3d_color", "2dgs", "3dgs", "envmap"} <= default["cuda"] - default["cpu"]
+    assert {"trace_color", "rasterize_3d_color", "2dgs", "3dgs", "envmap"} <= default["cuda"] - default["cpu"]
     assert default["torch"] == {"trace", "rasterize_2d", "rasterize_3d"}
-    chosen = chosen_cases(["cpu", "torch"], [10], [(4, 3)], ["envgs", "ssim", "refit"])
+    chosen = chosen_cases(["cpu", "torch"], [10], [(4, 3)], ["envgs", "ssim", "trace_color"])
     assert {(c.op, c.backend, c.primitives) for c in chosen} == {("envgs", "cpu", 10), ("ssim", "cpu", 0)}
 
 
@@ -397,7 +397,7 @@ def test_a_trained_run_is_timed_on_its_own_views(tmp_path, capsys):
     ("arguments", "message"),
     [
         (["--op", "sorting"], "--op sorting: expected some of trace, "),
-        (["--op", "refit", "--backend", "cpu"], "and a backend that has them"),
+        (["--op", "trace_color", "--backend", "cpu"], "and a backend that has them"),
         (["--peers", "--backend", "cpu"], "--peers: needs the cuda backend"),
         (["--scene", "nowhere"], "nowhere: holds no config.yaml"),
         (["--scene", "nowhere", "--size", "8x6"], "a run has its own primitives and sizes"),

@@ -73,6 +73,10 @@ def test_resized_sees_the_same_points_at_scaled_positions():
     torch.testing.assert_close(small.project(points)[0], camera.project(points)[0] * torch.tensor([0.5, 0.25]))
 
 
+def rounded_pose(decimals: int) -> torch.Tensor:
+    return tilted_camera().world_to_camera.double().round(decimals=decimals).float()
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -83,6 +87,8 @@ def test_resized_sees_the_same_points_at_scaled_positions():
         ({"world_to_camera": torch.diag(torch.tensor([2.0, 1.0, 1.0, 1.0]))}, "not a rotation"),
         ({"intrinsics": torch.diag(torch.tensor([-1.0, 1.0, 1.0]))}, "positive focal lengths"),
         ({"intrinsics": torch.diag(torch.tensor([1.0, 1.0, 2.0]))}, r"last row of \(0, 0, 1\)"),
+        ({"intrinsics": torch.tensor([[9.0, 0, 4], [0.1, 9, 4], [0, 0, 1]])}, "0 below them"),
+        ({"world_to_camera": rounded_pose(3)}, r"not a rotation: .* differs from the unit matrix by .* at most 1e-05"),
     ],
 )
 def test_bad_cameras_are_refused_with_the_reason(change, message):
@@ -95,3 +101,29 @@ def test_bad_cameras_are_refused_with_the_reason(change, message):
 def test_mirrored_poses_are_refused():
     with pytest.raises(ValueError, match="not a rotation"):
         Camera(torch.diag(torch.tensor([-1.0, 1.0, 1.0, 1.0])), torch.eye(3), 4, 4)
+
+
+def test_a_pose_of_six_decimals_shows_what_its_rays_hit():
+    """To a hundredth of a pixel at a focal length of 1,000. One of three decimals, which is refused, misses by half."""
+    intrinsics = torch.tensor([[1000.0, 0, 400], [0, 1000, 300], [0, 0, 1]])
+    camera = Camera(rounded_pose(6), intrinsics, 800, 600).to(torch.float64)
+    origins, directions = camera.rays()
+    pixels, _ = camera.project(origins + 3 * directions)
+    rows, columns = torch.meshgrid(torch.arange(600.0), torch.arange(800.0), indexing="ij")
+    assert (pixels - torch.stack([columns, rows], -1) - 0.5).abs().max() < 0.01
+
+
+def test_what_follows_from_a_checked_camera_is_not_checked_again(monkeypatch):
+    """A check of values waits for a GPU that holds them; sizes are known without it."""
+    camera = tilted_camera()
+
+    def refuse(_: Camera) -> None:
+        raise AssertionError("checked again")
+
+    monkeypatch.setattr(Camera, "__post_init__", refuse)
+    copies = camera.to(torch.float64), camera.to("cpu"), camera.resized(18, 7), camera.clone()
+    assert [c.width for c in copies] == [37, 37, 18, 37]
+    assert copies[0].intrinsics.dtype == torch.float64
+    assert copies[3].world_to_camera.data_ptr() != camera.world_to_camera.data_ptr()
+    with pytest.raises(ValueError, match="0×7 pixels"):
+        camera.resized(0, 7)

@@ -61,7 +61,7 @@ def test_unknown_backends_are_refused():
 
 def test_native_backends_refuse_other_dtypes_and_say_what_to_do():
     with pytest.raises(ValueError, match=r"takes float32 tensors on cpu, got torch\.float64 on cpu; convert them"):
-        rasterize(random_set(3).to(torch.float64), plain_camera(), backend="cpu")
+        rasterize(random_set(3).to(torch.float64), plain_camera().to(torch.float64), backend="cpu")
 
 
 def test_embree_does_not_rasterize():

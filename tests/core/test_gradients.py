@@ -56,7 +56,7 @@ def check_against_differences(render, inputs: list[Tensor]) -> None:
 @pytest.mark.parametrize("low_pass", [True, False], ids=["low-pass", "exact"])
 def test_rasterized_gradients_are_differences(columns, low_pass):
     intrinsics = torch.tensor([[8.0, 0.5, 1.2], [0.0, 9.0, 1.1], [0.0, 0.0, 1.0]])
-    camera = replace(tilted_camera(3, 2), intrinsics=intrinsics)
+    camera = replace(tilted_camera(3, 2), intrinsics=intrinsics).to(torch.float64)
 
     def render(*values: Tensor) -> Rendering:
         return ORACLE.rasterize(GaussianSet(*values), camera, low_pass=low_pass, background=BACKGROUND)
@@ -66,7 +66,7 @@ def test_rasterized_gradients_are_differences(columns, low_pass):
 
 def test_gradients_through_the_screen_space_filter_are_differences():
     """Surfels far smaller than a pixel are drawn by the filter alone."""
-    camera = plain_camera(3, 3, focal=4.0)
+    camera = plain_camera(3, 3, focal=4.0).to(torch.float64)
     tiny = replace(broad_set(), scales=torch.full((4, 2), 1e-3, dtype=torch.float64))
     tiny = replace(tiny, means=tiny.means * torch.tensor([0.1, 0.1, 1.0], dtype=torch.float64))
 

@@ -21,6 +21,15 @@ def test_kept_machine_code_is_checked(tmp_path: Path) -> None:
     assert compiler.remembered(path) == b"machine code"
 
 
+def test_what_cannot_be_kept_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(compiler.os, "replace", full)
+    compiler.remember(tmp_path / "a.cubin", b"machine code")
+    assert not list(tmp_path.iterdir())
+
+
 def test_they_lie_where_the_run_was_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiler, "_folder", None)
     monkeypatch.setenv("ENVGS_BENCH_CACHE", str(tmp_path))

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import DatasetError, load_scene
@@ -214,6 +215,20 @@ def test_an_invalid_pose_is_refused(root: Path) -> None:
         given["frames"][1]["transform_matrix"] = matrix
         write(root, "test", given)
         refused(root, rf"test/r_1.*{message}")
+
+
+def test_rotations_of_three_decimals_become_the_nearest(root: Path) -> None:
+    """Rays take the transpose of what projections take: with the matrix as given they would miss by half a pixel."""
+    given, turn = content(root, "test"), Rotation.from_euler("xyz", [20, -35, 50], degrees=True).as_matrix()
+    for index, decimals in enumerate((3, 7)):
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = turn.round(decimals), [0.5, -0.25, 4.0]
+        given["frames"][index]["transform_matrix"] = matrix.tolist()
+    write(root, "test", given)
+    for view, error in zip(load(root).test, (1e-3, 1e-6), strict=True):
+        pose = view.camera.world_to_camera[:3, :3].double().numpy()
+        np.testing.assert_allclose(pose @ pose.T, np.eye(3), rtol=0, atol=1e-6)
+        np.testing.assert_allclose(pose, (turn @ np.diag([1, -1, -1])).T, rtol=0, atol=error)
 
 
 def test_one_picture_of_another_size(root: Path) -> None:

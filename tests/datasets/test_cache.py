@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import threading
 import time
@@ -25,6 +26,7 @@ from PIL import Image
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import load_scene
+from envgs_bench.datasets.notes import collecting
 from envgs_bench.datasets.progress import listening, streamed
 from envgs_bench.datasets.sources import capture
 from envgs_bench.datasets.store import contents
@@ -195,8 +197,10 @@ def test_a_disk_that_fills_up_costs_the_cache_and_nothing_else(tmp_path: Path, m
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(GrowingFile, "_append", full)
-    with pytest.warns(UserWarning, match="could not be cached .*No space left"):
+    with collecting() as notes:
         made = cached_scene(tmp_path, "a", {}, lambda: replace(scene, train=on_disk(scene.train)))
+    (text,) = notes
+    assert re.search("could not be cached .*, and is made again for each run: .*No space left", text)
     assert torch.equal(made.points, scene.points)
     assert not list((tmp_path / "scenes").glob("*"))
 

@@ -150,6 +150,45 @@ def test_models_without_observations_pass_silently() -> None:
 
 
 @pytest.fixture
+def seen(tmp_path: Path) -> Path:
+    """A capture whose images show its points."""
+    places = np.random.default_rng(0).uniform(5, 45, (40, 2))
+    return write_capture(tmp_path / "seen", NAMES_OF_TEN, seen_at=places)
+
+
+def keep_points(root: Path, kept: slice, shift: float = 0) -> None:
+    """Leave these lines of points3D.txt, moved along x; images.txt still names the others."""
+    path = root / "sparse/0/points3D.txt"
+    header, *rows = path.read_text().splitlines()
+    words = [row.split() for row in rows[kept]]
+    path.write_text("\n".join([header, *(" ".join([w[0], str(float(w[1]) + shift), *w[2:]]) for w in words)]) + "\n")
+
+
+def test_a_thinned_cloud_is_read_and_checked_by_what_is_left(seen: Path) -> None:
+    keep_points(seen, slice(None, None, 2))
+    with collecting() as notes:
+        assert len(load(seen).points) == 20
+    assert not any("show points" in note for note in notes)
+    keep_points(seen, slice(None), shift=100)
+    with pytest.raises(DatasetError, match=r"sparse/0: its points lie .*not of one model"):
+        load(seen)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_points_that_images_show_and_that_are_all_gone_are_named(seen: Path, binary: bool) -> None:
+    model = seen / "sparse/0"
+    if binary:
+        pycolmap.Reconstruction(str(model)).write_binary(str(model))
+        for path in model.glob("*.txt"):
+            path.unlink()
+        (model / "points3D.bin").write_bytes(bytes(8))
+    else:
+        keep_points(seen, slice(0))
+    with pytest.raises(DatasetError, match=r"sparse/0: holds no points to start"):
+        load(seen)
+
+
+@pytest.fixture
 def root(tmp_path: Path) -> Path:
     """A capture whose model lies there as text and as binary files."""
     root = write_capture(tmp_path / "bench", NAMES_OF_TEN, OPENCV)

@@ -13,6 +13,7 @@ import torch
 
 from envgs_bench.core import Scene
 from envgs_bench.datasets import DatasetError, load_scene
+from envgs_bench.datasets.notes import collecting
 from envgs_bench.datasets.registry import MISSING, SETTINGS, default_settings, files_read
 from envgs_bench.datasets.settings import SourceSettings, parse_dataset_settings
 from envgs_bench.datasets.source import Source
@@ -118,8 +119,10 @@ def test_a_damaged_file_is_made_again(tmp_path: Path) -> None:
 
 def test_a_scene_is_given_even_where_nothing_can_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
-    with pytest.warns(UserWarning, match="could not be cached"):
+    with collecting() as notes:
         assert cached_scene(tmp_path / "file", "a", {}, tiny_scene).name == tiny_scene().name
+    (text,) = notes
+    assert f"could not be cached in {tmp_path / 'file/scenes'}" in text
 
 
 def test_a_crash_while_making_leaves_nothing(tmp_path: Path) -> None:

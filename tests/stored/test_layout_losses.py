@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -75,6 +76,21 @@ def test_a_row_a_run_and_layout(runs: Path, tmp_path: Path, capsys: pytest.Captu
     shown = capsys.readouterr().out
     assert shown == (tmp_path / "layouts.md").read_text()
     assert f"| tiny | our_2dgs | 3 | compact | {int(rows[1]['file_bytes']) / 1e6:.2f} |" in shown
+
+
+def test_without_their_library_layouts_are_left_out_and_the_others_stay(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "gaussforge", None)
+    why = "spz, sog, compressed-ply need the library gaussforge: pip install 'envgs-bench[viewers]'"
+    assert main(["layouts", str(runs / "2dgs"), "--device", "cpu", "--out", str(tmp_path)]) == 0
+    rows = csv.DictReader((tmp_path / "layouts.csv").open())
+    assert [row["layout"] for row in rows] == ["ply", "compact", "ply-two-scales"]
+    assert capsys.readouterr().err.count(f"envgs-bench layouts: left out: {why}\n") == 1
+    for command in ("layouts", "store"):  # one that was asked for cannot be left out
+        assert main([command, str(runs / "2dgs"), "--layout", "spz", "--out", str(tmp_path / "asked")]) == 1
+        assert f"envgs-bench {command}: {why}\n" in capsys.readouterr().err
+        assert not (tmp_path / "asked").exists()
 
 
 def test_what_has_no_place_for_a_part_has_a_size_and_no_score(runs: Path, tmp_path: Path) -> None:

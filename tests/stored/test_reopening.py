@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
 import time
 from pathlib import Path
 
 import pytest
 import yaml
+from fakes.runs import set_environment
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reports_runs import record
+from trained_runs import trained_run
 
 from envgs_bench.cli.main import main
 from envgs_bench.settings import SettingsError, read_settings
@@ -46,6 +51,37 @@ def test_a_config_that_is_none_is_named(
     assert f"{tmp_path}/config.yaml: " in said
     assert message in said
     assert not (tmp_path / "made").exists()
+
+
+@pytest.mark.parametrize(
+    "command", [["store", "--layout", "ply"], ["render", "--path", "orbit", "--device", "cpu"], ["layouts"]]
+)
+@pytest.mark.parametrize(
+    ("status", "message"),
+    [
+        ("interrupted", "the run was interrupted; expected one that ended ok. The command that started it goes on"),
+        ("failed", "the run ended as failed (MemoryError: too large); expected one that ended ok. Mend the cause and "),
+    ],
+)
+def test_half_a_training_is_refused(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: list[str],
+    status: str,
+    message: str,
+) -> None:
+    set_environment(monkeypatch)
+    trained_run(tmp_path / "run", "2dgs", steps=2)
+    error = {"type": "MemoryError", "message": "too large", "log_tail": ""}
+    ended = record("tiny", "2dgs", 0, status=status, error=error, metrics=None, masked={}, timing=None)
+    (tmp_path / "run/record.json").write_text(json.dumps(ended))
+    name, *options = command
+    assert main([name, str(tmp_path / "run"), *options, "--out", str(tmp_path / "out.gif")]) == 1
+    assert f"{tmp_path / 'run'}: {message}" in capsys.readouterr().err
+    shutil.rmtree(tmp_path / "run/checkpoint")  # that there is none is no news
+    assert main([name, str(tmp_path / "run"), *options, "--out", str(tmp_path / "out.gif")]) == 1
+    assert f"{tmp_path / 'run'}: {message}" in capsys.readouterr().err
 
 
 def test_a_config_in_a_pipe_is_not_waited_for(tmp_path: Path) -> None:

@@ -126,11 +126,11 @@ def test_saved_pictures_round_as_protocols_do(tmp_path: Path) -> None:
     assert strict.score(saved, saved)["psnr"] == 100
 
 
-def test_failed_runs_stay_failures(tmp_path: Path, finished: Path) -> None:
+@pytest.mark.parametrize("reached", [{"metrics": None, "masked": {}, "timing": None}, {"timing": None}], ids=len)
+def test_failed_runs_stay_failures(tmp_path: Path, finished: Path, reached: dict[str, None]) -> None:
     shutil.copytree(finished, tmp_path / "runs")
     folder = only_folder(tmp_path / "runs")
     failure = Failure(type="RuntimeError", message="in a bad mood", log_tail="")
-    reached = {"metrics": None, "masked": {}, "timing": None}
     failed = read_record(folder).model_copy(update={"status": "failed", "error": failure, **reached})
     write_record(folder, failed)
     for options in ((), ("--redraw",)):

@@ -55,7 +55,7 @@ class Backend:
     def take(self, value):
         """A set, camera or tensor as this backend wants it; a set or tensor becomes a leaf that wants gradients."""
         if isinstance(value, Camera):
-            return value.to(self.device)
+            return value.to(self.device).to(self.dtype)
         if isinstance(value, GaussianSet):
             return value.map(self.take)
         return value.detach().to(self.device, self.dtype).requires_grad_()

@@ -95,7 +95,7 @@ class _TracePass:
     ) -> None:
         self.tensors = SetTensors.of(gaussians)
         self.origins, self.directions = origins.detach().contiguous(), directions.detach().contiguous()
-        self.removals = options.removals
+        self.options = options  # `native` borrows its thresholds
         threads = workers()
         if bvh is not None and bvh.backend != "cpu":
             raise ValueError(
@@ -126,5 +126,5 @@ class _TracePass:
         result, position_gradients = _zero_gradients(self.tensors)
         origins, directions = torch.empty_like(self.origins), torch.empty_like(self.directions)
         filled = (*result, position_gradients)
-        self.native.backward(tuple(planes), gradients, filled, origins, directions, self.removals)
+        self.native.backward(tuple(planes), gradients, filled, origins, directions, self.options.removals)
         return Gradients(result, position_gradients, origins, directions)

@@ -16,6 +16,13 @@ struct SeenColors {
     Float4 color[kGroup];
 };
 
+// See clamped_color and unclamped_gradient.
+inline Float4 clamped_color(Float4 sum) { return maximum(-Float4{}, sum); }
+inline Float4 unclamped_gradient(Float4 color, Float4 g) {
+    using Int4 = LaneTypes<4>::Int;
+    return select((color >= 0.0f) & ((Int4)color >= 0), g, Float4{});
+}
+
 // Row k of SH coefficients [K][3]. The fourth lane is the next row's first value; after the last row it is 0.
 template <int K>
 inline Float4 sh_row(const float* sh, int k) {
@@ -32,9 +39,9 @@ inline void see_colors(const float* const (&sh)[kGroup], int count, Vec3<Float8>
     seen.direction = seen.inverse_length * v;
     sh_basis<Degree>(seen.direction, seen.basis);
     for (int lane = 0; lane < count; ++lane) {
-        Float4 color = Float4{} + 0.5f;
+        Float4 color = {};
         for (int k = 0; k < K; ++k) color = color + seen.basis[k][lane] * sh_row<K>(sh[lane], k);
-        seen.color[lane] = maximum(Float4{}, color);  // in this order: NaN stays NaN
+        seen.color[lane] = clamped_color(color + 0.5f);
     }
 }
 
@@ -52,7 +59,7 @@ inline void see_sites(const float* const (&sites)[kGroup], int count, Vec3<Float
             seen.basis[k][lane] = weights[k];
             color = color + weights[k] * load_lanes<Float4>(sites[lane] + kSiteFloats * k);
         }
-        seen.color[lane] = maximum(Float4{}, color);
+        seen.color[lane] = clamped_color(color);
     }
 }
 
@@ -69,7 +76,7 @@ inline Vec3<Float8> see_colors_backward(const float* const (&sh)[kGroup], int co
     constexpr int K = (Degree + 1) * (Degree + 1);
     Float8 g_basis[K] = {};
     for (int lane = 0; lane < count; ++lane) {
-        Float4 g = select(seen.color[lane] > 0.0f, gradient[lane], Float4{});
+        Float4 g = unclamped_gradient(seen.color[lane], gradient[lane]);
         for (int k = 0; k < K; ++k) {
             const float* row = sh[lane] + 3 * k;
             g_basis[k][lane] = g[0] * row[0] + g[1] * row[1] + g[2] * row[2];
@@ -84,7 +91,7 @@ inline Vec3<Float8> see_sites_backward(const float* const (&sites)[kGroup], int 
                                        const Float4 (&gradient)[kGroup], float* const (&g_sites)[kGroup]) {
     Vec3<Float8> g_direction = {};
     for (int lane = 0; lane < count; ++lane) {
-        Float4 g = select(seen.color[lane] > 0.0f, gradient[lane], Float4{});
+        Float4 g = unclamped_gradient(seen.color[lane], gradient[lane]);
         float weights[kSites];
         for (int k = 0; k < kSites; ++k) weights[k] = seen.basis[k][lane];
         Vec3<float> own = site_weights_backward<4>(sites[lane], lane_of(seen.direction, lane), weights,

@@ -4,6 +4,7 @@
 // OpenMP, because torch brings its runtime along: two pools of threads that wait for work by spinning would take each
 // other's cores. Without OpenMP the same loops run on one core.
 #pragma once
+#include <exception>
 #if defined(_OPENMP)
 #include <omp.h>
 
@@ -64,11 +65,21 @@ inline void sleep_while_waiting() {
 #endif
 }
 
-// work(worker) for each worker in [0, workers).
+// work(worker) for each worker in [0, workers). What one of them throws, for want of memory say, is thrown once all
+// have ended: an exception that left the OpenMP region would end the process.
 template <class Work>
 void parallel(int workers, const Work& work) {
+    std::exception_ptr thrown;
 #pragma omp parallel for schedule(static, 1) num_threads(workers)
-    for (int worker = 0; worker < workers; ++worker) work(worker);
+    for (int worker = 0; worker < workers; ++worker) {
+        try {
+            work(worker);
+        } catch (...) {
+#pragma omp critical
+            thrown = std::current_exception();
+        }
+    }
+    if (thrown) std::rethrow_exception(thrown);
 }
 
 // item(i, worker) for i in [0, count), worker w taking i = w, w + workers, …

@@ -112,13 +112,12 @@ inline void Traversal::visit_leaf(const BvhLeaf& leaf) {
 
 // Accepts the hits before t_end, beyond which nearer ones may still be found; true when the ray has ended.
 inline bool Traversal::finalize_hits(float t_end) {
-    while (finalized_ < found_.size() && found_[finalized_].t() < t_end) {
-        const Hit& hit = found_[finalized_++];
-        blended_.push_back(hit);
-        transmittance_ *= 1.0f - hit.alpha;
-        if (transmittance_ < transmittance_min_) return true;
+    for (; transmittance_ >= transmittance_min_; ++finalized_) {  // never where the threshold is NaN
+        if (finalized_ == found_.size() || !(found_[finalized_].t() < t_end)) return false;
+        blended_.push_back(found_[finalized_]);
+        transmittance_ *= 1.0f - found_[finalized_].alpha;
     }
-    return false;
+    return true;
 }
 
 inline const std::vector<Hit>& Traversal::hits(Vec3<float> origin, Vec3<float> direction, float t_min,
@@ -128,7 +127,7 @@ inline const std::vector<Hit>& Traversal::hits(Vec3<float> origin, Vec3<float> d
     origin_ = origin;
     direction_ = direction;
     inverse_ = {inverse(direction.x), inverse(direction.y), inverse(direction.z)};
-    t_min_ = maximum(t_min, 0.0f);
+    t_min_ = t_min + 0.0f;  // −0 becomes 0, whose bits sort
     transmittance_ = 1.0f;
     transmittance_min_ = transmittance_min;
     stack_size_ = 0;

@@ -151,10 +151,9 @@ extern "C" __global__ void __launch_bounds__(256)
                  const float* scales,       // [N, 2] standard deviations, world units; rows begin at 8 bytes
                  const float* opacities,    // [N] in [0, 1]
                  int count,                 // N
-                 bool arrange,  // whether 32 neighbors in `order` are reordered into good leaves; else `order` is kept
-                 u32* order,    // [N] indices of surfels along the curve; reordered where `arrange` is set
-                 float4* packed_surfels,  // [leaves, 3, kLeaf] see PackedSurfels
-                 float2* boxes            // [3, boxes] (low, high) of each box and axis, world units: see Levels
+                 u32* order,                // [N] indices of surfels along the curve; 32 neighbors become good leaves
+                 float4* packed_surfels,    // [leaves, 3, kLeaf] see PackedSurfels
+                 float2* boxes              // [3, boxes] (low, high) of each box and axis, world units: see Levels
     ) {
     Levels levels = Levels::of(count);
     int stride = levels.total(), slot = blockIdx.x * blockDim.x + threadIdx.x, leaf = slot / kLeaf;
@@ -173,20 +172,17 @@ extern "C" __global__ void __launch_bounds__(256)
         box = box_of(s.mean, support_of(s.opacity), scale.x * axes.u, scale.y * axes.v);
         if (!(box.low[0] <= box.high[0])) s.opacity = 0.0f;  // no ray hits it, whatever its leaf's box
     }
-    int own_slot = slot;
-    if (arrange) {
-        __shared__ Scratch scratches[8];
-        Scratch& scratch = scratches[warp_id()];
-        int from = lane_id(), present = count - (slot - lane_id());
-        static_assert(kLeaf == 4, "three halvings");
-        halve<32>(box, from, present, scratch);
-        halve<16>(box, from, present, scratch);
-        halve<8>(box, from, present, scratch);
-        scratch.threads[from] = lane_id();
-        __syncwarp();
-        own_slot += scratch.threads[lane_id()] - lane_id();
-        if (own_slot < count) order[own_slot] = s.index;
-    }
+    __shared__ Scratch scratches[8];
+    Scratch& scratch = scratches[warp_id()];
+    int from = lane_id(), present = count - (slot - lane_id());
+    static_assert(kLeaf == 4, "three halvings");
+    halve<32>(box, from, present, scratch);
+    halve<16>(box, from, present, scratch);
+    halve<8>(box, from, present, scratch);
+    scratch.threads[from] = lane_id();
+    __syncwarp();
+    int own_slot = slot + scratch.threads[lane_id()] - lane_id();
+    if (own_slot < count) order[own_slot] = s.index;
     if (leaf < levels.offset[1]) PackedSurfels{packed_surfels}.store(own_slot, s, scale_u_over_v);
     box = merged<kLeaf>(box);
     __shared__ Aabb leaves[256 / kLeaf];

@@ -33,7 +33,7 @@ class SurfelBvh:
         self.surfels = torch.empty(LEAF * self.levels[0] * CONSTANTS["SURFEL_FLOATS"], device=device)
         self.boxes = torch.empty(3, sum(self.levels), 2, device=device)
         self.order = self._order(tensors)
-        self._pack(tensors, arrange=True)
+        self._pack(tensors)
 
     def _order(self, tensors: SetTensors) -> Tensor:
         means, opacities, count = tensors.means, tensors.opacities, self.count
@@ -46,17 +46,11 @@ class SurfelBvh:
         whole = torch.full((1,), count, dtype=torch.int32, device=means.device)
         return radix_sort(keys, None, whole, 32)[1]
 
-    def refit(self, tensors: SetTensors) -> None:
-        """Takes over changed values of the same surfels and keeps their order: the tree stays right, and good while
-        surfels move little."""
-        self._pack(tensors, arrange=False)
-
-    def _pack(self, tensors: SetTensors, arrange: bool) -> None:
+    def _pack(self, tensors: SetTensors) -> None:
         launch, count = self._kernels, self.count
         threads = 32 * LEAF * (self.levels[1] if len(self.levels) > 1 else 1)
         launch("pack_surfels", blocks_for(threads, 256), 256, tensors.means, aligned(tensors.quaternions),
-               aligned(tensors.scales), tensors.opacities, count, arrange, self.order, self.surfels,
-               self.boxes)  # fmt: skip
+               aligned(tensors.scales), tensors.opacities, count, self.order, self.surfels, self.boxes)  # fmt: skip
         for level in range(1, len(self.levels) - 1):
             threads = 32 * self.levels[level + 1]
             launch("merge_boxes", blocks_for(threads, 256), 256, self.boxes, count, level)

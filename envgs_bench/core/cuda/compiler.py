@@ -7,6 +7,7 @@ import importlib
 import os
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -110,13 +111,15 @@ def remember(path: Path, code: bytes) -> None:
 
     Several processes may do this at once. A folder that cannot be written to costs later processes time, no more.
     """
-    try:
+    with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            file.write(hashlib.sha256(code).digest() + code)
-        os.replace(file.name, path)
-    except OSError:
-        pass
+        handle, part = tempfile.mkstemp(dir=path.parent)
+        try:
+            with open(handle, "wb") as file:
+                file.write(hashlib.sha256(code).digest() + code)
+            os.replace(part, path)
+        finally:
+            Path(part).unlink(missing_ok=True)  # there only where it could not be finished
 
 
 def remembered(path: Path) -> bytes | None:

@@ -149,7 +149,7 @@ private:
         int ray = lane_id() % kRays;
         bool member = (pending >> ray & 1) && (similar || ray == __ffs(pending) - 1);
         s.rays = __ballot_sync(kFullWarp, member) & ((1u << kRays) - 1);
-        float start = origin_along + maximum(own_.from_t, 0.0f) * along;
+        float start = origin_along + own_.from_t * along;
         s.start = warp_min(member ? start : kInfinity);
         s.start -= 1e-5f * absolute(s.start);
         float origin[2] = {component(o, b), component(o, c)};

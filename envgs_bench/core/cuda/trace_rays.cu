@@ -179,7 +179,7 @@ extern "C" __global__ void __launch_bounds__(32, kBlocks)
             float after = __shfl_sync(kFullWarp, before * (1.0f - a), max(count - 1, 0) * kRays + lane_id() % kRays);
             if (count) transmittance = after;
             blended += count;
-            ended = ended || transmittance < own.transmittance_min;
+            ended = ended || !(transmittance >= own.transmittance_min);  // NaN ends it, too
         }
         // Resume: behind the last hit that was blended, where the list had no room for all.
         part.join_threads();

@@ -1,5 +1,9 @@
 // A 3D Gaussian as the rasterizer sees it: its covariance carried to the image by the projection's local affine
 // approximation (EWA splatting, 3D Gaussian Splatting). ρ = δᵀ·V⁻¹·δ with V = T·Σ·Tᵀ, T = J·W, Σ = R·S²·Rᵀ.
+//
+// A needle's V is all but singular: xx·yy − xy² and products with V⁻¹ would be off by rounding times the square of its
+// length over its width. So V is factored as L·Lᵀ (Cholesky), its width by a cross product of the rows of T·R·S, and
+// a pixel has z = L⁻¹·δ, ρ = |z|².
 #pragma once
 #include "surfel_splat.h"
 
@@ -11,21 +15,21 @@ constexpr float kFrustumMargin = 0.3f;  // the affine approximation is taken at 
 
 struct Gaussian3dSplat {
     float x, y, depth;  // the projected center
-    float xx, xy, yy;   // V⁻¹
+    float xx, yx, yy;   // L⁻¹, which is lower triangular
     float side;         // +1 where the shortest axis faces the camera, else −1
     float support, opacity;
 };
 
 template <class R>
 struct Gaussian3dPixel {
-    R dx, dy;
+    R zx, zy;
     R rho, t, side;
 };
 
 template <class R>
 struct Gaussian3dSums {
-    R xx, xy, yy;  // Σ dL/dρ·δδᵀ
-    R x, y;        // Σ dL/dρ·δ
+    R xx, xy, yy;  // Σ dL/dρ·zzᵀ
+    R x, y;        // Σ dL/dρ·z
     R depth;       // Σ dL/dt
 };
 
@@ -78,17 +82,32 @@ ENVGS_FN Vec3<float> normal_of(const Gaussian3dInput& in) {
     return shortest_axis_of(axes_of(normalized(in.quaternion, inverse_norm)), in.scales);
 }
 
-struct Covariance2d {
-    float xx, xy, yy;
+// V and its factor, and what the factor's derivative needs.
+struct ProjectedCovariance {
+    float xx, yy;         // V's diagonal
+    float lxx, lyx, lyy;  // L⁻¹
+    Vec3<float> w0, w1;   // rows of L⁻¹·T·R
 };
 
-ENVGS_FN Covariance2d covariance(const PinholeCamera& camera, const AffineProjection& a, Axes<float> axes,
-                                 Vec3<float> s) {
-    // Rows of T·R·S: V is their Gram matrix.
-    Vec3<float> m0 = {s.x * dot(a.t0, axes.u), s.y * dot(a.t0, axes.v), s.z * dot(a.t0, axes.n)};
-    Vec3<float> m1 = {s.x * dot(a.t1, axes.u), s.y * dot(a.t1, axes.v), s.z * dot(a.t1, axes.n)};
+ENVGS_FN ProjectedCovariance projected_covariance(const PinholeCamera& camera, const AffineProjection& a,
+                                                  Axes<float> axes, Vec3<float> s) {
+    Vec3<float> p0 = {dot(a.t0, axes.u), dot(a.t0, axes.v), dot(a.t0, axes.n)};  // rows of T·R
+    Vec3<float> p1 = {dot(a.t1, axes.u), dot(a.t1, axes.v), dot(a.t1, axes.n)};
+    Vec3<float> m0 = {s.x * p0.x, s.y * p0.y, s.z * p0.z}, m1 = {s.x * p1.x, s.y * p1.y, s.z * p1.z};
     float dilation = camera.low_pass ? kDilation : 0.0f;
-    return {dot(m0, m0) + dilation, dot(m0, m1), dot(m1, m1) + dilation};
+    ProjectedCovariance v;
+    v.xx = dot(m0, m0) + dilation, v.yy = dot(m1, m1) + dilation;
+    v.lxx = 1.0f / square_root(v.xx);
+    // Of y's variance, what x does not tell: det V / xx = (|m0 × m1|² + d·(|m0|² + |m1|²) + d²) / xx.
+    Vec3<float> across = cross(v.lxx * m0, m1);
+    float left = dot(across, across) + dilation * (1.0f + v.lxx * v.lxx * dot(m1, m1));
+    v.lyy = 1.0f / square_root(left);
+    v.lyx = -v.lyy * v.lxx * v.lxx * dot(m0, m1);
+    // p1 − (xy/xx)·p0 = ((p0 × p1) × S²·p0 + d·p1) / xx
+    Vec3<float> s2p0 = {s.x * m0.x, s.y * m0.y, s.z * m0.z};
+    v.w0 = v.lxx * p0;
+    v.w1 = v.lyy * v.lxx * v.lxx * (cross(cross(p0, p1), s2p0) + dilation * p1);
+    return v;
 }
 
 ENVGS_FN PixelBox prepare(const PinholeCamera& camera, const Gaussian3dInput& in, float opacity,
@@ -102,11 +121,9 @@ ENVGS_FN PixelBox prepare(const PinholeCamera& camera, const Gaussian3dInput& in
     if (!(splat.depth >= camera.near)) return empty;
     float inverse_norm;
     Axes<float> axes = axes_of(normalized(in.quaternion, inverse_norm));
-    Covariance2d v = covariance(camera, affine_projection(camera, center.in_camera), axes, in.scales);
-    float determinant = v.xx * v.yy - v.xy * v.xy;
-    if (!(determinant > 0.0f)) return empty;
-    float inverse = 1.0f / determinant;
-    splat.xx = v.yy * inverse, splat.xy = -v.xy * inverse, splat.yy = v.xx * inverse;
+    ProjectedCovariance v = projected_covariance(camera, affine_projection(camera, center.in_camera), axes, in.scales);
+    if (!(v.lxx > 0.0f && v.lyy > 0.0f && v.lxx < kInfinity && v.lyy < kInfinity)) return empty;
+    splat.xx = v.lxx, splat.yx = v.lyx, splat.yy = v.lyy;
     splat.side = dot(shortest_axis_of(axes, in.scales), in.mean - camera.center) < 0.0f ? 1.0f : -1.0f;
     float half_x = square_root(splat.support * v.xx) + 0.01f, half_y = square_root(splat.support * v.yy) + 0.01f;
     return {splat.x - half_x, splat.y - half_y, splat.x + half_x, splat.y + half_y};
@@ -115,17 +132,17 @@ ENVGS_FN PixelBox prepare(const PinholeCamera& camera, const Gaussian3dInput& in
 template <class R>
 ENVGS_FN Gaussian3dPixel<R> evaluate(const Gaussian3dSplat& s, R x, R y, float /*near*/) {
     R dx = x - s.x, dy = y - s.y;
-    R rho = dx * (s.xx * dx + 2.0f * s.xy * dy) + s.yy * dy * dy;
-    return {dx, dy, rho, broadcast<R>(s.depth), broadcast<R>(s.side)};
+    R zx = s.xx * dx, zy = s.yx * dx + s.yy * dy;
+    return {zx, zy, zx * zx + zy * zy, broadcast<R>(s.depth), broadcast<R>(s.side)};
 }
 
 template <class R, class Mask>
 ENVGS_FN void add_pixel(Gaussian3dSums<R>& sum, Gaussian3dPixel<R> p, Mask hit, R g_rho, R g_t) {
     R g = select(hit, g_rho, broadcast<R>(0.0f));
-    R gx = g * p.dx, gy = g * p.dy;
-    sum.xx += gx * p.dx;
-    sum.xy += gx * p.dy;
-    sum.yy += gy * p.dy;
+    R gx = g * p.zx, gy = g * p.zy;
+    sum.xx += gx * p.zx;
+    sum.xy += gx * p.zy;
+    sum.yy += gy * p.zy;
     sum.x += gx;
     sum.y += gy;
     sum.depth += select(hit, g_t, broadcast<R>(0.0f));
@@ -138,40 +155,33 @@ ENVGS_FN SplatGradient finish(const PinholeCamera& camera, const Gaussian3dInput
     Axes<float> axes = axes_of(q);
     Projection center = project(camera, in.mean);
     AffineProjection a = affine_projection(camera, center.in_camera);
-    Covariance2d v = covariance(camera, a, axes, in.scales);
-    float inverse_det = 1.0f / (v.xx * v.yy - v.xy * v.xy);
-    float cxx = v.yy * inverse_det, cxy = -v.xy * inverse_det, cyy = v.xx * inverse_det;
-    // dL/dV = −V⁻¹·(Σ g δδᵀ)·V⁻¹
-    float px = cxx * sum.xx + cxy * sum.xy, py = cxx * sum.xy + cxy * sum.yy;
-    float qx = cxy * sum.xx + cyy * sum.xy, qy = cxy * sum.xy + cyy * sum.yy;
-    float g_xx = -(px * cxx + py * cxy), g_xy = -(px * cxy + py * cyy), g_yy = -(qx * cxy + qy * cyy);
-    // dL/dΣ in the local frame: Q = (T·R)ᵀ·dL/dV·(T·R)
-    Vec3<float> m0 = {dot(a.t0, axes.u), dot(a.t0, axes.v), dot(a.t0, axes.n)};
-    Vec3<float> m1 = {dot(a.t1, axes.u), dot(a.t1, axes.v), dot(a.t1, axes.n)};
-    Vec3<float> w0 = g_xx * m0 + g_xy * m1, w1 = g_xy * m0 + g_yy * m1;
+    ProjectedCovariance v = projected_covariance(camera, a, axes, in.scales);
+    // dL/dV = −L⁻ᵀ·Z·L⁻¹ with Z = Σ g zzᵀ. So with W = L⁻¹·T·R, dL/dΣ in the local frame is Q = Wᵀ·G, G = −Z·W.
+    Vec3<float> g0 = -(sum.xx * v.w0 + sum.xy * v.w1), g1 = -(sum.xy * v.w0 + sum.yy * v.w1);
     Vec3<float> s = in.scales, s2 = {s.x * s.x, s.y * s.y, s.z * s.z};
-    float q01 = m0.x * w0.y + m1.x * w1.y, q02 = m0.x * w0.z + m1.x * w1.z, q12 = m0.y * w0.z + m1.y * w1.z;
-    Vec3<float> g_scales = {2.0f * s.x * (m0.x * w0.x + m1.x * w1.x), 2.0f * s.y * (m0.y * w0.y + m1.y * w1.y),
-                            2.0f * s.z * (m0.z * w0.z + m1.z * w1.z)};
+    float q01 = v.w0.x * g0.y + v.w1.x * g1.y, q02 = v.w0.x * g0.z + v.w1.x * g1.z;
+    float q12 = v.w0.y * g0.z + v.w1.y * g1.z;
+    Vec3<float> g_scales = {2.0f * s.x * (v.w0.x * g0.x + v.w1.x * g1.x), 2.0f * s.y * (v.w0.y * g0.y + v.w1.y * g1.y),
+                            2.0f * s.z * (v.w0.z * g0.z + v.w1.z * g1.z)};
     Vec3<float> torque = {2.0f * q12 * (s2.y - s2.z), 2.0f * q02 * (s2.z - s2.x), 2.0f * q01 * (s2.x - s2.y)};
     Vec3<float> g_local = {dot(axes.u, g_normal), dot(axes.v, g_normal), dot(axes.n, g_normal)};
     int k = shortest_axis(s);
     Vec3<float> axis = {k == 0 ? 1.0f : 0.0f, k == 1 ? 1.0f : 0.0f, k == 2 ? 1.0f : 0.0f};
     torque = torque + cross(axis, g_local);
-    // dL/dT = 2·dL/dV·T·Σ, rows; then J's dependence on the center.
-    Vec3<float> r0 = {2.0f * s2.x * w0.x, 2.0f * s2.y * w0.y, 2.0f * s2.z * w0.z};
-    Vec3<float> r1 = {2.0f * s2.x * w1.x, 2.0f * s2.y * w1.y, 2.0f * s2.z * w1.z};
-    Vec3<float> g_j0 = camera.rotation * (r0.x * axes.u + r0.y * axes.v + r0.z * axes.n);
-    Vec3<float> g_j1 = camera.rotation * (r1.x * axes.u + r1.y * axes.v + r1.z * axes.n);
+    // dL/dT = 2·dL/dV·T·Σ = 2·L⁻ᵀ·G·S²·Rᵀ; then J's dependence on the center: by x/z, by y/z, and by the factor 1/z,
+    // which does to V what a factor of all scales does, so that it adds Σ s·dL/ds to −z·dL/dz.
+    Vec3<float> h0 = 2.0f * (v.lxx * g0 + v.lyx * g1), h1 = 2.0f * v.lyy * g1;
+    Vec3<float> depth_axis = camera.rotation.row2;
+    Vec3<float> toward = {s2.x * dot(axes.u, depth_axis), s2.y * dot(axes.v, depth_axis),
+                          s2.z * dot(axes.n, depth_axis)};
+    float g_j0z = dot(h0, toward), g_j1z = dot(h1, toward);
     float fx = camera.intrinsics.row0.x, skew = camera.intrinsics.row0.y, fy = camera.intrinsics.row1.y;
     float inverse = 1.0f / center.in_camera.z;
-    float g_tx = a.free_x ? -fx * inverse * g_j0.z : 0.0f;
-    float g_ty = a.free_y ? -inverse * (skew * g_j0.z + fy * g_j1.z) : 0.0f;
-    float g_z = -inverse * inverse * (fx * g_j0.x + skew * g_j0.y + fy * g_j1.y) +
-                inverse * inverse * ((fx * a.tx + skew * a.ty) * g_j0.z + fy * a.ty * g_j1.z) -
-                inverse * (g_tx * a.tx + g_ty * a.ty);
+    float g_tx = a.free_x ? -fx * inverse * g_j0z : 0.0f;
+    float g_ty = a.free_y ? -inverse * (skew * g_j0z + fy * g_j1z) : 0.0f;
+    float g_z = -inverse * (dot(s, g_scales) + g_tx * a.tx + g_ty * a.ty);
     Vec3<float> through_j = transposed_times(camera.rotation, {inverse * g_tx, inverse * g_ty, g_z});
-    float g_x = -2.0f * (cxx * sum.x + cxy * sum.y), g_y = -2.0f * (cxy * sum.x + cyy * sum.y);
+    float g_x = -2.0f * (v.lxx * sum.x + v.lyx * sum.y), g_y = -2.0f * v.lyy * sum.y;
     Vec3<float> mean = project_backward(center, g_x, g_y, sum.depth) + through_j;
     return {mean, center.in_camera.z * mean, quaternion_gradient(q, inverse_norm, torque), g_scales};
 }

@@ -11,9 +11,11 @@ namespace envgs {
 
 constexpr float kOutlineSlack = 0.02f;  // px, for rounding
 
-// (p − c)ᵀ·[xx xy; xy yy]⁻¹·(p − c) ≤ 1. With yy < 0 the outline is not known: all of the pixel box may be touched.
+// (p − c)ᵀ·[xx xy; xy yy]⁻¹·(p − c) ≤ 1. Kept are slope = xy/yy, by which the middles of its rows lean, and
+// left = xx − xy²/yy, the square of half its width in a row through the center, which xx and xy of a needle do not
+// tell. With yy < 0 the outline is not known: all of the pixel box may be touched.
 struct Ellipse {
-    float x, y, xx, xy, yy;
+    float x, y, left, slope, yy;
 };
 
 // Pixel columns and rows, inclusive.
@@ -59,7 +61,8 @@ ENVGS_FN Ellipse disc_ellipse(const PinholeCamera& camera, const Projection& cen
     float xx = x * x - r2 * (ux * ux + vx * vx) * inverse, xy = x * y - r2 * (ux * uy + vx * vy) * inverse;
     float yy = y * y - r2 * (uy * uy + vy * vy) * inverse;
     constexpr float grown = 1.0004f;
-    return {center.x + x, center.y + y, grown * xx, grown * xy, grown * yy};
+    float slope = xy / maximum(yy, 1e-20f);
+    return {center.x + x, center.y + y, grown * maximum(xx - xy * slope, 0.0f), slope, grown * yy};
 }
 
 ENVGS_FN Ellipse ellipse_of(const PinholeCamera& camera, const SurfelInput& in, const SurfelSplat& splat) {
@@ -68,8 +71,9 @@ ENVGS_FN Ellipse ellipse_of(const PinholeCamera& camera, const SurfelInput& in, 
     return disc_ellipse(camera, project(camera, in.mean), in.scale_u * axes.u, in.scale_v * axes.v, splat.support);
 }
 ENVGS_FN Ellipse ellipse_of(const PinholeCamera&, const Gaussian3dInput&, const Gaussian3dSplat& s) {
-    float scale = s.support / (s.xx * s.yy - s.xy * s.xy);
-    return {s.x, s.y, s.yy * scale, -s.xy * scale, s.xx * scale};
+    // Of V⁻¹ = L⁻ᵀ·L⁻¹: left is the inverse of its xx, slope −xy/xx. V's yy is the squared length of L's second row.
+    float xx = s.xx * s.xx + s.yx * s.yx, lyy = 1.0f / s.yy, lyx = s.yx * lyy / s.xx;
+    return {s.x, s.y, s.support / xx, -s.yx * s.yy / xx, s.support * (lyx * lyx + lyy * lyy)};
 }
 
 ENVGS_FN float low_pass_radius(const SurfelSplat& splat) {
@@ -102,15 +106,14 @@ ENVGS_FN XInterval<R> strip_of(const Ellipse& e, R y0, R y1) {
     float half = square_root(e.yy) + kOutlineSlack;
     R below = maximum(y0 - kOutlineSlack - e.y, broadcast<R>(-half));
     R above = minimum(y1 + kOutlineSlack - e.y, broadcast<R>(half));
-    float rightmost = e.xy / square_root(maximum(e.xx, 1e-20f));
-    float inverse = 1.0f / maximum(e.yy, 1e-20f), slope = e.xy * inverse;
-    float width = maximum(e.xx - e.xy * slope, 0.0f);
-    auto half_width = [&](R dy) { return square_root(width * maximum(1.0f - dy * dy * inverse, broadcast<R>(0.0f))); };
+    float inverse = 1.0f / maximum(e.yy, 1e-20f), xy = e.slope * e.yy;
+    float rightmost = xy / square_root(maximum(e.left + xy * e.slope, 1e-20f));
+    auto half_width = [&](R dy) { return square_root(e.left * maximum(1.0f - dy * dy * inverse, broadcast<R>(0.0f))); };
     R right = minimum(maximum(broadcast<R>(rightmost), below), above);
     R left = minimum(maximum(broadcast<R>(-rightmost), below), above);
     auto touched = below <= above;
-    return {select(touched, e.x + slope * left - half_width(left) - kOutlineSlack, infinite),
-            select(touched, e.x + slope * right + half_width(right) + kOutlineSlack, -infinite)};
+    return {select(touched, e.x + e.slope * left - half_width(left) - kOutlineSlack, infinite),
+            select(touched, e.x + e.slope * right + half_width(right) + kOutlineSlack, -infinite)};
 }
 
 // What lies between y0 and y1 of all that may be touched, the box aside.

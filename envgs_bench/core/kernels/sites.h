@@ -30,7 +30,7 @@ ENVGS_FN Vec3<float> site_color(const float* sites, Vec3<float> v) {
     site_weights(sites, inverse_length(v) * v, weights);
     Vec3<float> c = {0.0f, 0.0f, 0.0f};
     for (int k = 0; k < kSites; ++k) c = c + weights[k] * load3(sites + kSiteFloats * k);
-    return {maximum(0.0f, c.x), maximum(0.0f, c.y), maximum(0.0f, c.z)};  // in this order: NaN stays NaN
+    return clamped_color(c);
 }
 
 // From g = dL/dcolor, adds dL/dsites to g_sites, two rows of `Row` floats a site; returns dL/dd, as if d were free.
@@ -55,7 +55,7 @@ ENVGS_FN Vec3<float> site_color_backward(const float* sites, Vec3<float> v, Vec3
                                          float* g_sites) {
     float weights[kSites], inverse = inverse_length(v);
     Vec3<float> d = inverse * v;
-    g = {color.x > 0.0f ? g.x : 0.0f, color.y > 0.0f ? g.y : 0.0f, color.z > 0.0f ? g.z : 0.0f};
+    g = unclamped_gradient(color, g);
     site_weights(sites, d, weights);
     return normalize_backward(d, inverse, site_weights_backward<3>(sites, d, weights, g, g_sites));
 }

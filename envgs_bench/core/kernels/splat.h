@@ -59,15 +59,30 @@ ENVGS_FN float inverse_length(Vec3<float> v) {
     return l > 0.0f ? 1.0f / l : 0.0f;
 }
 
-// The color of SH coefficients seen along v = mean − origin. `sh` is [K][3].
+// A color from its channels' sums, none below 0. A negative sum becomes −0, which is drawn as 0 is and tells the
+// backward pass of it.
+ENVGS_FN Vec3<float> clamped_color(Vec3<float> sum) {
+    return {maximum(-0.0f, sum.x), maximum(-0.0f, sum.y), maximum(-0.0f, sum.z)};  // in this order: NaN and 0 stay
+}
+
+// dL/dsum of a channel from dL/dcolor: 0 where the sum was negative or NaN.
+ENVGS_FN float unclamped_gradient(float color, float g) {
+    return color >= 0.0f && copysignf(1.0f, color) > 0.0f ? g : 0.0f;
+}
+ENVGS_FN Vec3<float> unclamped_gradient(Vec3<float> color, Vec3<float> g) {
+    return {unclamped_gradient(color.x, g.x), unclamped_gradient(color.y, g.y), unclamped_gradient(color.z, g.z)};
+}
+
+// The color of SH coefficients seen along v = mean − origin. `sh` is [K][3]. The ½ comes last, to a rounded sum: one
+// that is −½ in float gives 0 and not what a fused multiply-add would leave.
 template <int Degree>
 ENVGS_FN Vec3<float> sh_color(const float* sh, Vec3<float> v) {
     constexpr int K = (Degree + 1) * (Degree + 1);
     float basis[K];
     sh_basis<Degree>(inverse_length(v) * v, basis);
-    Vec3<float> c = {0.5f, 0.5f, 0.5f};
+    Vec3<float> c = {0.0f, 0.0f, 0.0f};
     for (int k = 0; k < K; ++k) c = c + basis[k] * load3(sh + 3 * k);
-    return {maximum(0.0f, c.x), maximum(0.0f, c.y), maximum(0.0f, c.z)};  // in this order: NaN stays NaN
+    return clamped_color(c + Vec3<float>{0.5f, 0.5f, 0.5f});
 }
 
 // Adds dL/dsh to g_sh and returns dL/dv; `color` is what sh_color returned.
@@ -76,7 +91,7 @@ ENVGS_FN Vec3<float> sh_color_backward(const float* sh, Vec3<float> v, Vec3<floa
     constexpr int K = (Degree + 1) * (Degree + 1);
     float inverse = inverse_length(v);
     Vec3<float> d = inverse * v;
-    g = {color.x > 0.0f ? g.x : 0.0f, color.y > 0.0f ? g.y : 0.0f, color.z > 0.0f ? g.z : 0.0f};
+    g = unclamped_gradient(color, g);
     float basis[K], g_basis[K];
     sh_basis<Degree>(d, basis);
     for (int k = 0; k < K; ++k) {

@@ -26,8 +26,7 @@ class RasterizedGaussians3D(Intersector):
         frames = rotation_matrices(gaussians.quaternions)
         shortest = gaussians.scales.argmin(dim=1)
         self.axes = frames.gather(2, shortest[:, None, None].expand(-1, 3, 1))[..., 0]
-        factors = frames * gaussians.scales[:, None, :]
-        self.covariances = factors @ factors.mT
+        self.factors = frames * gaussians.scales[:, None, :]
         offsets = gaussians.means - self.pixels.center
         self.color_of = seen_color(gaussians.sh, offsets)
         self.facing = torch.where((self.axes * offsets).sum(-1) > 0, -1, 1).to(offsets)
@@ -36,14 +35,18 @@ class RasterizedGaussians3D(Intersector):
         depths = self.pixels.depths(means)
         in_front = (depths >= self.near) & (depths > 0)
         jacobian = self.jacobian(means, in_front) @ self.pixels.camera.world_to_camera[:3, :3]
-        covariance = jacobian @ self.covariances[primitives] @ jacobian.mT
-        if self.low_pass:
-            covariance = covariance + LOW_PASS_VARIANCE * torch.eye(2).to(covariance)
-        a, b, c = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
-        determinant = a * c - b * b
-        valid = in_front & (determinant > 0)
+        m0, m1 = (jacobian @ self.factors[primitives]).unbind(-2)
+        dilation = LOW_PASS_VARIANCE if self.low_pass else 0.0
+        # V = [m0 m1]ᵀ·[m0 m1] + d·I. A needle's is all but singular: xx·yy − xy² would leave nothing of its width, so
+        # that what y varies where x is known, yy − xy²/xx, is found by a cross product.
+        xx = (m0 * m0).sum(-1) + dilation
+        known = torch.where(xx > 0, xx, 1)
+        slope = (m0 * m1).sum(-1) / known
+        across = torch.linalg.cross(m0, m1, dim=-1)
+        left = ((across * across).sum(-1) + dilation * (m1 * m1).sum(-1)) / known + dilation
+        valid = in_front & (xx > 0) & (left > 0)
         x, y = self.pixels.offsets(rays, means, in_front).unbind(-1)
-        rho = (c * x * x - 2 * b * x * y + a * y * y) / torch.where(valid, determinant, 1)
+        rho = x * x / known + (y - slope * x).square() / torch.where(valid, left, 1)
         depths = depths.expand_as(rho)
         return Intersections(
             depths, rho, order=depths, facing=self.facing[primitives].expand_as(rho), valid=valid.expand_as(rho)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from torch import Tensor
 
@@ -14,9 +12,7 @@ class Pixels:
     """The pixels of a camera, row by row."""
 
     def __init__(self, camera: Camera, dtype: torch.dtype) -> None:
-        self.camera = replace(
-            camera, world_to_camera=camera.world_to_camera.to(dtype), intrinsics=camera.intrinsics.to(dtype)
-        )
+        self.camera = camera.to(dtype)
         self.center = self.camera.center
         self.directions = self.camera.rays()[1].reshape(-1, 3)
 
