@@ -31,7 +31,7 @@ def main(arguments: Sequence[str]) -> int:
         )
         return 2
     seeds = range(int(first), int(last or first) + 1)
-    return explained("diagnose", lambda: _diagnose(overrides, seeds, options.out))
+    return explained("diagnose", lambda: _diagnose(overrides, seeds, options.out), options.out)
 
 
 def _diagnose(overrides: list[str], seeds: range, out: Path) -> int:

@@ -20,7 +20,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--format", choices=["colmap", "colmap-text", "blender"], default="colmap")
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="a new folder")
     options, overrides = parser.parse_known_args(arguments)
-    return explained("export", lambda: _export(overrides, options.format, options.out))
+    return explained("export", lambda: _export(overrides, options.format, options.out), options.out)
 
 
 def _export(overrides: list[str], form: str, out: Path) -> int:

@@ -28,7 +28,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="layouts.csv and layouts.md go here")
     parser.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"])
     options = parser.parse_args(arguments)
-    return explained("layouts", lambda: _layouts(options))
+    return explained("layouts", lambda: _layouts(options), options.out)
 
 
 def _layouts(options: argparse.Namespace) -> int:
@@ -39,6 +39,7 @@ def _layouts(options: argparse.Namespace) -> int:
     from envgs_bench.stored.layout_losses import as_csv, as_markdown, layout_losses, layouts_here, require_layouts
 
     layouts, others = (require_layouts(options.layouts), "") if options.layouts else layouts_here()
+    options.out.mkdir(parents=True, exist_ok=True)  # before minutes of work
     if others:
         print(f"envgs-bench layouts: left out: {others}", file=sys.stderr)
     folders = [path.parent for path in find_records(options.runs)]
@@ -49,7 +50,6 @@ def _layouts(options: argparse.Namespace) -> int:
                 losses.append(loss)
         except (OSError, ValueError) as error:
             problems.append(error)
-    options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "layouts.csv").write_text(as_csv(losses), encoding="utf-8")
     (options.out / "layouts.md").write_text(as_markdown(losses), encoding="utf-8")
     print(as_markdown(losses), end="")

@@ -46,7 +46,7 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"])
     options = parser.parse_args(arguments)
-    return explained("masks", lambda: _masks(options))
+    return explained("masks", lambda: _masks(options), options.out)
 
 
 def _masks(options: argparse.Namespace) -> int:

@@ -19,7 +19,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("run", type=Path, metavar="RUN", help="one finished run's folder")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where both files go")
     options = parser.parse_args(arguments)
-    return explained("predictions", lambda: _predictions(options))
+    return explained("predictions", lambda: _predictions(options), options.out)
 
 
 def _predictions(options: argparse.Namespace) -> int:

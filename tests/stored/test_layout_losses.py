@@ -106,8 +106,11 @@ def test_a_file_in_the_place_of_the_folder_names_out(
     runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").touch()
-    assert main(["store", str(runs / "envgs"), "--layout", "ply", "--out", str(tmp_path / "file")]) == 1
-    assert f"store: --out {tmp_path / 'file'}: cannot be written (File exists: " in capsys.readouterr().err
+    for command in (["store", str(runs / "envgs"), "--layout", "ply"], ["layouts", str(runs)]):
+        assert main([*command, "--out", str(tmp_path / "file")]) == 1
+        shown = capsys.readouterr().err
+        assert f"{command[0]}: --out {tmp_path / 'file'}: cannot be written (File exists: " in shown
+        assert "left out" not in shown  # it is said before anything is computed
 
 
 def test_a_stored_model_takes_the_checkpoints_place(runs: Path, tmp_path: Path) -> None:
