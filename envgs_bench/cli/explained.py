@@ -25,12 +25,17 @@ def explained(command: str, work: Callable[[], int], out: Path | None = None) ->
 
 def _of_out(error: Exception, out: Path | None) -> str:
     """What is wrong with --out; "" where the error is another."""
-    if out is None or not isinstance(error, OSError) or not isinstance(error.filename, str):
+    if out is None or not isinstance(error, OSError) or not lies_at(error, out):
         return ""
-    path = Path(error.filename)
-    if not path.is_relative_to(out) and not out.is_relative_to(path):
-        return ""
-    return f"--out {out}: cannot be written ({error.strerror}: {path}); give another place as --out"
+    return f"--out {out}: cannot be written ({error.strerror}: {error.filename}); give another place as --out"
+
+
+def lies_at(error: OSError, place: Path) -> bool:
+    """Whether what could not be read or written lies at `place`, or is needed to make that folder."""
+    if not isinstance(error.filename, str):
+        return False
+    path, folder = Path(error.filename).absolute(), place.absolute()
+    return path.is_relative_to(folder) or (folder.is_relative_to(path) and not folder.is_dir())
 
 
 def complain(command: str, *errors: Exception | str, see: str = FAILED) -> None:

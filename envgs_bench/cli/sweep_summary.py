@@ -30,6 +30,7 @@ from envgs_bench.runs.estimates import duration
 from envgs_bench.runs.interruption import INTERRUPTION
 from envgs_bench.runs.outcome import Outcome
 
+from .explained import lies_at
 from .live_page import begin_page
 
 SUMMARY_VARIABLE = "ENVGS_BENCH_SWEEP_SUMMARY"
@@ -140,10 +141,7 @@ def stop_file() -> Path:
 
 def of_runs_dir(error: OSError) -> bool:
     """Whether what could not be read or written lies in the runs_dir of this call, or is needed to make that folder."""
-    if SUMMARY_VARIABLE not in os.environ or not isinstance(error.filename, str):
-        return False
-    path, folder = Path(error.filename).absolute(), Path(os.environ[SUMMARY_VARIABLE]).parent
-    return path.is_relative_to(folder) or (folder.is_relative_to(path) and not folder.is_dir())
+    return SUMMARY_VARIABLE in os.environ and lies_at(error, Path(os.environ[SUMMARY_VARIABLE]).parent)
 
 
 def close_summary() -> list[Outcome] | None:
