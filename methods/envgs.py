@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
@@ -13,7 +13,7 @@ from envgs_bench.parts import BASE, ENV, MethodCard
 
 from .gaussian_method import GaussianMethod, fresh
 from .gaussians.densification import spatial_criterion
-from .gaussians.initialization import quantile_box, random_points_in_grid, random_points_on_sphere
+from .gaussians.initialization import box_inside, quantile_box, random_points_in_grid, random_points_on_sphere
 from .gaussians.model import GaussianModel
 from .gaussians.policy import Resets, SetPolicy, regular
 from .gaussians.trained_set import TrainedSet
@@ -30,6 +30,7 @@ REFLECTION = "reflection"  # in `found`: what the pilot run on reflections has s
 PLANES = "planes"  # in `parts`: flat mirrors and panes
 PER_CELL = 5  # K: random primitives in each cell of the box
 BOX_QUANTILE = 0.995  # share of the points' range, on each axis, that the box covers
+INSIDE_QUANTILE = 0.99  # the same of points that are held whole, where the released code is followed
 FAR = 4.0  # radius of a sphere around the box that primitives start on too, × half its diagonal
 
 
@@ -95,7 +96,7 @@ class Environment(Origin):
         self._settings, self._generator = settings, generator
 
     def start(self, scene: Scene) -> None:
-        self._scene, self._box = scene, environment_box(scene)
+        self._scene, self._box = scene, environment_box(scene, self._settings.rule.env_box)
 
     def made(self, model: GaussianModel, name: str) -> TrainedSet:
         return model.new_set(name, *self.points())
@@ -149,12 +150,14 @@ def tried_reflections(method: EnvGS, scene: Scene) -> ReflectionOutcome:
     return reflection_pilot(scene, mirrored, control)
 
 
-def environment_box(scene: Scene) -> tuple[Tensor, Tensor]:
+def environment_box(scene: Scene, box: Literal["central", "inside"] = "central") -> tuple[Tensor, Tensor]:
     """Corners [3], [3] of the box that the environment set starts in, world units.
 
-    A cube around the origin where the scene's bounds are known, else by the points' quantile (Sec. 4.3).
+    A cube around the origin where the scene's bounds are known, else by the points' quantile (Sec. 4.3): the central
+    99.5 % of each axis, or what holds the points inside the central 99 % of all axes, as its released code reads it.
     """
     if not scene.bounds:
-        return quantile_box(scene.points.float(), BOX_QUANTILE)
+        positions = scene.points.float()
+        return quantile_box(positions, BOX_QUANTILE) if box == "central" else box_inside(positions, INSIDE_QUANTILE)
     corner = scene.points.float().new_full((3,), scene.bounds)
     return -corner, corner

@@ -76,6 +76,7 @@ class Rules:
     traced_sh_direction: Literal["center", "ray"] = "center"  # along which a color is seen: to its center, or the ray
     traced_near: Length = 0.0  # hits nearer to a reflected ray's start are not drawn, world units
     traced_background: Literal["scene", "black", "map"] = "scene"  # what reflected rays see behind all; map: a cube map
+    env_box: Literal["central", "inside"] = "central"  # 99.5 % of each axis, or of points within 0.5 to 99.5 % of all
     env_from_points: bool = True  # environment primitives start at the scene's points too
     env_initial_opacity: Share = 0.05  # opacity that these start with
     env_sh_from: Steps = 0  # step up to which the environment's color is the same from everywhere, SH degree 0
@@ -116,6 +117,7 @@ OF_PAPER: dict[str, Any] = PUBLISHED | {
     "settling_interval": 1,
     "ray_offset": 0.0,  # Sec. 4.1: from the surface itself
     "traced_sh_direction": "ray",  # not printed
+    "env_box": "inside",  # Sec. 4.3, as the released code reads it
     "env_from_points": False,  # Sec. 4.3
     "env_initial_opacity": 0.1,  # as in 2DGS
     "env_position_scale": 1.0,

@@ -132,8 +132,29 @@ def quantile_box(points: Tensor, quantile: float) -> tuple[Tensor, Tensor]:
     points have no extent is widened to a thousandth of the longest.
     """
     positions = points.detach().cpu().double().numpy()
+    low, high = _central(positions, quantile)
+    return _with_extent(low, high, points)
+
+
+def box_inside(points: Tensor, quantile: float) -> tuple[Tensor, Tensor]:
+    """Corners [3], [3] of the smallest axis-aligned box around the points that lie in `quantile_box`.
+
+    Where no point lies within it on all axes it is that box itself. An axis without extent is widened, as there.
+    """
+    positions = points.detach().cpu().double().numpy()
+    low, high = _central(positions, quantile)
+    inside = positions[((positions >= low) & (positions <= high)).all(axis=1)]
+    if len(inside):
+        low, high = inside.min(axis=0), inside.max(axis=0)
+    return _with_extent(low, high, points)
+
+
+def _central(positions: np.ndarray, quantile: float) -> np.ndarray:
     tail = (1 - quantile) / 2
-    low, high = np.quantile(positions, [tail, 1 - tail], axis=0)
+    return np.quantile(positions, [tail, 1 - tail], axis=0)
+
+
+def _with_extent(low: np.ndarray, high: np.ndarray, points: Tensor) -> tuple[Tensor, Tensor]:
     extent = (high - low).max()
     flat = (high - low) < 1e-3 * extent
     center = (low + high) / 2

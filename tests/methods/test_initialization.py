@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import get_args
 
+import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
@@ -11,6 +12,7 @@ from envgs_bench.core import Scene
 from envgs_bench.methods.envgs import environment_box
 from envgs_bench.methods.gaussians.initialization import (
     Orientation,
+    box_inside,
     initial_orientation,
     initial_tensors,
     neighbor_distance,
@@ -59,6 +61,21 @@ def test_quantile_box_leaves_outliers_out():
     low, high = quantile_box(points, 0.995)
     assert low.min() >= 0
     assert high.max() <= 1
+
+
+def test_the_box_inside_holds_the_points_that_are_central_on_all_axes():
+    points = torch.tensor(np.random.default_rng(0).standard_t(1.5, (3_000, 3)), dtype=torch.float32)
+    low, high = np.quantile(points.double(), [0.005, 0.995], axis=0)
+    kept = np.array([p for p in points.double().numpy() if (p >= low).all() and (p <= high).all()])
+    for corner, expected in zip(box_inside(points, 0.99), (kept.min(axis=0), kept.max(axis=0)), strict=True):
+        np.testing.assert_allclose(corner, expected, rtol=1e-6)
+    central = quantile_box(points, 0.995)
+    assert (box_inside(points, 0.99)[1] - box_inside(points, 0.99)[0]).prod() < 0.5 * (central[1] - central[0]).prod()
+
+
+def test_a_box_inside_which_no_point_lies_is_the_quantiles():
+    points = torch.eye(3)
+    assert torch.equal(torch.stack(box_inside(points, 0.5)), torch.stack(quantile_box(points, 0.5)))
 
 
 def test_every_cell_of_the_grid_gets_its_points():
@@ -129,5 +146,7 @@ def test_the_environment_starts_in_the_quantile_box_unless_the_scene_is_bounded(
     bounded = replace(unbounded, bounds=7.0)
     for corner, expected in zip(environment_box(unbounded), quantile_box(points, 0.995), strict=True):
         assert torch.equal(corner, expected)
-    low, high = environment_box(bounded)
+    for corner, expected in zip(environment_box(unbounded, "inside"), box_inside(points, 0.99), strict=True):
+        assert torch.equal(corner, expected)
+    low, high = environment_box(bounded, "inside")
     assert (low.tolist(), high.tolist()) == ([-7] * 3, [7] * 3)
