@@ -131,17 +131,18 @@ class KeptRuns:
     def caption(self, what: str) -> str:
         """Where the numbers come from: what they are, seeds, steps, views, device, commit and file."""
         first = self.rows.iloc[0]
-        steps = " and ".join(f"{count:,}" for count in sorted(map(int, self.rows["steps"].unique())))
+        lengths = sorted(map(int, self.rows["steps"].unique()))
+        steps = " and ".join(f"{count:,}" for count in lengths) + " steps"
+        views = f"{first['split']} views"
+        where = f"{steps}, {views}" if len(lengths) == 1 else f"{steps}. {views.capitalize()}"
         seeds = sorted(map(int, self.rows["seed"].unique()))
         without_gap = len(seeds) > 2 and seeds[-1] - seeds[0] == len(seeds) - 1
         listed = f"{seeds[0]} to {seeds[-1]}" if without_gap else ", ".join(map(str, seeds))
         named = f"seed{'s' * (len(seeds) > 1)} {listed}"
         commits = ", ".join(f"`{commit}`" for commit in sorted(self.rows["commit"].unique()))
         devices = ", ".join(sorted(self.rows["device"].unique()))
-        return (
-            f"*{what}. {steps} steps, {first['split']} views, protocol `{first['protocol']}`, "
-            f"{named}; {devices}, commit {commits}. Source: `{self.name}`.*"
-        )
+        origin = f"protocol `{first['protocol']}`, {named}; {devices}, commit {commits}"
+        return f"*{what}. {where}, {origin}. Source: `{self.name}`.*"
 
 
 def column_of(metric: str, region: str = FULL) -> Column:

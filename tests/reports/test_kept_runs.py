@@ -151,7 +151,7 @@ def test_longer_runs_stand_beside_those_of_the_same_seed(kept: Path, tmp_path: P
     lines = [line for line in table.replace("*", "").splitlines() if line.startswith("| ")]
     assert lines == ["| scene | `2dgs` | `envgs` |", "| :-- | --: | --: |", f"| `chrome_room` | {' | '.join(cells)} |"]
     assert "→ **31.50** |" in table
-    assert "1,500 and 9,000 steps, test views, protocol `envgs`, seed 1;" in table
+    assert "1,500 and 9,000 steps. Test views, protocol `envgs`, seed 1;" in table
     assert "*Not measured: " in filled(kept, "table: lengths records=runs.csv steps=1500,12000")
 
 
