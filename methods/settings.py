@@ -34,7 +34,9 @@ class RunGroup:
     backend: BackendName = "auto"  # backend of the core
 
     def __post_init__(self) -> None:
-        checked(type(self), {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}, "")
+        given = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
+        for name, value in checked(type(self), given, "").items():
+            object.__setattr__(self, name, value)  # as its type says: 1000 where 1e3 was given
         _ = self.rule  # refuses a rule that there is not
 
     @cached_property

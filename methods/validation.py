@@ -28,8 +28,8 @@ STRICT = ConfigDict(strict=True, arbitrary_types_allowed=True)
 
 
 def checked(settings_type: type, values: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """`values` as the fields of the dataclass `settings_type` take them: a whole number where a float is, a list where
-    a tuple is.
+    """`values` as the fields of the dataclass `settings_type` take them: a whole number where a float is, 1e3 where an
+    integer is, a list where a tuple is.
 
     Args:
         where: what stands before a field's name in messages.
@@ -44,13 +44,31 @@ def checked(settings_type: type, values: Mapping[str, Any], where: str) -> dict[
         adapter, is_tuple = adapters[key]
         value = tuple(values[key]) if is_tuple and isinstance(values[key], list) else values[key]
         try:
-            accepted[key] = adapter.validate_python(value)
+            accepted[key] = _as_field(adapter, value)
         except ValidationError as error:
             expected = error.errors()[0]["msg"].removeprefix("Value error, ").replace("Input should be", "expected")
             problems.append(f"{where}{key} is {values[key]!r}, {expected}")
     if problems:
         raise ValueError("\n".join(sorted(problems)))
     return accepted
+
+
+def _as_field(adapter: TypeAdapter[Any], value: Any) -> Any:
+    """What the field takes of `value`; an integer field the whole numbers among floats, which YAML makes of 1e3."""
+    try:
+        return adapter.validate_python(value)
+    except ValidationError:
+        whole = _whole(value)
+        if whole is value:
+            raise
+        return adapter.validate_python(whole)
+
+
+def _whole(value: Any) -> Any:
+    """Whole floats as integers, in tuples too; all else as it is."""
+    if isinstance(value, tuple) and any(_whole(each) is not each for each in value):
+        return tuple(map(_whole, value))
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 @cache

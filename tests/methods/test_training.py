@@ -12,6 +12,7 @@ from envgs_bench.core import Camera, Scene, View
 from envgs_bench.methods.gaussians import policy
 from envgs_bench.methods.method import Method
 from envgs_bench.methods.registry import create_method, method_names
+from envgs_bench.methods.settings import TwoDGSSettings, make_settings
 
 KINDS = ("2dgs", "3dgs", "envmap", "envgs", "envgs_single_set", "3dgs_dr", "ref_gaussian", "gaussian_shader", "3igs")
 STEPS = 60
@@ -372,6 +373,19 @@ def test_unknown_settings_are_refused_with_the_known_ones():
 def test_bad_settings_are_refused(kind, settings, message):
     with pytest.raises(ValueError, match=message):
         create_method(kind, settings)
+
+
+def test_a_whole_number_may_be_written_as_1e3():
+    """As YAML and Hydra's command line read it: a float."""
+    given = {"densify_until": 1e3, "rules": {"average_from": 1e3, "mono_floor": 1}}
+    written = {"densify_until": 1000, "rules": {"average_from": 1000, "mono_floor": 1.0}}
+    for settings in (make_settings(TwoDGSSettings, given, ""), TwoDGSSettings(**given)):
+        assert repr(settings.densify_until) == "1000"
+        assert repr(settings.rule.average_from) == "1000"
+        assert settings.rule == make_settings(TwoDGSSettings, written, "").rule
+    for wrong in (1.5, float("inf"), float("nan"), "1e3"):
+        with pytest.raises(ValueError, match=f"densify_until is {wrong!r}, expected a valid integer"):
+            make_settings(TwoDGSSettings, {"densify_until": wrong}, "")
 
 
 @pytest.mark.parametrize(
