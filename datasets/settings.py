@@ -6,14 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo
 
 from .errors import DatasetError
 
 Length = Annotated[float, Field(ge=0, allow_inf_nan=False)]  # world units; 0 where unknown
 Frame = Literal["world", "camera", "opengl"]  # camera: x right, y down, z forward; opengl: x right, y up, z backward
+Edge = Annotated[int, Field(ge=16)]  # pixels, of pictures that are made; metrics take no fewer
 MatcherName = Literal["sift", "lightglue"]
 Matching = Literal["exhaustive", "sequential"]
+TALLEST = 5  # × its width, of a picture that is made: its angle is that of its width, and more would pass 150°
 MIN_IMAGES = 3  # that structure from motion must place
 
 
@@ -32,6 +34,16 @@ class SourceSettings(SceneSettings):
 
     kind: str
     name: str | None = None  # in tables
+
+
+def not_too_tall(height: int, info: ValidationInfo) -> int:
+    """`height`, the setting after `width`; raises ValueError where no camera takes pictures of that shape."""
+    width = info.data.get("width")
+    if width is not None and height > TALLEST * width:
+        raise ValueError(
+            f"expected at most {TALLEST} × dataset.width={width}; set both, as dataset.width=64 dataset.height=48"
+        )
+    return height
 
 
 Settings = TypeVar("Settings", bound=SceneSettings)

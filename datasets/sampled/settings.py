@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from ..settings import SourceSettings
+from ..settings import Edge, SourceSettings, not_too_tall
 
 
 class SampledSettings(SourceSettings):
@@ -14,8 +14,8 @@ class SampledSettings(SourceSettings):
 
     kind: Literal["sampled"]
     seed: Annotated[int, Field(ge=0)] = 0  # which scene
-    width: Annotated[int, Field(ge=16)] = 400  # pixels
-    height: Annotated[int, Field(ge=16)] = 300
+    width: Edge = 400  # pixels
+    height: Annotated[Edge, Field(validate_default=True), AfterValidator(not_too_tall)] = 300
     views: Annotated[int, Field(ge=8)] = 60  # training and test views together; where few were taken, a share of them
     unseen: Annotated[int, Field(ge=0)] = 0  # views between the training cameras, and as many beyond them
     tracer: Literal["cpu", "gpu"] = "cpu"  # where pictures are traced; but for noise they are the same

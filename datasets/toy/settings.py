@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, get_args
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from ..settings import SourceSettings
+from ..settings import Edge, SourceSettings, not_too_tall
 
 RayTraced = Literal[
     "chrome_room",
@@ -27,8 +27,8 @@ class ToySettings(SourceSettings):
 
     kind: Literal["toy"]
     scene: Literal[RayTraced, PathTraced]
-    width: Annotated[int, Field(ge=8)] = 160  # pixels
-    height: Annotated[int, Field(ge=8)] = 120
+    width: Edge = 160  # pixels
+    height: Annotated[Edge, Field(validate_default=True), AfterValidator(not_too_tall)] = 120
     views: Annotated[int, Field(ge=2)] = 48  # training and test views together
     unseen: Annotated[int, Field(ge=0)] = 0  # views between the training cameras, and as many beyond them
     noise: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.01  # standard deviation of the points' positions, m

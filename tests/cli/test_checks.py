@@ -28,7 +28,12 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
     ("overrides", "message"),
     [
         (["dataset=colmap", "dataset.root=/no/where"], "dataset.root=/no/where: there is no such folder"),
-        (["dataset=toy/glass", "dataset.width=2"], "dataset.width=2: Input should be greater than or equal to 8"),
+        (["dataset=toy/glass", "dataset.width=2"], "dataset.width=2: Input should be greater than or equal to 16"),
+        (
+            ["dataset=sampled", "dataset.width=20"],
+            "dataset.height=300: expected at most 5 × dataset.width=20; set both",
+        ),
+        (["method=2dgs", "method.settings.densify_until=1.5e0"], "densify_until is 1.5, expected a valid integer"),
         (["method=2dgs,3dgs", "method.settings.rules.mono_loss=l3"], "rules.mono_loss is 'l3', expected 'cos' or"),
         (["dataset=colmap", "dataset.root=/a(b)"], "'dataset.root=\"/a(b)\"'"),
         (["dataset=colmap", "dataset.root=/a=b"], "'dataset.root=\"/a=b\"'"),

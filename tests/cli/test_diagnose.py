@@ -85,7 +85,7 @@ def test_every_warning_of_a_scene_is_asked() -> None:
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     with rough_toys():
-        settings = {"kind": "toy", "scene": "chrome_room", "width": 16, "height": 12, "views": 10, "supersampling": 1}
+        settings = {"kind": "toy", "scene": "chrome_room", "width": 16, "height": 16, "views": 10, "supersampling": 1}
         return load_scene(settings, tmp_path_factory.mktemp("cache"))
 
 

@@ -250,7 +250,7 @@ def test_what_is_there_is_not_overwritten(load: Load, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", FORMATS)
 def test_the_command_says_how_to_read_it(tmp_path: Path, capsys: pytest.CaptureFixture[str], form: str) -> None:
-    data = ["dataset=toy/sky_ball", "dataset.width=16", "dataset.height=12", "dataset.views=3"]
+    data = ["dataset=toy/sky_ball", "dataset.width=16", "dataset.height=16", "dataset.views=3"]
     with rough_toys():
         status = main(
             ["export", *data, "--format", form, "--out", str(tmp_path / "data"), f"cache_dir={tmp_path}/cache"]
@@ -267,7 +267,7 @@ def test_the_command_says_how_to_read_it(tmp_path: Path, capsys: pytest.CaptureF
 def test_the_command_it_prints_names_the_folder_whatever_its_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], folder: str
 ) -> None:
-    data = ["dataset=toy/sky_ball", "dataset.width=16", "dataset.height=12", "dataset.views=3"]
+    data = ["dataset=toy/sky_ball", "dataset.width=16", "dataset.height=16", "dataset.views=3"]
     with rough_toys():
         assert main(["export", *data, "--out", str(tmp_path / folder), f"cache_dir={tmp_path}/cache"]) == 0
     line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("read it with: "))

@@ -15,10 +15,13 @@ from toy_scenes import rough_toys
 
 from envgs_bench.core import Scene, View
 from envgs_bench.datasets import DatasetError, load_scene
+from envgs_bench.datasets.settings import TALLEST
 from envgs_bench.datasets.toy import making
 from envgs_bench.datasets.toy.normal_noise import noisy_normals
 from envgs_bench.datasets.toy.points import sfm_points
 from envgs_bench.datasets.toy.scenes import SCENES
+from envgs_bench.metrics import MINIMUM_SIZE
+from envgs_bench.stages.loading import check_scene
 
 SMALL = {"kind": "toy", "width": 64, "height": 48, "views": 17, "noise": 0.0, "supersampling": 1}
 MORE_REGIONS = {
@@ -275,7 +278,7 @@ def test_the_seed_decides_everything(load: Load, tmp_path: Path) -> None:
         ]
         return [scene.points, scene.point_colors, *(tensor for view in per_view for tensor in view)]
 
-    settings = {**SMALL, "scene": "sky_ball", "width": 16, "height": 12, "views": 4}
+    settings = {**SMALL, "scene": "sky_ball", "width": 16, "height": 16, "views": 4}
     first, second = (load_scene(settings, tmp_path / place) for place in ("a", "b"))
     cached = load_scene(settings, tmp_path / "a")
     assert all(torch.equal(a, b) for a, b in zip(fields(first), fields(second), strict=True))
@@ -308,6 +311,9 @@ def test_no_reflective_or_sky_pixels_is_no_obstacle_to_points(load: Load) -> Non
         ({}, "dataset.scene: is missing"),
         ({"scene": "sky_ball", "widht": 64}, "dataset.widht: there is no such key; the keys are .*width"),
         ({"scene": "sky_ball", "width": 0}, "dataset.width=0"),
+        ({"scene": "chrome_room", "width": 10}, "dataset.width=10: Input should be greater than or equal to 16"),
+        ({"scene": "chrome_room", "height": 15}, "dataset.height=15: Input should be greater than or equal to 16"),
+        ({"scene": "chrome_room", "width": 16}, "dataset.height=120: expected at most 5 × dataset.width=16; set both"),
         ({"scene": "sky_ball", "views": 1}, "dataset.views=1"),
         ({"scene": "sky_ball", "noise": float("nan")}, "dataset.noise=nan"),
         ({"scene": "sky_ball", "normal_noise": -3}, "dataset.normal_noise=-3"),
@@ -316,3 +322,10 @@ def test_no_reflective_or_sky_pixels_is_no_obstacle_to_points(load: Load) -> Non
 def test_wrong_settings_are_named(tmp_path: Path, settings: dict[str, Any], message: str) -> None:
     with pytest.raises(DatasetError, match=message):
         load_scene({"kind": "toy", **settings}, tmp_path)
+
+
+@pytest.mark.parametrize("height", [MINIMUM_SIZE, TALLEST * MINIMUM_SIZE])
+def test_the_smallest_pictures_that_are_not_refused_can_be_scored(tmp_path: Path, height: int) -> None:
+    """Of the scene that is seen at the widest angle: what is refused is refused by its settings."""
+    settings = {**SMALL, "scene": "facing_mirrors", "width": MINIMUM_SIZE, "height": height, "views": 4}
+    check_scene(load_scene(settings, tmp_path))
