@@ -91,6 +91,24 @@ def check_source(settings: Mapping[str, Any]) -> None:
         raise DatasetError(f"dataset.root={settings['root']}: {len(pictures)} images, expected at least two, one tests")
 
 
+def is_cached(settings: Mapping[str, Any], cache_dir: Path) -> bool:
+    """Whether `load_scene` would find the scene in the cache, or need not: of sources of somebody else's nobody knows.
+
+    Raises:
+        DatasetError: as `load_scene`.
+    """
+    from .store.cache import NotCached, nothing_made  # with torch, which composing settings does without
+
+    source = source_of(settings["kind"])
+    try:
+        with nothing_made():
+            if source.files_read is not None:
+                source.load(own_settings(settings), cache_dir)
+    except NotCached:
+        return False
+    return True
+
+
 def files_read(settings: Mapping[str, Any]) -> list[Path] | None:
     """The files that `load_scene` makes the scene of these settings from; None where only their source knows.
 

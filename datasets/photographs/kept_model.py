@@ -14,6 +14,7 @@ from typing import Any
 
 import pycolmap
 
+from ..errors import DatasetError
 from ..formats.colmap_model import Model
 
 CHECKSUMS = "checksums.json"  # of the model's files, beside them
@@ -24,15 +25,25 @@ def kept_model(folder: Path, make: Callable[[Path], pycolmap.Reconstruction]) ->
 
     Args:
         make: given a new folder of its own to work in, which is deleted.
+
+    Raises:
+        DatasetError: it has to be made, and nothing can be written there.
     """
-    if folder.is_dir():
-        if _checksums(folder) == _remembered(folder):
-            return Model(folder)
-        warnings.warn(f"{folder} is damaged: it is not what was written; it is made again", stacklevel=3)
-        shutil.rmtree(folder)
+    damaged = folder.is_dir()
+    if damaged and _checksums(folder) == _remembered(folder):
+        return Model(folder)
     work = folder.with_name(f"{folder.name}-{uuid.uuid4().hex}.part")
     try:
         work.mkdir(parents=True)
+    except OSError as error:
+        raise DatasetError(
+            f"{folder.parent}: cannot be written ({error.strerror}), and the model of these photographs would have to "
+            "be: it is not there yet. Give a folder that can be written as cache_dir=, or set ENVGS_BENCH_CACHE to one"
+        ) from error
+    try:
+        if damaged:
+            warnings.warn(f"{folder} is damaged: it is not what was written; it is made again", stacklevel=3)
+            shutil.rmtree(folder)
         with _quiet():
             model = make(work)
         (work / "model").mkdir()

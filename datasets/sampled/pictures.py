@@ -17,6 +17,7 @@ from PIL import Image
 from envgs_bench.core import Camera
 
 from ..formats.srgb import to_srgb
+from ..notes import note
 from ..path_tracer import PathTracer, Tracer
 from ..split import TEST_EVERY
 from .distribution import BRIGHT, BRIGHT_PERCENTILE, between
@@ -75,6 +76,7 @@ def kept_pictures(path: Path, count: int, make: Callable[[], Pictures]) -> Pictu
     """Those in the archive at `path`, or else `make()`'s, which are then kept there.
 
     The archive is a ZIP of PNG files, 0000.png and so on. One that is damaged, or holds another number, is made again.
+    Where nothing can be written they are returned nevertheless, with a note: they took minutes.
     """
     if path.is_file():
         try:
@@ -85,15 +87,25 @@ def kept_pictures(path: Path, count: int, make: Callable[[], Pictures]) -> Pictu
         except (OSError, ValueError, zipfile.BadZipFile):
             pass
     pictures = make()
+    try:
+        _keep(path, pictures)
+    except OSError as error:
+        note(f"traced pictures could not be kept in {path.parent}: {error}")
+    return pictures
+
+
+def _keep(path: Path, pictures: Pictures) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"{path.stem}-{uuid.uuid4().hex}.part")
-    with zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
-        for index, picture in enumerate(pictures):
-            stream = io.BytesIO()
-            Image.fromarray(picture).save(stream, "PNG", compress_level=6)
-            archive.writestr(f"{index:04d}.png", stream.getvalue())
-    os.replace(part, path)
-    return pictures
+    try:
+        with zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
+            for index, picture in enumerate(pictures):
+                stream = io.BytesIO()
+                Image.fromarray(picture).save(stream, "PNG", compress_level=6)
+                archive.writestr(f"{index:04d}.png", stream.getvalue())
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)  # there only where it could not be finished
 
 
 def archive_name(key: dict[str, Any], digest: str) -> str:

@@ -6,17 +6,35 @@ import hashlib
 import json
 import re
 import warnings
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 from envgs_bench.core import Scene
 from envgs_bench.file_lock import one_at_a_time
 
+from ..errors import DatasetError
 from ..notes import collecting, note
 from ..progress import report
 from .scene_file import LAYOUT, GrowingFile, read_scene
+
+_may_make: ContextVar[bool] = ContextVar("may_make", default=True)
+
+
+class NotCached(DatasetError):
+    """The cache does not hold the scene, and it is not to be made."""
+
+
+@contextmanager
+def nothing_made() -> Iterator[None]:
+    """A block in which a scene that is not in the cache is a NotCached."""
+    token = _may_make.set(False)
+    try:
+        yield
+    finally:
+        _may_make.reset(token)
 
 
 def cached_scene(cache_dir: Path, name: str, key: Mapping[str, Any], make: Callable[[], Scene]) -> Scene:
@@ -31,11 +49,16 @@ def cached_scene(cache_dir: Path, name: str, key: Mapping[str, Any], make: Calla
         cache_dir: made if missing.
         name: what the file's name begins with, for people.
         key: all that determines the scene, as JSON holds it.
+
+    Raises:
+        NotCached: it would have to be made within `nothing_made`.
     """
     text = json.dumps({"layout": LAYOUT, **key}, sort_keys=True)
     digest = hashlib.sha256(text.encode()).hexdigest()[:16]
     path = cache_dir / "scenes" / f"{re.sub(r'[^A-Za-z0-9._-]+', '-', name)}-{digest}.scene"
     scene = _stored(path)
+    if scene is None and not _may_make.get():
+        raise NotCached(f"{path.parent}: does not hold the scene {name}")
     if scene is None:
         with one_at_a_time(path.with_suffix(".lock"), _say_that_it_waits):
             scene = _stored(path)  # that another process made meanwhile

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import sys
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryFile
 
-from envgs_bench.datasets.registry import check_source
+from envgs_bench.datasets.registry import check_source, is_cached
 from envgs_bench.loggers.opening import require_logger
 from envgs_bench.methods.registry import settings_type
 from envgs_bench.methods.settings import make_settings
@@ -41,9 +43,9 @@ def check_run(settings: RunSettings) -> None:
     """
     check_choices(settings)
     resolve_device(settings.device)
-    _check_cache(settings.cache_dir)
     actual, kind = perturbed_settings(settings), settings.method.kind
     check_source(actual.dataset)
+    _check_cache(actual)
     if kind == RENDERS and not Path(str(settings.method.settings.get("path"))).exists():
         raise SettingsError(f"path={settings.method.settings.get('path')}: there is no such folder of renders")
     if kind not in ELSEWHERE:
@@ -53,16 +55,24 @@ def check_run(settings: RunSettings) -> None:
             raise SettingsError(str(error)) from error
 
 
-def _check_cache(folder: Path) -> None:
-    """Without a cache every run would make its scene again, and models of photographs cannot be made at all."""
+def _check_cache(settings: RunSettings) -> None:
+    """A cache that others fill is read; one that lacks the scene and cannot be written would have each run make it."""
+    folder = settings.cache_dir
     try:
         folder.mkdir(parents=True, exist_ok=True)
         TemporaryFile(dir=folder).close()
     except OSError as error:
-        raise SettingsError(
-            f"cache_dir={folder}: cannot be written ({error.strerror}); give a folder that can be written as "
-            "cache_dir=, or set ENVGS_BENCH_CACHE to one"
-        ) from error
+        if not _is_cached(json.dumps(settings.dataset, sort_keys=True, default=str), folder):
+            raise SettingsError(
+                f"cache_dir={folder}: cannot be written ({error.strerror}), and {settings.dataset_name} would have to "
+                "be: its scene is not there yet. Give a folder that can be written as cache_dir=, or set "
+                "ENVGS_BENCH_CACHE to one"
+            ) from error
+
+
+@cache  # methods and seeds of a sweep share their scenes
+def _is_cached(dataset: str, folder: Path) -> bool:
+    return is_cached(json.loads(dataset), folder)
 
 
 def tell_of_weights() -> None:

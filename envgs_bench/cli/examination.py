@@ -96,4 +96,6 @@ def _cache_error() -> str | None:
         free = shutil.disk_usage(folder).free
     except OSError as error:
         return f"{error}; set ENVGS_BENCH_CACHE to a folder that can be written"
-    return None if os.access(folder, os.W_OK) and free else f"{folder} cannot be written; set ENVGS_BENCH_CACHE"
+    if os.access(folder, os.W_OK) and free:
+        return None
+    return f"{folder} cannot be written: runs find what it holds, and no more; set ENVGS_BENCH_CACHE"

@@ -5,12 +5,15 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from fakes.runs import CONF, records, run, set_environment
 
-from envgs_bench.cli import examination
+from envgs_bench.cli import choices, examination
 from envgs_bench.cli.main import main
+from envgs_bench.datasets.store import contents
+from envgs_bench.datasets.store.scene_file import GrowingFile
 from envgs_bench.runs import job
 from envgs_bench.settings import RunSettings
 
@@ -156,16 +159,37 @@ def test_what_cannot_be_read_elsewhere_is_not_laid_on_runs_dir(
     assert f"envgs-bench run: [Errno 2] No such file or directory: '{tmp_path / 'data/cameras.bin'}'\n" in message
 
 
+TOY = ("dataset=toy/sky_ball", "dataset.width=32", "dataset.height=24", "dataset.views=9")
+
+
 def test_a_cache_dir_that_cannot_be_written_ends_the_call_before_the_first_job(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").touch()
     for folder in (tmp_path / "file", Path("/proc/x")):  # which root cannot write either
-        assert run(tmp_path / "runs", f"cache_dir={folder}") == 2
+        assert run(tmp_path / "runs", *TOY, f"cache_dir={folder}") == 2
         said = capsys.readouterr().err
         assert f"cache_dir={folder}: cannot be written (" in said
-        assert "give a folder that can be written as cache_dir=, or set ENVGS_BENCH_CACHE to one" in said
+        assert "), and toy/sky_ball would have to be: its scene is not there yet" in said
+        assert "Give a folder that can be written as cache_dir=, or set ENVGS_BENCH_CACHE to one" in said
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_cache_that_others_fill_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a run needs is there, or its source needs none. Root writes everywhere, and is told here that it cannot."""
+    cache = tmp_path / "cache"
+    assert run(tmp_path / "others", *TOY, f"cache_dir={cache}") == 0
+    held = sorted(cache.rglob("*"))
+    monkeypatch.setattr(choices, "TemporaryFile", Mock(side_effect=PermissionError(13, "Permission denied")))
+    monkeypatch.setattr(GrowingFile, "_open", Mock(side_effect=PermissionError(13, "Permission denied")))
+    monkeypatch.setattr(contents, "remember", Mock())
+    assert run(tmp_path / "runs", *TOY, "seed=0,1", f"cache_dir={cache}", flags=("-m",)) == 0
+    assert run(tmp_path / "runs", f"cache_dir={cache}") == 0
+    assert run(tmp_path / "runs", *TOY, "dataset.seed=1", f"cache_dir={cache}") == 2
+    assert f"cache_dir={cache}: cannot be written (Permission denied), and toy/sky_ball" in capsys.readouterr().err
+    assert sorted(cache.rglob("*")) == held
 
 
 def test_flags_may_stand_between_overrides(capsys: pytest.CaptureFixture[str]) -> None:

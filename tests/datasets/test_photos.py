@@ -90,6 +90,16 @@ def test_a_model_that_the_disk_changed_is_made_again(corner: Path) -> None:
         load(corner, name="a third scene of it")
 
 
+def test_where_a_model_cannot_be_kept_it_is_said_before_it_is_made(corner: Path, tmp_path: Path) -> None:
+    """Of photographs whose scene is in nobody's cache: minutes of work, which would be lost."""
+    (tmp_path / "file").touch()
+    with pytest.raises(
+        DatasetError, match=r"file/models: cannot be written .*and the model of these photographs"
+    ) as at:
+        load_scene({"kind": "photos", "root": str(corner)}, tmp_path / "file")
+    assert "Give a folder that can be written as cache_dir=, or set ENVGS_BENCH_CACHE to one" in str(at.value)
+
+
 def test_too_few_images_that_can_be_placed(tmp_path: Path) -> None:
     """Half of the photographs show something else altogether."""
     root = tmp_path / "mixed"

@@ -12,6 +12,7 @@ import torch
 
 from envgs_bench.core import Camera
 from envgs_bench.datasets import DatasetError, load_scene
+from envgs_bench.datasets.notes import collecting
 from envgs_bench.datasets.path_tracer import PathTracer
 from envgs_bench.datasets.sampled import distribution, light, patterns, pictures
 from envgs_bench.datasets.sampled.distribution import one_of
@@ -160,6 +161,14 @@ def test_a_seed_is_a_scene_and_its_pictures_may_come_from_an_archive(
     assert sum(once.attributes[name] for name in shares) == pytest.approx(float(once.attributes["reflective"] > 0))
     with pytest.raises(DatasetError, match="not installed"):
         load_scene({**TINY, "seed": 4}, tmp_path / "b")
+
+
+def test_pictures_that_took_an_hour_are_not_lost_where_they_cannot_be_kept(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    traced = [np.zeros((2, 2, 3), np.uint8)]
+    with collecting() as notes:
+        assert pictures.kept_pictures(tmp_path / "file/sampled.zip", 1, lambda: traced) is traced
+    assert notes[0].startswith(f"traced pictures could not be kept in {tmp_path / 'file'}: ")
 
 
 def test_views_where_nobody_stood_change_no_other(tmp_path: Path) -> None:
