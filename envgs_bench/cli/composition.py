@@ -78,10 +78,22 @@ def settings_of(config: DictConfig, overrides: list[str]) -> RunSettings:
     content: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     for key in ("data_root", "path", "page"):  # the call's own: two that dataset.root and the method's path are made of
         content.pop(key, None)
+    _refuse_lone_severity(content.get("perturb"), overrides)
     release = content.pop("release", None) or {}
     content["method"] = _with_recipe(content["method"])
     settings = parse_settings({**content, "overrides": overrides})
     return settings.model_copy(update={"method": _accepted(settings.method, release, overrides)})
+
+
+def _refuse_lone_severity(perturb: Any, overrides: Iterable[str]) -> None:
+    """Raise a SettingsError where a severity is given and no kind anywhere: the run would not be perturbed."""
+    given = {override.lstrip("+").partition("=")[0] for override in overrides}
+    lone = "perturb.severity" in given and "perturb.kind" not in given
+    if lone and isinstance(perturb, dict) and perturb.get("kind") == "none" and perturb.get("severity"):
+        raise SettingsError(
+            f"perturb.severity={perturb['severity']}: of nothing, as perturb.kind is none; "
+            "give one, as perturb.kind=noise"
+        )
 
 
 def _with_recipe(method: dict[str, Any]) -> dict[str, Any]:

@@ -39,6 +39,7 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
         (["dataset=colmap", "dataset.root=/a=b"], "'dataset.root=\"/a=b\"'"),
         (["method=renders", "path=/no/where"], "path=/no/where: there is no such folder of renders"),
         (["budget=5"], "budget=5: expected its keys: budget.primitives=, budget.mb=, budget.frame_ms="),
+        (["perturb.severity=1,2"], "perturb.severity=1: of nothing, as perturb.kind is none; give one"),
         (["method=my_method:Smooth"], NOT_FOUND),
         (["method.kind=my_method:Smooth"], NOT_FOUND),
         (["method.kind=fakes.methods:Raises,fakes.methods:Nobody"], "has no attribute 'Nobody'"),
