@@ -9,12 +9,15 @@ that needs the data, and every protocol gets its own numbers.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from envgs_bench.core import View
+from envgs_bench.datasets.errors import listed
 from envgs_bench.metrics import Protocol, corrected_metrics, registered_metrics
 from envgs_bench.records import (
     EXTERNAL,
@@ -37,6 +40,7 @@ from envgs_bench.run_folder import (
     is_file_name,
     mask_path,
     read_png,
+    read_png_if_any,
     render_path,
     target_path,
 )
@@ -81,7 +85,8 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
     """As `rescore`, of the test views drawn again from the run's checkpoint, with the masks that the data have now.
 
     Raises:
-        RecordError, ValueError, FileNotFoundError: as `read_record`, `reopen_unfinished` and `reopen_scene`.
+        RecordError, ValueError, FileNotFoundError: as `read_record`, `reopen_unfinished` and `reopen_scene`; or scored
+            views are other pictures than those that the run left.
     """
     record = read_record(run)
     scores, unseen = None, {}
@@ -92,6 +97,7 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
         settings = read_settings(run)
         scene = reopen_scene(run, settings)
         views = scored_views(scene, settings.score_on)
+        _require_same_pictures(run, views)
         if record.kind == EXTERNAL:
             raise ValueError(f"{run}: another program drew its pictures; rescore them as they are, without --redraw")
         if record.kind == RENDERS:
@@ -105,6 +111,17 @@ def redraw(run: Path, protocol: Protocol, out: Path, device: str = "auto") -> Re
             if record.unseen:
                 unseen = evaluate_unseen(method, scene, protocol, out, _silent)
     return _write(run, record, protocol, scores, unseen, out, "checkpoint", (CURVE_NAME, SAMPLES_NAME))
+
+
+def _require_same_pictures(run: Path, views: Sequence[View]) -> None:
+    """Refuse views whose pictures are other ones than the run was scored on: its model learned of other data."""
+    left = {view.name: read_png_if_any(target_path(run, view.name)) for view in views}
+    changed = [v.name for v in views if (old := left[v.name]) is not None and not np.array_equal(old, v.image.numpy())]
+    if changed:
+        raise ValueError(
+            f"{run}: {len(changed)} of {len(views)} views are other pictures now than those that the run was scored on "
+            f"({listed(changed)}): the data changed; run it again, or rescore its pictures without --redraw"
+        )
 
 
 def _write(

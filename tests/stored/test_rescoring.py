@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,11 +14,15 @@ from damaged_files import EPS, write_promising_png
 from fakes.runs import only_folder, records, run_job_here, set_environment
 
 from envgs_bench.cli.main import main
+from envgs_bench.core import Scene
 from envgs_bench.metrics import get_protocol
 from envgs_bench.records import Failure, read_record, write_record
 from envgs_bench.reports import build_report
 from envgs_bench.run_folder import read_png
+from envgs_bench.settings import RunSettings
 from envgs_bench.stages.pictures import save_png
+from envgs_bench.stored import rescoring
+from envgs_bench.stored.reopening import reopen_scene
 
 
 @pytest.fixture(autouse=True)
@@ -103,6 +108,26 @@ def test_views_drawn_again_get_the_runs_own_numbers_under_every_protocol(
     assert same == (protocol == "envgs")
     assert again.provenance.model_dump()["rescored"]["from"] == "checkpoint"
     assert (only_folder(tmp_path / "again") / "renders" / "view0.png").is_file()
+
+
+def test_photographs_that_changed_are_not_drawn_again(
+    tmp_path: Path, finished: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A model of other photographs would be scored against these, and stand in a table with models of these."""
+
+    def corrected(folder: Path, settings: RunSettings) -> Scene:
+        scene = reopen_scene(folder, settings)
+        first, *others = scene.test
+        return replace(scene, test=[replace(first, image=255 - first.image), *others])
+
+    monkeypatch.setattr(rescoring, "reopen_scene", corrected)
+    command = ["rescore", str(finished), "--protocol", "strict", "--out", str(tmp_path / "again"), "--device", "cpu"]
+    assert main([*command, "--redraw"]) == 1
+    said = capsys.readouterr().err
+    assert "1 of 2 views are other pictures now than those that the run was scored on (view0)" in said
+    assert "run it again, or rescore its pictures without --redraw" in said
+    assert not (tmp_path / "again").exists()
+    assert main(command) == 0
 
 
 def test_drawing_again_where_pictures_were_linked_leaves_the_run_alone(tmp_path: Path, finished: Path) -> None:
