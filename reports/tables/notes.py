@@ -46,7 +46,7 @@ def notes(section: Section, table: Table) -> list[str]:
                 found.append(f"n/c: {metric.upper()} was not computed: {'; '.join(reasons)}.")
     found += _shares(section, table)
     if table.kind == "subject":
-        found += _parts(table) + _noticed(section, table) + _spoiled(section, table)
+        found += _parts(table) + _changed(section, table) + _noticed(section, table) + _spoiled(section, table)
     if any(column.metric == "frame_ms" for column in table.columns):
         found += _company(section, table)
     if any(column.against and not column.with_interval for column in table.columns):
@@ -116,6 +116,24 @@ def _parts(table: Table) -> list[str]:
     return [
         f"{', '.join(titles[count])}: over the {count} of {len(table.datasets)} data sets that have the region."
         for count in counts
+    ]
+
+
+def _changed(section: Section, table: Table) -> list[str]:
+    """Which runs on a data set of their own table read other files of it, as before and after one was corrected."""
+    finished = [item for name in table.datasets for item in section.of(name) if item.run.ok and item.run.record.data]
+    runs = Counter(item.method for item in finished)
+    read: dict[str | None, Counter[str]] = {}
+    for item in sorted(finished, key=lambda item: item.run.record.provenance.finished):
+        read.setdefault(item.run.record.data, Counter())[item.method] += 1
+    if len(table.datasets) > 1 or len(read) < 2:
+        return []
+    told = (
+        ", ".join(_how_many(name, count, runs[name]) for name, count in methods.items()) for methods in read.values()
+    )
+    return [
+        "Files of the data set changed between runs (photographs, cameras, masks or normals): "
+        f"{'; then '.join(told)}. Run the earlier ones again to compare them."
     ]
 
 

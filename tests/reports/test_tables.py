@@ -436,6 +436,20 @@ def test_what_runs_noted_and_warned_of_stands_below_the_table_of_their_data_set(
         assert not any(turned in note or "warning" in note for note in notes(section, titled(section, title)))
 
 
+def test_data_that_changed_between_runs_are_told_below_their_table(tmp_path: Path) -> None:
+    """A photograph was corrected after 2dgs and one seed of envmap: the others are no longer of the same data."""
+    before, after = {"data": "0123456789abcdef"}, {"data": "fedcba9876543210"}
+    write_runs(tmp_path, (ROOM, "toy/sky_ball"), ("2dgs", "envmap"), pictures=False, **before)
+    write_runs(tmp_path, (ROOM,), ("envmap",), (1, 2), pictures=False, **after)
+    write_runs(tmp_path, (ROOM,), ("envgs",), pictures=False, **after)
+    (section,) = sections_of(tmp_path)
+    (told,) = [note for note in notes(section, titled(section, ROOM)) if "changed between runs" in note]
+    for methods in ("2dgs, envmap (1 of 3 runs)", "envmap (2 of 3 runs), envgs"):
+        assert methods in told
+    for title in ("toy/sky_ball", "toy", f"{ROOM}: inside the regions"):
+        assert not any("changed between runs" in note for note in notes(section, titled(section, title)))
+
+
 def test_views_that_one_seed_spoils_are_told_below_the_table_of_their_data_set(tmp_path: Path) -> None:
     """Of made-up views: 24.0 is 2 dB and more below both others in one seed, in another only below one of them."""
     psnr = {0: [30.0, 28.0, 24.0, 20.0, 25.0], 1: [27.9, 26.5, 26.1, 20.1, 25.0], 2: [30.1, 26.0, 26.1, 22.5, 19.0]}
