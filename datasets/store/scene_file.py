@@ -15,6 +15,7 @@ import struct
 import uuid
 import zlib
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -68,7 +69,8 @@ class GrowingFile:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         _growing.reset(self._token)
         if self._stream is not None:
-            self._stream.close()
+            with suppress(OSError):  # of a full disk, which closing tries to write to once more
+                self._stream.close()
             self._part.unlink(missing_ok=True)
 
     def kept(self, view: View) -> View:

@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pytest
@@ -191,12 +191,15 @@ def test_no_more_is_read_ahead_than_two_views_a_core() -> None:
 
 
 def test_a_disk_that_fills_up_costs_the_cache_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = tiny_scene()
+    """As Linux has one: what is buffered fails when it is written, and again when the file is closed."""
+    scene, opened = tiny_scene(), GrowingFile._open
 
-    def full(*_: Any) -> None:
-        raise OSError(28, "No space left on device")
+    def on_a_full_disk(file: GrowingFile) -> BinaryIO:
+        opened(file).close()
+        file._stream = Path("/dev/full").open("wb")  # noqa: SIM115
+        return file._stream
 
-    monkeypatch.setattr(GrowingFile, "_append", full)
+    monkeypatch.setattr(GrowingFile, "_open", on_a_full_disk)
     with collecting() as notes:
         made = cached_scene(tmp_path, "a", {}, lambda: replace(scene, train=on_disk(scene.train)))
     (text,) = notes
