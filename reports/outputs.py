@@ -8,11 +8,27 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from envgs_bench.regular_file import read_regular_text
+from envgs_bench.regular_file import read_regular_text, require_regular
 
+PAGE_NAME = "index.html"
+OURS, HEAD_BYTES = b"<title>envgs-bench report</title>", 4096  # stands where every page of a report begins
 LIST = "assets/files.json"
 MOST_BYTES = 10_000_000  # of the list
 FOLDERS = ("assets", "charts", "pictures")  # what a report has below its own folder
+
+
+def require_no_others_page(out: Path) -> None:
+    """Raise a ValueError where a report in `out` would replace a page that is none of ours."""
+    try:
+        require_regular(out / PAGE_NAME)
+        with (out / PAGE_NAME).open("rb") as stream:
+            beginning = stream.read(HEAD_BYTES)
+    except FileNotFoundError:
+        return
+    if beginning and OURS not in beginning:
+        raise ValueError(
+            f"{out}: holds an {PAGE_NAME} of something else, which a report would replace; give a new folder"
+        )
 
 
 @contextmanager

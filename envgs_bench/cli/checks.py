@@ -40,7 +40,7 @@ def checked(arguments: list[str]) -> list[str]:
         )
     if options.cfg or any(argument.startswith("-") for argument in given):
         return arguments
-    from .choices import check_run, tell_of_weights  # with torch, which a composition is shown without
+    from .choices import check_page, check_run, tell_of_weights  # with torch, which a composition is shown without
 
     overrides = OverridesParser.create().parse_overrides(given)
     swept = [override for override in overrides if override.is_sweep_override()]
@@ -60,7 +60,10 @@ def checked(arguments: list[str]) -> list[str]:
             arguments = ["-m", *arguments]
         for choices in _each_choice(axes):
             lines = [*fixed, *choices]
-            check_run(settings_of(_without_hydra(composed(*lines)), lines))
+            config = composed(*lines)
+            check_run(settings_of(_without_hydra(config), lines))
+            if config.page:
+                check_page(Path(config.page).expanduser())
     tell_of_weights()
     return arguments
 

@@ -55,6 +55,16 @@ def check_run(settings: RunSettings) -> None:
             raise SettingsError(str(error)) from error
 
 
+def check_page(folder: Path) -> None:
+    """Raise a SettingsError where the live page would replace one of something else."""
+    from envgs_bench.reports.outputs import require_no_others_page  # with pandas
+
+    try:
+        require_no_others_page(folder)
+    except (OSError, ValueError) as error:
+        raise SettingsError(f"page={error}") from error
+
+
 def _check_cache(settings: RunSettings) -> None:
     """A cache that others fill is read; one that lacks the scene and cannot be written would have each run make it."""
     folder = settings.cache_dir

@@ -109,8 +109,10 @@ def _keep(options: argparse.Namespace) -> int:
 
 def _report(options: argparse.Namespace) -> int:
     from envgs_bench.reports import build_report
+    from envgs_bench.reports.outputs import require_no_others_page
 
     out = options.out or options.runs / "report"
+    require_no_others_page(out)
     worse = _compare(options, out) if options.against else False
     report = build_report(options.runs, out, options.only, options.exclude, options.for_print)
     print(report)

@@ -42,6 +42,8 @@ def _rescore(options: argparse.Namespace) -> int:
 
     runs, protocol = options.runs, get_protocol(options.protocol)
     out = options.out or Path(f"{runs.resolve()}-{options.protocol}")
+    if runs.resolve().is_relative_to(out.resolve()):
+        raise ValueError(f"--out {out}: is or holds {runs}, whose records it must not touch; give another folder")
     folders = [path.parent for path in find_records(runs) if out.resolve() not in path.resolve().parents]
     if not folders:
         raise RecordError(

@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from pathlib import Path
+
+from envgs_bench.parts import SETS
 
 from .explained import explained
 
@@ -28,16 +30,27 @@ def main(arguments: Sequence[str]) -> int:
     return explained("store", lambda: _store(options.run, options.layout, options.out), options.out)
 
 
+def _require_no_others(out: Path, sets: Collection[str], moved: bool) -> None:
+    """Raise a ValueError where `out` holds what belongs to another model and would stay: a set, or its placement."""
+    lacking = {*SETS} - {*sets}
+    others = [path.name for path in out.glob("*") if path.name.partition(".")[0] in lacking]
+    others += [PLACEMENT_NAME] if not moved and (out / PLACEMENT_NAME).exists() else []
+    if others:
+        raise ValueError(f"{out}: holds {', '.join(sorted(others))} of another model; give a new folder as --out")
+
+
 def _store(run: Path, name: str, out: Path) -> int:
     from envgs_bench.stored.layout_losses import open_sets, require_layouts
     from envgs_bench.stored.reopening import placement_of
 
     (layout,) = require_layouts([name]).values()
     _, method = open_sets(run, "cpu")
+    placement = placement_of(run)
+    moved = placement is not None and not placement.unmoved
+    _require_no_others(out, {*method.model.sets}, moved)
     for path in layout.write(method, out):
         print(path)
-    placement = placement_of(run)
-    if placement is not None and not placement.unmoved:
+    if placement is not None and moved:
         path = out / PLACEMENT_NAME
         path.write_text(json.dumps(asdict(placement)) + "\n", encoding="utf-8")
         print(path)

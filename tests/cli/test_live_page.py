@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from fakes.runs import run_here, set_environment
+from fakes.runs import records, run, run_here, set_environment
 
 from envgs_bench import reports
 from envgs_bench.cli.live_page import PAGE_VARIABLE, renew_page
@@ -104,3 +104,13 @@ def test_an_interrupted_job_is_none_that_is_done(tmp_path: Path, monkeypatch: py
         enter(replace(done, status=status))
     assert time_left() == "2 of 4 jobs done in 20 s, 20 s left if the others take as long on average"
     assert under_way().startswith("2 of 4 runs have ended")
+
+
+def test_a_page_of_something_else_ends_the_call_before_the_first_job(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "index.html").write_text("my own page")
+    assert run(tmp_path / "runs", f"page={tmp_path}") == 2
+    assert f"page={tmp_path}: holds an index.html of something else" in capsys.readouterr().err
+    assert (tmp_path / "index.html").read_text() == "my own page"
+    assert records(tmp_path) == []

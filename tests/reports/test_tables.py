@@ -28,6 +28,7 @@ from reports_runs import (
     write_runs,
 )
 
+from envgs_bench.cli.main import main
 from envgs_bench.records import RecordError
 from envgs_bench.reports.numbers.cards import KNOWN
 from envgs_bench.reports.numbers.decimals import mean, rounded
@@ -305,6 +306,18 @@ def test_a_rebuilt_report_leaves_nothing_of_the_last_one_and_nothing_else_goes(t
     assert second == fresh | {"pictures/mine.png"}
     assert len(second) < len(first)
     assert (tmp_path / "out/runs").is_dir()
+
+
+def test_a_page_of_something_else_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_runs(tmp_path / "runs", methods=("3dgs",), seeds=(0,), pictures=False)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/index.html").write_text("my own page")
+    assert main(["report", str(tmp_path / "runs"), "--out", str(tmp_path / "mine")]) == 1
+    assert "mine: holds an index.html of something else, which a report would replace" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["index.html"]
+    assert (tmp_path / "mine/index.html").read_text() == "my own page"
+    for _ in range(2):  # a report's own page is replaced
+        assert main(["report", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]) == 0
 
 
 @pytest.mark.parametrize("listed", ['["../secret"]', '{"a": 1}', "[1, null]", "broken"])

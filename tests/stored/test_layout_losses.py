@@ -113,6 +113,19 @@ def test_a_file_in_the_place_of_the_folder_names_out(
         assert "left out" not in shown  # it is said before anything is computed
 
 
+def test_sets_of_two_models_are_not_mixed_in_one_folder(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A base set beside the environment of another run: a viewer would show both as one model."""
+    out = ["--layout", "ply", "--out", str(tmp_path / "out")]
+    for _ in range(2):
+        assert main(["store", str(runs / "envgs"), *out]) == 0
+    base = (tmp_path / "out/base.ply").read_bytes()
+    assert main(["store", str(runs / "2dgs"), *out]) == 1
+    assert f"{tmp_path / 'out'}: holds env.ply of another model; give a new folder as --out" in capsys.readouterr().err
+    assert (tmp_path / "out/base.ply").read_bytes() == base
+
+
 def test_a_stored_model_takes_the_checkpoints_place(runs: Path, tmp_path: Path) -> None:
     """Every command that opens a run opens one that has nothing but the compact file."""
     assert main(["store", str(runs / "envgs"), "--layout", "compact", "--out", str(tmp_path / CHECKPOINT)]) == 0

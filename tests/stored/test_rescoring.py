@@ -59,6 +59,16 @@ def test_a_folder_without_runs_is_none_to_rescore(tmp_path: Path, capsys: pytest
     assert shown.out == ""
 
 
+def test_records_are_not_written_over_those_that_they_are_made_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], finished: Path
+) -> None:
+    before = (only_folder(finished) / "record.json").read_bytes()
+    for out in (finished, finished.parent):
+        assert main(["rescore", str(finished), "--protocol", "strict", "--out", str(out)]) == 1
+        assert f"--out {out}: is or holds {finished}, whose records it must not touch" in capsys.readouterr().err
+    assert (only_folder(finished) / "record.json").read_bytes() == before
+
+
 @pytest.mark.parametrize("protocol", ["strict", "inria"])
 def test_pictures_and_checkpoints_agree_where_protocols_round(tmp_path: Path, finished: Path, protocol: str) -> None:
     command = ["rescore", str(finished), "--protocol", protocol, "--device", "cpu", "--out"]
