@@ -7,6 +7,7 @@ import atexit
 import gc
 import importlib
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
@@ -36,6 +37,9 @@ COMMANDS = {
 }
 
 
+INTERRUPTED = 128 + signal.SIGINT  # the exit status, as shells have it
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command that `arguments` (sys.argv's by default) begin with; returns its exit status."""
     # OpenMP reads this as PyTorch is loaded, here and in the runs started from here. Threads that wait by spinning cost
@@ -48,7 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.print_help(sys.stderr)
         parser.exit(2)
     command = parser.parse_args(given[:1]).command
-    return importlib.import_module(f".{command}", __package__).main(given[1:])
+    try:
+        return importlib.import_module(f".{command}", __package__).main(given[1:])
+    except KeyboardInterrupt:  # while it imports, or where nothing is to be saved
+        print(f"envgs-bench {command}: interrupted", file=sys.stderr)
+        return INTERRUPTED
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from envgs_bench.records import Failure, Record, RecordError, Status, TrainingWarning, read_record, write_record
-from envgs_bench.run_folder import LOG_NAME
+from envgs_bench.run_folder import LOG_NAME, goes_on
 from envgs_bench.run_lock import RunLock
 from envgs_bench.settings import RunSettings
 
@@ -145,7 +145,7 @@ def _complete_record(draft: Draft, code: int, ending: Ending) -> None:
     record = _readable(draft.folder)
     tail = log_tail(draft.folder)
     if record is None:
-        status, failure = _diagnosis(code, draft.settings, ending)
+        status, failure = _diagnosis(code, draft, ending)
         draft.write(status, failure.model_copy(update={"log_tail": tail}))
     elif record.error is not None and tail:
         error = record.error.model_copy(update={"log_tail": tail})
@@ -159,12 +159,14 @@ def _readable(folder: Path) -> Record | None:
         return None
 
 
-def _diagnosis(code: int, settings: RunSettings, ending: Ending) -> tuple[Status, Failure]:
+def _diagnosis(code: int, draft: Draft, ending: Ending) -> tuple[Status, Failure]:
     """What to record of a process that ended with exit code `code` and left no record."""
     if ending == "interrupted":
-        return "interrupted", Failure(type="KeyboardInterrupt", message="killed while it was saving", log_tail="")
+        nothing = "interrupted before anything was saved; the same command starts it again"
+        message = "killed while it was saving" if goes_on(draft.folder) else nothing
+        return "interrupted", Failure(type="KeyboardInterrupt", message=message, log_tail="")
     if ending == "timed out":
-        message = f"did not end within timeout_minutes={settings.timeout_minutes:g} and was killed"
+        message = f"did not end within timeout_minutes={draft.settings.timeout_minutes:g} and was killed"
         return "timeout", Failure(type="TimeUp", message=message, log_tail="")
     if code == -signal.SIGKILL:
         message = "killed by SIGKILL from outside: most often the system ran out of memory"

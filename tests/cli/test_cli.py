@@ -192,6 +192,15 @@ def test_a_cache_that_others_fill_is_read(
     assert sorted(cache.rglob("*")) == held
 
 
+def test_ctrl_c_before_anything_runs_is_said_in_a_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As while a command imports what it needs, which takes seconds: it was a traceback through other libraries."""
+    monkeypatch.setattr("importlib.import_module", Mock(side_effect=KeyboardInterrupt))
+    assert main(["report", "runs"]) == 130
+    assert capsys.readouterr().err == "envgs-bench report: interrupted\n"
+
+
 def test_flags_may_stand_between_overrides(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "method=fake", "--config-dir", str(CONF), "seed=7", "--cfg", "job", "dataset=tiny"]) == 0
     shown = capsys.readouterr().out

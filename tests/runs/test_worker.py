@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
 from fakes.runs import records, run, set_environment
 
-from envgs_bench.runs import worker
+from envgs_bench.run_folder import SNAPSHOT_NAME
+from envgs_bench.runs import process, worker
 from envgs_bench.stages.health import Diverged
 
 
@@ -41,3 +44,13 @@ def test_who_was_asked_to_end_and_failed_over_it_was_interrupted(
     assert record.error.type == "KeyboardInterrupt"
     assert str(record.error) == "interrupted before anything was saved; the same command starts it again"
     assert "RecursionError: half of a module" in record.error.log_tail
+
+
+def test_a_run_that_was_interrupted_before_it_began_saved_nothing(tmp_path: Path) -> None:
+    """Its process still imported, and left no record: it was said to have been killed while it was saving."""
+    draft = SimpleNamespace(folder=tmp_path)
+    status, failure = process._diagnosis(-signal.SIGINT, draft, "interrupted")
+    assert status == "interrupted"
+    assert failure.message == "interrupted before anything was saved; the same command starts it again"
+    (tmp_path / SNAPSHOT_NAME).touch()
+    assert process._diagnosis(-signal.SIGKILL, draft, "interrupted")[1].message == "killed while it was saving"
