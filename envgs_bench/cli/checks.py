@@ -20,7 +20,7 @@ from .composition import CONF, SETTING, settings_of
 
 
 def checked(arguments: list[str]) -> list[str]:
-    """Hydra's arguments, with -m where they choose an experiment that is a sweep.
+    """Hydra's arguments, with -m where they choose an experiment or a suite that is a sweep.
 
     Every choice of a sweep is composed once, beside the first of all others, and its input is looked at, so that what
     is wrong ends the call before it leaves a record. Arguments that ask Hydra for something else pass as they are.
@@ -56,7 +56,7 @@ def checked(arguments: list[str]) -> list[str]:
         axes = _axes(_parameters(overrides, search, composed), overrides) if renamed else axes
         fixed = [*_fixed(overrides), *search]
         if axes and not options.multirun:
-            print(f"{_experiment(overrides)} is a sweep: running all its jobs, as with -m", file=sys.stderr)
+            print(f"{_chosen_sweep(overrides)} is a sweep: running all its jobs, as with -m", file=sys.stderr)
             arguments = ["-m", *arguments]
         for choices in _each_choice(axes):
             lines = [*fixed, *choices]
@@ -129,5 +129,7 @@ def _several(override: Override) -> str:
     return f"{line} is several values: add -m to run each, or quote one value with a comma in it: '{key}=\"{value}\"'"
 
 
-def _experiment(overrides: list[Override]) -> str:
-    return next(f"{one.input_line}" for one in overrides if one.get_key_element() == "experiment")
+def _chosen_sweep(overrides: list[Override]) -> str:
+    """What chose the sweep, as it was given: an experiment, a suite, or a configuration of somebody's own."""
+    lines = (f"{one.input_line}" for one in overrides if one.get_key_element() in ("experiment", "suite"))
+    return next(lines, "what is configured")

@@ -87,6 +87,9 @@ def test_an_experiment_that_is_a_sweep_is_run_as_one(capsys: pytest.CaptureFixtu
     register_choices()
     assert checked(["experiment=demo"]) == ["-m", "experiment=demo"]
     assert "experiment=demo is a sweep: running all its jobs, as with -m" in capsys.readouterr().err
+    for suite in (["suite=toys"], ["suite=toys", "dataset=toy/glass"]):
+        assert checked([*suite, "size=tiny"])[0] == "-m"
+        assert "suite=toys is a sweep: running all its jobs, as with -m" in capsys.readouterr().err
     assert checked(["-m", "experiment=demo"]) == ["-m", "experiment=demo"]
     assert checked(["experiment=demo", "method=envgs"]) == ["experiment=demo", "method=envgs"]  # one job is left
     assert checked(["experiment=demo", "--cfg", "job"]) == ["experiment=demo", "--cfg", "job"]
