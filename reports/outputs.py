@@ -23,7 +23,7 @@ def require_no_others_page(out: Path) -> None:
         require_regular(out / PAGE_NAME)
         with (out / PAGE_NAME).open("rb") as stream:
             beginning = stream.read(HEAD_BYTES)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return
     if beginning and OURS not in beginning:
         raise ValueError(

@@ -316,6 +316,8 @@ def test_a_page_of_something_else_is_not_replaced(tmp_path: Path, capsys: pytest
     assert "mine: holds an index.html of something else, which a report would replace" in capsys.readouterr().err
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["index.html"]
     assert (tmp_path / "mine/index.html").read_text() == "my own page"
+    assert main(["report", str(tmp_path / "mine/index.html")]) == 1
+    assert "mine/index.html: no such folder; expected the runs_dir" in capsys.readouterr().err
     for _ in range(2):  # a report's own page is replaced
         assert main(["report", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]) == 0
 
