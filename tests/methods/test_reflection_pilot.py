@@ -54,16 +54,16 @@ def test_a_mirror_is_told_from_paint(paints: bool) -> None:
     found = reflection_pilot.reflection_pilot(scene, EnvGS(settings), along_normals(settings))
     if paints:
         assert found.weight < LEAST_WEIGHT / 1.5
-        assert found.gain < LEAST_GAIN - 0.5
+        assert found.gain < LEAST_GAIN - 0.1
     else:
         assert found.weight > 2 * LEAST_WEIGHT
-        assert found.gain > LEAST_GAIN + 1
+        assert found.gain > LEAST_GAIN + 1.4
     assert found.reflects is not paints
 
 
 @pytest.mark.parametrize(
     ("weight", "gain", "reflects"),
-    [(0.84, 0.79, False), (0.86, -1.0, True), (0.5, 0.81, True), (math.nan, math.nan, True)],
+    [(0.84, 0.39, False), (0.86, -1.0, True), (0.5, 0.41, True), (math.nan, math.nan, True)],
 )
 def test_either_of_both_numbers_shows_a_reflection(weight: float, gain: float, reflects: bool) -> None:
     found = ReflectionOutcome(weight, gain)
