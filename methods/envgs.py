@@ -12,7 +12,7 @@ from envgs_bench.core import Scene
 from envgs_bench.parts import BASE, ENV, MethodCard
 
 from .gaussian_method import GaussianMethod, fresh
-from .gaussians.densification import spatial_criterion
+from .gaussians.densification import camera_criterion, spatial_criterion
 from .gaussians.initialization import box_inside, quantile_box, random_points_in_grid, random_points_on_sphere
 from .gaussians.model import GaussianModel
 from .gaussians.policy import Resets, SetPolicy, regular
@@ -126,7 +126,7 @@ def environment_policy(s: EnvGSSettings, schedule: Schedule, base: SetPolicy) ->
         position_scale=s.rule.env_position_scale,
         radius_power=s.rule.env_radius_power,
         sh_from=s.rule.env_sh_from,
-        criterion=spatial_criterion,
+        criterion=camera_criterion if s.rule.env_gradient == "camera" else spatial_criterion,
         rule=replace(base.rule, gradient_threshold=s.env_densify_threshold, max_primitives=s.env_max_primitives),
         interval=regular(schedule, s.env_densify_every),
         grows_from=s.warm_up,

@@ -77,6 +77,7 @@ class Rules:
     traced_near: Length = 0.0  # hits nearer to a reflected ray's start are not drawn, world units
     traced_background: Literal["scene", "black", "map"] = "scene"  # what reflected rays see behind all; map: a cube map
     env_box: Literal["central", "inside"] = "central"  # 99.5 % of each axis, or of points within 0.5 to 99.5 % of all
+    env_gradient: Literal["hit", "camera"] = "hit"  # its gradients count × the way to each hit, or to the camera
     env_from_points: bool = True  # environment primitives start at the scene's points too
     env_initial_opacity: Share = 0.05  # opacity that these start with
     env_sh_from: Steps = 0  # step up to which the environment's color is the same from everywhere, SH degree 0
@@ -141,6 +142,7 @@ RECIPES: dict[RecipeName, Rules] = {
             "beta_reset_from": 6_000,
             "traced_near": 0.06,
             "traced_background": "black",
+            "env_gradient": "camera",
             "env_sh_from": 3_000,
             "env_radius_power": 2,
         }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -18,6 +18,7 @@ from .parameters import GaussianParameters, RowDraft
 
 Oversized = Literal["split", "prune", "keep"]
 PartsWeigh = Literal["share", "most"]
+Criterion = Callable[[Statistics, Camera, Tensor], Tensor]  # [N] of a pass, its camera, and means with gradients
 
 SPLIT_PARTS = 2
 OVERSIZED_SPLIT_PARTS = 5
@@ -92,7 +93,7 @@ class DensificationRecord:
         return self.weights.square() / self.squares.clamp_min(1e-30)
 
 
-def screen_criterion(statistics: Statistics, camera: Camera) -> Tensor:
+def screen_criterion(statistics: Statistics, camera: Camera, means: Tensor) -> Tensor:
     """3DGS's criterion, [N]: the gradient of the projected center in half image widths and heights.
 
     A center at depth t moves by f/t pixels a unit, so ∂L/∂x_ndc = W/(2f)·t·∂L/∂x, and alike for y.
@@ -107,10 +108,16 @@ def screen_criterion(statistics: Statistics, camera: Camera) -> Tensor:
     return torch.hypot(*moved)
 
 
-def spatial_criterion(statistics: Statistics, camera: Camera) -> Tensor:
+def spatial_criterion(statistics: Statistics, camera: Camera, means: Tensor) -> Tensor:
     """The traced set's criterion, [N]: the norm of ½·t·∂L/∂mean summed over hits (EnvGS paper, Sec. 5.1)."""
     assert statistics.position_gradients is not None
     return 0.5 * statistics.position_gradients.norm(dim=1)
+
+
+def camera_criterion(statistics: Statistics, camera: Camera, means: Tensor) -> Tensor:
+    """The same as EnvGS's code has it, [N]: ½·|mean − camera|·|∂L/∂mean|, however far the reflected rays went."""
+    assert means.grad is not None
+    return 0.5 * (means.detach() - camera.center).norm(dim=1) * means.grad.norm(dim=1)
 
 
 def densify(

@@ -240,7 +240,8 @@ class GaussianModel:
             counts: whether the step counts, a truth on the device.
         """
         for name, seen in statistics.items():
-            learned = [self.policies[name].criterion(seen, camera), seen.weights]
+            means = self.sets[name].parameters.tensors["means"]
+            learned = [self.policies[name].criterion(seen, camera, means), seen.weights]
             if name == BASE and self.settings.rule.mean_gradient_over == "in_view":
                 base = self.sets[BASE].parameters.tensors
                 shape = base["means"], base["quaternions"], base["log_scales"].exp()

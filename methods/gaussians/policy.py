@@ -9,12 +9,12 @@ from fractions import Fraction
 import torch
 from torch import Tensor
 
-from envgs_bench.core import Camera, Scene, Statistics
+from envgs_bench.core import Scene
 from envgs_bench.parts import BASE
 
 from ..settings import GaussianSettings, SitesGroup
 from ..training.schedule import DENSIFY_FLOOR, RECOVERY, RESET_FLOOR, Every, Schedule, falls_on
-from .densification import DensificationRule, Oversized, screen_criterion
+from .densification import Criterion, DensificationRule, Oversized, screen_criterion
 from .parameters import LearningRates, primitive_bytes
 from .sites import COLUMNS, RATES, initial_sites
 
@@ -109,7 +109,7 @@ class SetPolicy:
     sh_degree: int
     sh_every: int
     sh_from: int
-    criterion: Callable[[Statistics, Camera], Tensor]
+    criterion: Criterion
     rule: DensificationRule
     interval: Callable[[int], Fraction]
     grows_from: int

@@ -250,6 +250,7 @@ def test_the_published_configurations_are_what_was_published() -> None:
                 "stretches": False,
                 "env_grid": 32,
                 "env_radius_power": 2,
+                "env_gradient": "camera",
                 "env_position_scale": 1,
                 "traced_sh_direction": "ray",
                 "traced_background": "black",

@@ -10,6 +10,7 @@ from envgs_bench.core import Camera, Statistics
 from envgs_bench.methods.gaussians.densification import (
     DensificationRecord,
     DensificationRule,
+    camera_criterion,
     densify,
     screen_criterion,
     spatial_criterion,
@@ -230,10 +231,21 @@ def test_screen_criterion_is_the_gradient_of_the_projected_center():
     (gradient,) = torch.autograd.grad((pixels * per_pixel).sum(), means)
     statistics = Statistics(torch.ones(5), (depth[:, None] * gradient).detach())
     expected = (per_pixel * torch.tensor([width / 2, height / 2])).norm(dim=1)
-    torch.testing.assert_close(screen_criterion(statistics, camera), expected, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(screen_criterion(statistics, camera, means), expected, rtol=1e-4, atol=1e-5)
 
 
 def test_spatial_criterion_is_half_the_depth_times_the_gradient():
     statistics = Statistics(torch.ones(1), 4.0 * torch.tensor([[0.0, 3.0, -4.0]]))
     camera = Camera(torch.eye(4), torch.eye(3), width=4, height=4)
-    assert spatial_criterion(statistics, camera).tolist() == [10.0]
+    assert spatial_criterion(statistics, camera, torch.zeros(1, 3)).tolist() == [10.0]
+
+
+def test_camera_criterion_is_half_the_way_to_the_camera_times_the_gradient():
+    pose = torch.eye(4)
+    pose[:3, :3] = torch.tensor([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    pose[:3, 3] = -pose[:3, :3] @ torch.tensor([1.0, 2.0, 3.0])
+    means = torch.tensor([[1.0, 2.0, 15.0], [4.0, 6.0, 3.0]], requires_grad=True)
+    means.grad = torch.tensor([[0.0, 3.0, -4.0], [2.0, 0.0, 0.0]])
+    camera = Camera(pose, torch.eye(3), width=4, height=4)
+    statistics = Statistics(torch.ones(2), torch.full((2, 3), torch.nan))
+    assert camera_criterion(statistics, camera, means).tolist() == [30.0, 5.0]

@@ -301,6 +301,28 @@ def test_what_anti_aliasing_draws_grows_no_surfels_where_a_setting_says_so(scene
     assert grows == {"published": False, "own": False, "all": True}
 
 
+def test_the_environment_grows_by_the_way_to_each_hit_or_to_the_camera(scene):
+    """Of a step: half of that way × the gradient that Adam is given."""
+    camera, recorded, expected = scene.train[0].camera, {}, {}
+    for way in ("hit", "camera"):
+        method = make_method("envgs", warm_up=0, env_gradient=way, traced_sh_direction="ray")
+        method.initialize(scene, STEPS)
+        begin(method, 1)
+        environment = method.model.sets["env"]
+        means, given = environment.parameters.tensors["means"], {}
+        start = means.detach().double()
+        environment.parameters.optimizer.register_step_pre_hook(
+            lambda *_, given=given, means=means: given.update(gradient=means.grad.double())
+        )
+        method.training_step(scene.train[0], 1)
+        recorded[way] = environment.record.gradients.double()
+        eye = -torch.linalg.solve(camera.world_to_camera[:3, :3].double(), camera.world_to_camera[:3, 3].double())
+        expected[way] = 0.5 * (start - eye).norm(dim=1) * given["gradient"].norm(dim=1)
+    assert (recorded["camera"] > 0).sum() > 10
+    torch.testing.assert_close(recorded["camera"], expected["camera"], rtol=1e-4, atol=1e-12)
+    assert not torch.allclose(recorded["hit"], expected["hit"], rtol=0.1, atol=0)
+
+
 @pytest.mark.parametrize(("stretches", "first"), [(True, 668), (False, 600)])
 def test_a_long_run_stretches_the_schedule_unless_it_is_told_not_to(scene, stretches, first):
     """The first densification after step 500 of 30,000, every 100 steps, in a run of 33,400."""
