@@ -14,7 +14,7 @@ from typing import Any
 
 import pycolmap
 
-from ..errors import DatasetError
+from ..errors import DatasetError, unwritable
 from ..formats.colmap_model import Model
 
 CHECKSUMS = "checksums.json"  # of the model's files, beside them
@@ -36,10 +36,7 @@ def kept_model(folder: Path, make: Callable[[Path], pycolmap.Reconstruction]) ->
     try:
         work.mkdir(parents=True)
     except OSError as error:
-        raise DatasetError(
-            f"{folder.parent}: cannot be written ({error.strerror}), and the model of these photographs would have to "
-            "be: it is not there yet. Give a folder that can be written as cache_dir=, or set ENVGS_BENCH_CACHE to one"
-        ) from error
+        raise DatasetError(unwritable(folder.parent, error, "the model of these photographs", "it")) from error
     try:
         if damaged:
             warnings.warn(f"{folder} is damaged: it is not what was written; it is made again", stacklevel=3)

@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryFile
 
+from envgs_bench.datasets.errors import unwritable
 from envgs_bench.datasets.registry import check_source, is_cached
 from envgs_bench.loggers.opening import require_logger
 from envgs_bench.methods.registry import settings_type
@@ -73,11 +74,8 @@ def _check_cache(settings: RunSettings) -> None:
         TemporaryFile(dir=folder).close()
     except OSError as error:
         if not _is_cached(json.dumps(settings.dataset, sort_keys=True, default=str), folder):
-            raise SettingsError(
-                f"cache_dir={folder}: cannot be written ({error.strerror}), and {settings.dataset_name} would have to "
-                "be: its scene is not there yet. Give a folder that can be written as cache_dir=, or set "
-                "ENVGS_BENCH_CACHE to one"
-            ) from error
+            why = unwritable(f"cache_dir={folder}", error, settings.dataset_name, "its scene")
+            raise SettingsError(why) from error
 
 
 @cache  # methods and seeds of a sweep share their scenes

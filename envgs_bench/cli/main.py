@@ -7,10 +7,11 @@ import atexit
 import gc
 import importlib
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
+
+from envgs_bench.stages.stop import INTERRUPTED
 
 # Each is a file of this folder with a `main(arguments) -> exit status`, imported only when it is called; there `--help`
 # prints before anything slow is imported.
@@ -35,9 +36,6 @@ COMMANDS = {
     "weights": "fetch VGG-16's weights, which LPIPS and the perceptual loss need",
     "doctor": "what works on this machine, and why not what does not",
 }
-
-
-INTERRUPTED = 128 + signal.SIGINT  # the exit status, as shells have it
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

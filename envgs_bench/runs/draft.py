@@ -18,6 +18,8 @@ from .descriptions import card_of, described
 from .identity import data_hash
 from .log import shortened
 
+NOTHING_SAVED = "interrupted before anything was saved; the same command starts it again"
+
 
 class Draft:
     """The record-to-be of the run in `folder`."""

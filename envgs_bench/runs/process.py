@@ -17,7 +17,7 @@ from envgs_bench.run_lock import RunLock
 from envgs_bench.settings import RunSettings
 
 from .display import Display
-from .draft import Draft
+from .draft import NOTHING_SAVED, Draft
 from .gpus import Place, placed
 from .interruption import Interruption
 from .log import BoundedLog, log_tail
@@ -162,8 +162,7 @@ def _readable(folder: Path) -> Record | None:
 def _diagnosis(code: int, draft: Draft, ending: Ending) -> tuple[Status, Failure]:
     """What to record of a process that ended with exit code `code` and left no record."""
     if ending == "interrupted":
-        nothing = "interrupted before anything was saved; the same command starts it again"
-        message = "killed while it was saving" if goes_on(draft.folder) else nothing
+        message = "killed while it was saving" if goes_on(draft.folder) else NOTHING_SAVED
         return "interrupted", Failure(type="KeyboardInterrupt", message=message, log_tail="")
     if ending == "timed out":
         message = f"did not end within timeout_minutes={draft.settings.timeout_minutes:g} and was killed"

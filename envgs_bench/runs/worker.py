@@ -28,7 +28,7 @@ from envgs_bench.stages.execution import execute
 from envgs_bench.stages.health import Diverged
 from envgs_bench.stages.stop import Stop
 
-from .draft import Draft
+from .draft import NOTHING_SAVED, Draft
 from .processes import JOB_VARIABLE, LOCK_VARIABLE, end_all_of, end_with
 
 # What PyTorch's CPU allocator, C++ and Python's threads say in a RuntimeError where they were refused memory.
@@ -67,9 +67,8 @@ def main(arguments: list[str]) -> int:
         # Half an import, cut off by the request to end, can fail in a way of its own.
         reason = stop.reason or error
         status = _status(reason)
-        failure = Failure(
-            type=type(reason).__name__, message=_message(reason, folder), log_tail=""
-        )  # which the job adds
+        message = _message(reason, folder)
+        failure = Failure(type=type(reason).__name__, message=message, log_tail="")  # which the job adds
     draft.write(status, failure)
     return 0 if status == "ok" else 1
 
@@ -119,10 +118,9 @@ def _status(error: BaseException) -> Status:
 
 
 def _message(error: BaseException, folder: Path) -> str:
-    if isinstance(error, KeyboardInterrupt) and goes_on(folder):
-        return "interrupted; the same command goes on from where the training was saved last"
     if isinstance(error, KeyboardInterrupt):
-        return "interrupted before anything was saved; the same command starts it again"
+        going_on = "interrupted; the same command goes on from where the training was saved last"
+        return going_on if goes_on(folder) else NOTHING_SAVED
     if isinstance(error, BrokenPipeError):
         return "the process that started this run is gone"
     return str(error) or type(error).__name__

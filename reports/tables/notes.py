@@ -121,13 +121,15 @@ def _parts(table: Table) -> list[str]:
 
 def _changed(section: Section, table: Table) -> list[str]:
     """Which runs on a data set of their own table read other files of it, as before and after one was corrected."""
+    if len(table.datasets) > 1:
+        return []
     finished = [item for name in table.datasets for item in section.of(name) if item.run.ok and item.run.record.data]
-    runs = Counter(item.method for item in finished)
     read: dict[str | None, Counter[str]] = {}
     for item in sorted(finished, key=lambda item: item.run.record.provenance.finished):
         read.setdefault(item.run.record.data, Counter())[item.method] += 1
-    if len(table.datasets) > 1 or len(read) < 2:
+    if len(read) < 2:
         return []
+    runs = sum(read.values(), Counter[str]())
     told = (
         ", ".join(_how_many(name, count, runs[name]) for name, count in methods.items()) for methods in read.values()
     )

@@ -131,6 +131,15 @@ def _went_on(found: list[Record]) -> int:
     return sum("went_on_from_steps" in (record.provenance.model_extra or {}) for record in found)
 
 
+def differing(done: dict[str, Any], expected: dict[str, Any]) -> dict[str, list[str]]:
+    """Of each finished run that is not as expected, the names of what differs."""
+    names = {
+        run: sorted(it for it in {*left, *expected[run]} if left.get(it) != expected[run].get(it))
+        for run, left in done.items()
+    }
+    return {run: differ for run, differ in names.items() if differ}
+
+
 def kill_rounds(root: Path, start: Start, rounds: int, draw: random.Random, expected: dict[str, Any]) -> Counter[str]:
     """As many kills; where all is done, it is run again with force, or begun anew. How often what happened."""
     runs = root / "runs"
@@ -151,7 +160,7 @@ def kill_rounds(root: Path, start: Start, rounds: int, draw: random.Random, expe
         assert before.keys() <= after.keys()
         if not again:
             assert {path: after[path] for path in before} == before  # neither lost nor run twice
-        assert done == {name: expected[name] for name in done}
+        assert not differing(done, expected)
     assert run_anew(runs, *REAL, flags=("-m",)) == 0
     assert results(runs) == expected
     seen["went on"] += _went_on(records(runs))
