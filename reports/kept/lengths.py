@@ -13,15 +13,19 @@ from .tables import arranged, capital, places_of, printed
 ALIKE = ["scene", "method", "seed"]
 
 
-def lengths(rows: pd.DataFrame, name: str, steps: str, metric: str = "psnr", region: str = FULL) -> str:
+def lengths(
+    rows: pd.DataFrame, name: str, steps: str, metric: str = "psnr", region: str = FULL, method: str = ""
+) -> str:
     """A row a scene, one of their mean, a column a method: `before → after`, of the seeds that all lengths have.
 
     Args:
         rows: as `read_kept` gives them.
         steps: the lengths, `7000,30000`.
+        method: those alone, `envmap,envgs`; without, all that have each length.
     """
     column = column_of(metric, region)
-    parts = [KeptRuns.chosen(name, rows, {"steps": count}).rows for count in steps.split(",")]
+    wanted = {"method": method} if method else {}
+    parts = [KeptRuns.chosen(name, rows, wanted | {"steps": count}).rows for count in steps.split(",")]
     runs = [pd.MultiIndex.from_frame(part[ALIKE]) for part in parts]
     shared = reduce(pd.MultiIndex.intersection, runs)
     if shared.empty:
