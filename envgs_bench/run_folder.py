@@ -86,7 +86,12 @@ def run_id_of(run: Path) -> str:
 
 
 def clear(run: Path, keep: Collection[str] = ()) -> None:
-    """Remove what a run wrote into its folder, but for `keep`; what is not its own stays, as do targets of links."""
+    """Remove what a run wrote into its folder, but for `keep`; what is not its own stays, as do targets of links.
+
+    Files that a killed process had half written go with it, of `keep` too: they lie beside their place as .<name>.<…>.
+    """
+    for half in (path for name in OWN_NAMES for path in run.glob(f".{name}.*")):
+        half.unlink()
     for name in OWN_NAMES:
         path = run / name
         if name in keep:

@@ -141,17 +141,24 @@ def differing(done: dict[str, Any], expected: dict[str, Any]) -> dict[str, list[
 
 
 def kill_rounds(root: Path, start: Start, rounds: int, draw: random.Random, expected: dict[str, Any]) -> Counter[str]:
-    """As many kills; where all is done, it is run again with force, or begun anew. How often what happened."""
+    """As many kills; where all is done, it is run again with force, or begun anew. How often what happened.
+
+    Where none of them met a run with a snapshot, which is chance, there are up to three times as many.
+    """
     runs = root / "runs"
     seen: Counter[str] = Counter()
-    while sum(seen[victim] for victim in VICTIMS) < rounds:
+
+    def went_on() -> int:
+        return seen["went on"] + (_went_on(records(runs)) if runs.is_dir() else 0)
+
+    while (kills := sum(seen[victim] for victim in VICTIMS)) < rounds or (not went_on() and kills < 3 * rounds):
         before, again = finished(runs), ()
         if len(before) == len(expected):
             seen["all done"] += 1
             if draw.random() < 0.5:
                 again = ("force=true",)
             else:
-                seen["went on"] += _went_on(records(runs))
+                seen["went on"] = went_on()
                 shutil.rmtree(runs)
                 before = {}
         seen[kill_somebody(root, start, draw, *again)] += 1
@@ -162,8 +169,9 @@ def kill_rounds(root: Path, start: Start, rounds: int, draw: random.Random, expe
             assert {path: after[path] for path in before} == before  # neither lost nor run twice
         assert not differing(done, expected)
     assert run_anew(runs, *REAL, flags=("-m",)) == 0
-    assert results(runs) == expected
-    seen["went on"] += _went_on(records(runs))
+    assert not differing(results(runs), expected)
+    assert results(runs).keys() == expected.keys()
+    seen["went on"] = went_on()
     return seen
 
 

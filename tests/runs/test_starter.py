@@ -36,12 +36,15 @@ def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere nothing is forked")
 def test_what_is_imported_asks_for_no_gpu_and_starts_no_thread() -> None:
-    """After either a fork could not use the GPU, or would wait for a lock that nobody gives back."""
+    """After either a fork could not use the GPU, or would wait for a lock that nobody gives back.
+
+    OpenBLAS is given one thread: it ends its own before a fork.
+    """
     result = subprocess.run(
         [sys.executable, "-c", IMPORTS.format(imported=IMPORTED)],
         capture_output=True,
         text=True,
-        env={**os.environ, "OMP_WAIT_POLICY": "PASSIVE"},
+        env={**os.environ, "OMP_WAIT_POLICY": "PASSIVE", "OPENBLAS_NUM_THREADS": "1"},
     )
     assert result.stdout == "[] 1\n", result.stderr
 
