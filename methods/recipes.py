@@ -46,6 +46,7 @@ class Rules:
 
     normal_reference: Literal["unit", "alpha"] = "unit"  # depth map's normals in L_norm; alpha: × the pixel's alpha
     normal_rendered: Literal["unit", "blended"] = "unit"  # in L_norm; blended: as they are, which pulls at alpha too
+    normal_side: Literal["camera", "own"] = "camera"  # a surfel's normal is turned to the camera; own: blended as it is
     normal_drawn: Literal["alone", "as_color"] = "alone"  # L_norm's; as_color: n/2 + 1/2 and depth, over the background
     shortest_axis: Literal["column", "row"] = "column"  # of a rotation matrix; row: its first, sorted as the scales are
     normals: Literal["agreed", "as_given"] = "agreed"  # the views' own in L_mono; agreed: turned to agree, and weighed
@@ -53,7 +54,7 @@ class Rules:
     mono_rendered: Literal["blended", "unit"] = "blended"  # rendered normals in L_mono: as they are, or normalized
     mono_from: Steps = 0  # step after which L_mono counts
     mono_floor: Share = 0.1  # share of mono_weight where nothing reflects; all of it counts from β = initial_beta on
-    normal_weighting: Literal["none", "depth", "alpha", "eroded"] = "none"  # weights of pixels in both normal losses
+    normal_weighting: Literal["none", "depth", "alpha", "eroded", "mirror"] = "none"  # of pixels, in both normal losses
     perceptual_loss: Literal["features", "lpips"] = "features"  # L_perc: the L1 distance of VGG-16's features, or LPIPS
     perceptual_from: Steps = 0  # step after which L_perc counts
 
@@ -70,6 +71,8 @@ class Rules:
     mirror_alpha: Literal["learned", "given"] = "learned"  # given: no gradient where it weighs, materials not ÷ by it
     plain_again: bool = False  # what does not mirror is compared with the views by itself, too
     opacity_entropy: Amount = 0.0  # weight of the mean entropy of opacities in view, once anything mirrors
+    occupancy_of: Literal["all", "in_view"] = "all"  # surfels whose mean occupancy is minimized
+    glass_alike: Amount = 0.0  # weight of what tells a view's transparent pixels apart: Σ (τ − mean)², and of colors
     map_start: Literal["gray", "random"] = "gray"  # texels of a cube map, at first
     map_texels: Literal["logits", "colors"] = "logits"  # what a cube map's texels learn; colors are cut to [0, 1]
 
@@ -170,7 +173,10 @@ RECIPES: dict[RecipeName, Rules] = {
         | {"shown_first": "sh", "mirror_alpha": "given", "plain_again": True, "opacity_entropy": 1e-3}
     ),
     "rt_splatting": Rules(  # RT-Splatting's released code
-        **OF_2DGS | {"stretches": False, "longest_run": 61_000, "perceptual_loss": "lpips", "perceptual_from": 15_000}
+        **OF_2DGS
+        | {"stretches": False, "longest_run": 61_000, "perceptual_loss": "lpips", "perceptual_from": 15_000}
+        | {"initial_scale": 0.1**0.5, "reset_on_white": False, "normal_rendered": "unit", "normal_weighting": "mirror"}
+        | {"normal_side": "own", "occupancy_of": "in_view", "glass_alike": 2e-6}
     ),
 }
 

@@ -3,6 +3,9 @@
 Each surfel has an occupancy σ, by which surfaces are drawn, and an opacity α, by which it hides what lies behind. A
 pixel is ρ·C_spec + a·(τ·C_tran + (1 − τ)·C_scat). C_tran are the colors blended by σ·α, C_scat those blended by σ. Its
 surface transmits τ and reflects ρ. C_spec and the attenuation a are what a network makes of Ref-GS's map.
+
+Published, it learns C_tran alone at first. Where normals count before anything mirrors, a pixel is then
+τ·C_tran + (1 − τ)·C_scat, as all images are that are drawn in this time.
 """
 
 from __future__ import annotations
@@ -17,14 +20,17 @@ from torch import Tensor
 from torch.nn import functional
 
 from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, View
+from envgs_bench.core.torch.rotation import rotation_matrices
 from envgs_bench.parts import BASE, REFLECTION, TRANSMISSIVE, MethodCard
 
 from .gaussian_method import GaussianMethod
+from .gaussians.frustum import in_view
 from .gaussians.policy import SetPolicy, zeros
 from .gaussians.regions import Scope
 from .gaussians.trained_set import RESET_OPACITY
 from .lighting.feature_light import FEATURES, MOST_LOG, FeatureLight
 from .lighting.settings import RTSplattingSettings
+from .training.losses import MAY_MIRROR
 from .training.schedule import RESET_FLOOR, Every, Part, Schedule, falls_on
 
 GATE = 4.0  # × how much what is mirrored varies around a pixel: how soon what lies behind learns nothing there
@@ -35,7 +41,7 @@ SURFACE = {  # fields of a surfel, and their columns; logits, 0 at first
     "hiding_logits": 1,
     "transmission_logits": 1,
 }
-LEARNED = ("surface_opacity", "transmission")  # what losses read of a picture, [H, W]
+LEARNED = ("surface_opacity", "transmission", "scattered")  # what losses read of a picture: α, τ [H, W], C_scat
 
 
 class RTSplatting(GaussianMethod):
@@ -66,46 +72,61 @@ class RTSplatting(GaussianMethod):
 
     def draw(self, camera: Camera, step: int | None) -> tuple[Rendering, dict[str, Statistics]]:
         gaussians = self.model.gaussians(BASE, step)
+        if step is not None and not self.light.begun and not self.runner.loss.began(step)[0]:
+            behind = self.model.rasterize(camera, step, self.panes.volume(gaussians))
+            layers = {BASE: behind.color, REFLECTION: torch.zeros_like(behind.color)}
+            return replace(behind, layers=layers), {BASE: behind.statistics}
         base = self.model.rasterize(camera, step, self.panes.surface(gaussians))
         volume = self.model.rasterize(camera, step, self.panes.volume(gaussians))
+        statistics = [base.statistics, volume.statistics]
+        if self.settings.rule.normal_side == "own":
+            sides = self.model.rasterize(camera, step, self.panes.sides(gaussians))
+            base = replace(base, normal=sides.extras)
+            statistics.append(sides.statistics)
         roughness, features, reflectance, opacity, transmission = base.extras.split([1, FEATURES, 1, 1, 1], dim=-1)
         inside = self.panes.inside(base, camera)
         reflectance, transmission = reflectance * inside, transmission * inside
-        told = self.light.told(base, camera, step, roughness, features)
-        specular = told[..., :3].clamp_max(MOST_LOG).exp() * reflectance
-        kept = 1 - told[..., 3:].neg().sigmoid() * inside * base.alpha[..., None].detach()
-        transmitted = kept * transmission * volume.color
-        if step is not None:
-            transmitted = gated(transmitted, specular, 1 - opacity)
-        diffuse = transmitted + kept * (1 - transmission) * base.color
+        mirrors = inside * base.alpha[..., None].detach()
+        if self.light.begun:
+            told = self.light.told(base, camera, step, roughness, features)
+            specular = told[..., :3].clamp_max(MOST_LOG).exp() * reflectance
+            kept = 1 - told[..., 3:].neg().sigmoid() * mirrors
+            transmitted = kept * transmission * volume.color
+            if step is not None:
+                transmitted = gated(transmitted, specular, 1 - opacity)
+            diffuse = transmitted + kept * (1 - transmission) * base.color
+        else:
+            specular = torch.zeros_like(base.color)
+            diffuse = transmission * volume.color + (1 - transmission) * base.color
         layers = {BASE: diffuse, REFLECTION: specular}
         if step is not None:
-            layers |= dict(zip(LEARNED, (opacity[..., 0], transmission[..., 0]), strict=True))
-        return replace(base, color=diffuse + specular, layers=layers), {
-            BASE: BothPasses(base.statistics, volume.statistics)
-        }
+            layers |= dict(zip(LEARNED, (opacity[..., 0], transmission[..., 0], base.color), strict=True))
+            layers[MAY_MIRROR] = mirrors[..., 0]
+        return replace(base, color=diffuse + specular, layers=layers), {BASE: AllPasses(*statistics)}
 
 
-class BothPasses(Statistics):
-    """What two passes over the same primitives learned: gradients of both, and the larger weight."""
+class AllPasses(Statistics):
+    """What passes over the same primitives learned: the sum of gradients, and the larger of the first two's weights.
 
-    def __init__(self, surface: Statistics, volume: Statistics) -> None:
-        self.weights = torch.maximum(surface.weights, volume.weights)
-        self._passes = surface, volume
+    Args:
+        passes: of surfaces, of what lies behind, and others with the weights of either.
+    """
+
+    def __init__(self, *passes: Statistics) -> None:
+        self.weights = torch.maximum(passes[0].weights, passes[1].weights)
+        self._passes = passes
 
     @property
     def position_gradients(self) -> Tensor | None:  # type: ignore[override]
-        surface, volume = (each.position_gradients for each in self._passes)
-        if surface is None or volume is None:
-            return volume if surface is None else surface
-        return surface + volume
+        known = [gradients for each in self._passes if (gradients := each.position_gradients) is not None]
+        return sum(known[1:], start=known[0]) if known else None
 
 
 class Panes(Part):
     """What surfels let through, and what masks of the transparent teach them."""
 
-    def __init__(self, method: GaussianMethod, settings: RTSplattingSettings) -> None:
-        self._model, self._settings = method.model, settings
+    def __init__(self, method: RTSplatting, settings: RTSplattingSettings) -> None:
+        self._model, self._settings, self._light = method.model, settings, method.light
         self._scope = Scope(settings.scope_radius, method.device)
         self._masks: dict[str, Tensor] = {}
 
@@ -129,6 +150,11 @@ class Panes(Part):
         ]
         return replace(gaussians, extras=torch.cat(values, dim=1))
 
+    def sides(self, gaussians: GaussianSet) -> GaussianSet:
+        """Drawn by occupancy, with normals on the side that surfels have as extras, [N, 3]; colors are not used."""
+        normals = rotation_matrices(gaussians.quaternions)[:, :, 2]
+        return replace(gaussians, sh=gaussians.sh[:, :1].detach(), extras=normals)
+
     def volume(self, gaussians: GaussianSet) -> GaussianSet:
         """Drawn by occupancy × opacity."""
         return replace(gaussians, opacities=gaussians.opacities * self._tensors["hiding_logits"][:, 0].sigmoid())
@@ -137,20 +163,36 @@ class Panes(Part):
         return self._scope.inside(base, camera)
 
     def losses(self, rendering: Rendering, view: View, step: int) -> dict[str, Tensor]:
-        """Occupancy's decay; and by masks, that glass hides nothing and that nothing else transmits; weighted.
+        """Occupancy's decay; and by masks, that glass hides nothing and is alike, and that nothing else transmits.
+
+        Weighted, and nothing before anything mirrors.
 
         Args:
-            rendering: of a training step, with α and τ of the surfaces [H, W] among its layers.
+            rendering: of a training step, with α, τ and C_scat of the surfaces [H, W, …] among its layers.
         """
+        if not self._light.begun:
+            return {}
         s = self._settings
-        opacity, transmission = (rendering.layers[name] for name in LEARNED)
-        terms = {"occupancy": s.occupancy_weight * self._tensors["opacity_logits"].sigmoid().mean()}
+        opacity, transmission, scattered = (rendering.layers[name] for name in LEARNED)
+        terms = {"occupancy": s.occupancy_weight * self._mean_occupancy(view.camera)}
         if view.name in self._masks:
             mask = self._masks[view.name]
             terms["transparent"] = s.mask_weight * cross_entropy(1 - opacity, mask)
             opaque = -(1 - transmission).clamp_min(1e-6).log() * (1 - mask)
             terms["transmission"] = s.mask_weight * opaque.sum() / (1 - mask).sum().clamp_min(1)
+            if s.mask_weight > 0 and s.rule.glass_alike > 0:
+                unlike = spread(transmission[..., None], mask).sum() + spread(scattered, mask).mean()
+                terms["glass"] = s.rule.glass_alike * unlike
         return terms
+
+    def _mean_occupancy(self, camera: Camera) -> Tensor:
+        """Of all surfels, or by the rules of those that a camera has in view, scalar."""
+        shares = self._tensors["opacity_logits"].sigmoid()
+        if self._settings.rule.occupancy_of == "all":
+            return shares.mean()
+        means, quaternions, scales = (self._tensors[name] for name in ("means", "quaternions", "log_scales"))
+        seen = in_view(means, quaternions, scales.exp(), camera, self._model.near)
+        return (shares * seen).sum() / seen.sum().clamp_min(1)
 
     # Its resets
 
@@ -200,6 +242,13 @@ def gated(behind: Tensor, specular: Tensor, weights: Tensor) -> Tensor:
 def cross_entropy(share: Tensor, truth: Tensor) -> Tensor:
     """Mean −log of the probability that shares [H, W] give to truths [H, W] of 0 and 1."""
     return functional.binary_cross_entropy(share.clamp(1e-6, 1 - 1e-6), truth)
+
+
+def spread(values: Tensor, mask: Tensor) -> Tensor:
+    """Σ over a mask [H, W] of 0 and 1 of the squared distance of values [H, W, C] from their mean there, [C]."""
+    weights = mask[..., None]
+    mean = (values * weights).sum((0, 1)) / weights.sum().clamp_min(1)
+    return ((values - mean).square() * weights).sum((0, 1))
 
 
 def _around(values: Tensor) -> Tensor:

@@ -205,7 +205,10 @@ class RTSplattingSettings(FeatureMapSettings):
     """Steps are those of the authors' code, whose runs have 61,000, or 31,000 on Ref-Real."""
 
     recipe: RecipeName = "rt_splatting"
+    sh_lr: Rate = 2e-3
+    normal_from: Steps = 700
     perceptual_weight: Amount = 0.01
+    warm_up: Steps = 700  # in which masks count for nothing either; up to normal_from what lies behind is all there is
     occupancy_weight: Amount = 1e-3  # weight of the mean occupancy, which is minimized
     mask_weight: Amount = 0.01  # weight of what masks of the transparent say; 0: masks are not used
     reflectance_lr: Rate = 5e-3  # learning rate of the reflectances' logits

@@ -21,6 +21,7 @@ from ..settings import GaussianSettings
 from .schedule import Schedule
 
 SSIM_SHARE = 0.2  # SSIM's part of the photometric loss, as in 3DGS
+MAY_MIRROR = "may_mirror"  # a layer of a picture: how much of a pixel may, [H, W], where normals are weighed by that
 PRUNED_SSIM_SHARE = 0.35  # … of a set that is pruned: fine texture, which goes first, is little of an error a pixel
 
 
@@ -83,6 +84,8 @@ class TrainingLoss:
                 return rendering.alpha.detach()
             case "eroded":
                 return eroded(rendering.alpha.detach())
+            case "mirror":
+                return rendering.layers.get(MAY_MIRROR)
         return None
 
     def _depth_error(self, rendering: Rendering, view: View, weight: Tensor | None) -> Tensor:

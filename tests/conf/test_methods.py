@@ -54,7 +54,7 @@ DIFFERENCES = {
     },
     "ref_gs_tuned": MIRRORED | COLORS,
     "ref_dgs_tuned": MIRRORED | COLORS | {"near_count": 20_000},
-    "rt_splatting_tuned": MIRRORED | {"perceptual_weight": 0.0},
+    "rt_splatting_tuned": MIRRORED | {"sh_lr": 2.5e-3, "perceptual_weight": 0.0, "warm_up": 0},
     "envgs_no_joint": {"joint": False},
     "envgs_planes": {"planes": "photographs"},
     "envgs_far_map": {"rules": {"traced_background": "map"}},
