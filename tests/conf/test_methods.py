@@ -110,6 +110,8 @@ RELEASED_RIVALS = [  # method, scene, steps that are trained at most, and settin
     ("3igs", "ref_real/toycar", 30_000, {"field_size": 300}),
     ("ref_gs", "ref_real/toycar", 31_000, {"scope_radius": 0.5, "warm_up": 1_500, "normal_from": 1_500}),
     ("ref_gs", "ref_real/sedan", 31_000, {"scope_radius": 0.5, "warm_up": 700, "normal_from": 700}),
+    ("rt_splatting", "ref_real/toycar", 31_000, {"scope_radius": 0.5, "warm_up": 1_500, "normal_from": 1_500}),
+    ("rt_splatting", "ref_real/sedan", 31_000, {"scope_radius": 0.5}),
 ]
 REPLACED = {"envmap_paper": "envmap", "envgs_paper_single_set": "envgs_single_set"}  # name -> kind
 
