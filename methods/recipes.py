@@ -16,7 +16,17 @@ from .validation import Amount, Count, Factor, Length, Power, Share, Steps, chec
 REFERENCE_STEPS = 30_000  # what 3DGS, 2DGS and EnvGS are tuned for
 
 RecipeName = Literal[
-    "ours", "2dgs", "3dgs", "paper", "released", "3dgs_dr", "gaussian_shader", "ref_gaussian", "ref_gs", "rt_splatting"
+    "ours",
+    "2dgs",
+    "3dgs",
+    "paper",
+    "released",
+    "3dgs_dr",
+    "gaussian_shader",
+    "ref_gaussian",
+    "ref_gs",
+    "ref_dgs",
+    "rt_splatting",
 ]
 
 
@@ -70,9 +80,12 @@ class Rules:
     shown_first: Literal["albedo", "sh"] = "albedo"  # up to warm_up; sh: SH alone, and then dark albedos that mirror
     mirror_alpha: Literal["learned", "given"] = "learned"  # given: no gradient where it weighs, materials not ÷ by it
     plain_again: bool = False  # what does not mirror is compared with the views by itself, too
+    plain_share: Literal["alpha", "rest"] = "alpha"  # weight of what does not mirror; rest: 1 − what mirrors has
     opacity_entropy: Amount = 0.0  # weight of the mean entropy of opacities in view, once anything mirrors
     occupancy_of: Literal["all", "in_view"] = "all"  # surfels whose mean occupancy is minimized
     glass_alike: Amount = 0.0  # weight of what tells a view's transparent pixels apart: Σ (τ − mean)², and of colors
+    hidden_layers: Count = 2  # of the network that makes light of features
+    near_start: Literal["box", "points"] = "box"  # the set of what is mirrored nearby: at random, or at all the points
     map_start: Literal["gray", "random"] = "gray"  # texels of a cube map, at first
     map_texels: Literal["logits", "colors"] = "logits"  # what a cube map's texels learn; colors are cut to [0, 1]
 
@@ -126,6 +139,16 @@ OF_PAPER: dict[str, Any] = PUBLISHED | {
     "env_initial_opacity": 0.1,  # as in 2DGS
     "env_position_scale": 1.0,
 }
+OF_REF_GS: dict[str, Any] = OF_2DGS | {
+    "stretches": False,
+    "longest_run": 31_000,
+    "initial_scale": 0.1**0.5,
+    "normal_rendered": "unit",
+    "shown_first": "sh",
+    "mirror_alpha": "given",
+    "plain_again": True,
+    "opacity_entropy": 1e-3,
+}
 RECIPES: dict[RecipeName, Rules] = {
     "ours": Rules(),
     "2dgs": Rules(**OF_2DGS),  # its released code
@@ -167,10 +190,11 @@ RECIPES: dict[RecipeName, Rules] = {
         | {"stretches": False, "longest_run": 50_000, "sh_from": 5_000, "beta_reset_from": 1, "beta_reset": "raise"}
         | {"beta_starts_anew": True}
     ),
-    "ref_gs": Rules(  # Ref-GS's released code, as it trains on captures
-        **OF_2DGS
-        | {"stretches": False, "longest_run": 31_000, "initial_scale": 0.1**0.5, "normal_rendered": "unit"}
-        | {"shown_first": "sh", "mirror_alpha": "given", "plain_again": True, "opacity_entropy": 1e-3}
+    "ref_gs": Rules(**OF_REF_GS),  # its released code, as it trains on captures
+    "ref_dgs": Rules(  # as Ref-GS
+        **OF_REF_GS
+        | {"reference_steps": 25_000, "longest_run": 25_000}
+        | {"plain_share": "rest", "hidden_layers": 3, "near_start": "points"}
     ),
     "rt_splatting": Rules(  # RT-Splatting's released code
         **OF_2DGS

@@ -35,7 +35,7 @@ from .training.schedule import RECOVERY, Part, Schedule
 ALBEDO_UNIT, MOST_LOG = 5.0, 5.0  # an albedo is exp(x) ÷ the one, x at most the other
 DARK = -2.0  # x at first where spherical harmonics are learned before
 NEAR_SCALE = 0.1**0.5  # × the distance to its neighbors, that a surfel of the near set starts with
-PLAIN, OUTSIDE = "plain", "outside"  # what losses read of a picture: its SH [H, W, 3], and alpha outside the ball
+PLAIN, OUTSIDE = "plain", "outside"  # what losses read of a picture: its SH [H, W, 3], and their weight [H, W, 1]
 SURFACE = {"albedo_logs": 3, "roughness_logits": 1}  # fields of a surfel, and their columns
 FEATURE = {"feature_logits": FEATURES}  # of Ref-GS's surfels, and of the near set's; tanh x is 2·sigmoid(2x) − 1
 
@@ -67,9 +67,11 @@ class RefGS(GaussianMethod):
         return {BASE: base} | ({ENV: self._near_policy(base, scene)} if s.near_count else {})
 
     def _near_policy(self, base: SetPolicy, scene: Scene | None) -> SetPolicy:
-        """The base's, but for what starts it and makes it grow."""
-        start = Start(INITIAL_OPACITY, "random", None, partial(zeros, FEATURE), FEATURE, NEAR_SCALE)
-        young = base.schedule.at(self.settings.warm_up) + RECOVERY
+        """The base's, but for what starts it and makes it grow: as soon as the base, by the published rules."""
+        rule = self.settings.rule
+        orientation = "positive" if rule.initial_orientation == "positive" else "random"
+        start = Start(INITIAL_OPACITY, orientation, None, partial(zeros, FEATURE), FEATURE, NEAR_SCALE)
+        young = base.schedule.at(self.settings.warm_up) + (0 if rule.growth == "gradient" else RECOVERY)
         grown = replace(base, growth="gradient", resets=opacity_resets(self.settings, base.schedule, scene))
         return replace(grown, name=ENV, start=start, sh_degree=0, young_until=young)
 
@@ -93,12 +95,16 @@ class RefGS(GaussianMethod):
                 own = [near.extras]
             mirrored = self.light.seen(base, camera, step, roughness, own[0])
         light = albedo + mirrored
-        shown = weight * to_srgb(light.clamp_max(1) if given else light) + behind
         inside = self.surfaces.scope.inside(base, camera)
-        diffuse = weight * to_srgb(albedo) + behind
+        outside, through = alpha.detach() * ~inside, behind
+        if self.settings.rule.plain_share == "rest":
+            plain, outside = base.color, 1 - alpha.detach() * inside
+            through = behind + (1 - weight) * (base.color - behind)
+        shown = weight * to_srgb(light.clamp_max(1) if given else light) + through
+        diffuse = weight * to_srgb(albedo) + through
         layers = {BASE: torch.where(inside, diffuse, plain), REFLECTION: to_srgb(mirrored) * inside * weight}
         if step is not None:
-            layers |= {PLAIN: base.color, OUTSIDE: alpha.detach() * ~inside}
+            layers |= {PLAIN: base.color, OUTSIDE: outside}
         return replace(base, color=torch.where(inside, shown, plain), layers=layers), statistics
 
     def losses(self, rendering: Rendering, target: Tensor, view: View, step: int) -> dict[str, Tensor]:
@@ -106,7 +112,7 @@ class RefGS(GaussianMethod):
         terms, rule = super().losses(rendering, target, view, step), self.settings.rule
         if not self.light.begun:
             return terms
-        if rule.plain_again and self.settings.scope_radius:
+        if rule.plain_again and (self.settings.scope_radius or rule.plain_share == "rest"):
             plain, outside = rendering.layers[PLAIN], rendering.layers[OUTSIDE]
             terms["plain"] = photometric_loss(plain * outside, target * outside, backend=self.settings.backend)
         if rule.opacity_entropy:
@@ -123,15 +129,17 @@ class Surfaces(Part):
 
     @torch.no_grad()
     def start(self, scene: Scene) -> None:
-        """Albedos begin dark, or as the points' colors; the near set lies anywhere in the scene's box."""
+        """Albedos begin dark, or as the points' colors; the near set at the points, or anywhere in the scene's box."""
         s, parameters = self._settings, self._model.sets[BASE].parameters
         colors = 0.5 + SH_DC * parameters.tensors["sh_dc"].detach()[:, 0]
         logs = (ALBEDO_UNIT * to_linear(colors)).clamp_min(1e-3).log()
         parameters.replace("albedo_logs", torch.full_like(logs, DARK) if s.rule.shown_first == "sh" else logs)
         self.scope.start(scene)
         if s.near_count:
-            low, high = environment_box(scene)
-            points = low + torch.rand(s.near_count, 3, generator=self._model.generator) * (high - low)
+            points = scene.points
+            if s.rule.near_start == "box":
+                low, high = environment_box(scene)
+                points = low + torch.rand(s.near_count, 3, generator=self._model.generator) * (high - low)
             self._model.sets[ENV] = self._model.new_set(ENV, points, torch.full_like(points, 0.5))
 
     def entropy(self, camera: Camera) -> Tensor:

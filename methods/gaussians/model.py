@@ -24,6 +24,7 @@ from envgs_bench.parts import BASE, ENV, SETS
 from ..settings import GaussianSettings
 from ..training.schedule import Schedule
 from .budget import SharedBudget
+from .densification import screen_criterion
 from .frustum import in_view
 from .initialization import Orientation, evenly_thinned, half_diagonal, initial_orientation, initial_tensors
 from .parameters import GaussianParameters
@@ -242,9 +243,10 @@ class GaussianModel:
         for name, seen in statistics.items():
             means = self.sets[name].parameters.tensors["means"]
             learned = [self.policies[name].criterion(seen, camera, means), seen.weights]
-            if name == BASE and self.settings.rule.mean_gradient_over == "in_view":
-                base = self.sets[BASE].parameters.tensors
-                shape = base["means"], base["quaternions"], base["log_scales"].exp()
+            rasterized = self.policies[name].criterion is screen_criterion
+            if rasterized and self.settings.rule.mean_gradient_over == "in_view":
+                tensors = self.sets[name].parameters.tensors
+                shape = means, tensors["quaternions"], tensors["log_scales"].exp()
                 learned.append(in_view(*shape, camera, self.near))
             self.sets[name].record.add(*(torch.where(counts, values, self.nothing) for values in learned))
         if self.budget is not None:

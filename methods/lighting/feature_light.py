@@ -44,7 +44,8 @@ class FeatureLight(Weights):
         self._of_images: Tensor | None = None
         self._crossed, self._attenuates = crossed, attenuates
         channels = CROSSED if crossed else FEATURES
-        self._sizes = (80, 256, 256, 3 + attenuates) if crossed else (10, 64, 64, 3 + attenuates)
+        known, neurons = (80, 256) if crossed else (10, 64)
+        self._sizes = (known, *[neurons] * settings.rule.hidden_layers, 3 + attenuates)
         shapes = {"map": (*shape_of(settings.map_levels), channels), **layer_shapes(self._sizes)}
         rates = {name: settings.map_lr if name == "map" else settings.network_lr for name in shapes}
         super().__init__(shapes, rates, model.device)

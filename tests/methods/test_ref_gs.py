@@ -11,7 +11,7 @@ import torch
 from finite_differences import assert_gradients_are_differences, mean_of_picture
 from mirror_ball import gain_of_training, mirror_ball
 from rules import with_rules
-from schedules import begin
+from schedules import begin, due, steps_of_events
 from torch.nn import functional
 
 from envgs_bench.core import Scene, rasterize
@@ -26,6 +26,7 @@ from envgs_bench.testing import tiny_scene
 
 CAMERA = tiny_scene().test[0].camera
 NEAR: dict[str, Any] = {"near_count": 60}
+DGS: dict[str, Any] = {"recipe": "ref_dgs", "near_count": 60}
 OURS: dict[str, Any] = {"shown_first": "albedo", "mirror_alpha": "learned"}  # what tuned methods have
 
 
@@ -187,6 +188,65 @@ def test_the_entropy_is_that_of_opacities_in_view() -> None:
     expected = torch.distributions.Bernoulli(logits=logits[~behind]).entropy().mean()
     term = method.losses(shown, view.rgb(), view, 701)["entropy"]
     assert term.item() == pytest.approx(1e-3 * float(expected), rel=1e-4)
+
+
+def test_what_is_near_begins_at_the_points_as_the_base_does() -> None:
+    """By Ref-DGS's code on captures: as many surfels, as large, and turned by numbers between 0 and 1."""
+    sets = {name: each.parameters.detached() for name, each in initialized(**DGS).model.sets.items()}
+    for name in ("means", "log_scales", "opacity_logits"):
+        torch.testing.assert_close(sets["env"][name], sets["base"][name])
+    assert sets["env"]["quaternions"].min() >= 0
+    assert len(initialized(**NEAR).model.sets["env"].parameters) == 60
+
+
+def test_its_network_has_three_hidden_layers() -> None:
+    tensors = initialized(**DGS).light.tensors
+    shapes = [tuple(tensors[f"layer{number}_weight"].shape) for number in range(4)]
+    assert shapes == [(64, 10), (64, 64), (64, 64), (3, 64)]
+    torch.testing.assert_close(tensors["layer3_bias"].exp(), torch.full((3,), 0.25))
+    assert "layer3_weight" not in initialized(**NEAR).light.tensors
+
+
+def test_what_a_pixel_does_not_mirror_of_it_is_spherical_harmonics() -> None:
+    """Where a pixel mirrors by its alpha a, by Ref-DGS's code: a·mirrored + (1 − a)·SH, and 1 − a in their own loss."""
+    method, view, step = at_random(**DGS, scope_radius=0.4), tiny_scene().train[0], 5_000
+    shown, _ = method.draw(view.camera, step)
+    base = method.model.rasterize(view.camera, step)
+    own = method.model.rasterize(view.camera, step, method.surfaces.near(step)).extras
+    light = base.extras[..., 1:] + method.light.seen(base, view.camera, step, base.extras[..., :1], own)
+    share = base.alpha[..., None].detach() * method.surfaces.scope.inside(base, view.camera)
+    assert ((share > 0.1) & (share < 0.9)).any()
+    expected = share * to_srgb(light.clamp_max(1)) + (1 - share) * base.color
+    torch.testing.assert_close(shown.color, expected)
+    image, target = (each * (1 - share) for each in (base.color, view.rgb()))
+    plain = 0.8 * (image - target).abs().mean() + 0.2 * (1 - ssim(image, target))
+    assert method.losses(shown, view.rgb(), view, step)["plain"].item() == pytest.approx(plain.item(), rel=1e-5)
+
+
+def test_what_is_near_grows_from_its_first_hundredth_step_on() -> None:
+    """Of a run of 25,000; both sets to step 10,000."""
+    method = initialized(**DGS, densify_until=10_000, steps=25_000)
+    found = steps_of_events(method, 25_000)
+    assert found["densify_base"] == [*range(600, 10_000, 100)]
+    assert found["densify_env"] == [*range(800, 10_000, 100)]
+    assert found["reset_base_opacity"] == found["reset_env_opacity"] == [3_000, 6_000, 9_000]
+    assert "densify_env" not in due(initialized(**NEAR, growth="guided", max_primitives=1_000), 800)
+
+
+def test_what_is_near_counts_as_seen_wherever_it_is_in_view() -> None:
+    """By Ref-DGS's code: drawn or not."""
+    method, view = at_random(**DGS), tiny_scene().train[0]
+    parameters, camera = method.model.sets["env"].parameters, view.camera
+    ahead = camera.world_to_camera[2, :3]
+    distances = torch.linspace(3, 20, len(parameters))
+    distances[::3] = -5
+    parameters.replace("means", camera.center + distances[:, None] * ahead)
+    faint = torch.arange(len(parameters)) % 3 == 1
+    parameters.replace("opacity_logits", torch.where(faint, -9.0, 2.0))
+    method.training_step(view, 5_001)
+    record = method.model.sets["env"].record
+    assert torch.equal(record.steps > 0, distances > method.model.near)
+    assert (record.weights[faint] == 0).all()
 
 
 @pytest.mark.parametrize("settings", [{}, NEAR])
