@@ -45,14 +45,13 @@ class Rules:
     initial_orientation: Literal["surface", "random", "positive", "world"] = "surface"  # of the base set, as of Start
     initial_scale: Factor = 1.0  # of the base set's primitives, × the distance to their neighbors
     growth: Literal["guided", "mcmc", "gradient"] = "guided"  # the base set's; the first two to its size limit
-    densify_from: Steps = 500  # step after which the base set is densified
     mean_gradient_over: Literal["drawn", "in_view"] = "drawn"  # steps that drew it, or had it in view, hidden or not
     mean_gradient_of: Literal["all", "own", "color"] = "all"  # own: not of what anti-aliasing draws; color: its alone
     max_growth: Amount = 0.1  # most that either way of growing adds to a set at once, × its size; 0: no limit
     min_views: Amount = 3.0  # primitives that fewer steps since the last densification show are not cloned or split
     oversized: Literal["split", "prune"] = "split"  # above a tenth of the radius: in five, or from the first reset on
     parts_weigh: Literal["share", "most"] = "share"  # a new primitive's weight, of its parent's; most: no new one goes
-    reset_on_white: bool = False  # over a white background, opacities are also reset at densify_from
+    reset_on_white: bool = False  # over a white background, opacities are also reset as growth begins
 
     normal_reference: Literal["unit", "alpha"] = "unit"  # depth map's normals in L_norm; alpha: × the pixel's alpha
     normal_rendered: Literal["unit", "blended"] = "unit"  # in L_norm; blended: as they are, which pulls at alpha too

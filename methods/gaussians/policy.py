@@ -20,6 +20,8 @@ from .sites import COLUMNS, RATES, initial_sites
 
 INITIAL_OPACITY = 0.1  # of the base set's primitives
 
+DENSIFY_FROM = 500  # step of the reference run after which the base set is densified
+
 SHAPES = 100_000  # primitives that the base set may have for what shapes and mirrors show, however small pictures are
 PIXELS_OF_SHAPES = 10  # … if there are so many training pixels for each of these
 
@@ -206,7 +208,7 @@ def base_policy(
         criterion=screen_criterion,
         rule=densification_rule(s, most),
         interval=regular(schedule, s.densify_every),
-        grows_from=s.rule.densify_from,
+        grows_from=DENSIFY_FROM,
         grows_until=s.densify_until,
         resets=opacity_resets(s, schedule, scene) if by_gradient else Resets(schedule, 0, s.densify_until),
         size_limit=s.max_primitives,
@@ -282,5 +284,5 @@ def opacity_resets(s: GaussianSettings, schedule: Schedule, scene: Scene | None)
     """
     on_white = scene is not None and bool((scene.background == 1).all())
     resets = 0 < schedule.interval(s.opacity_reset_every, RESET_FLOOR) < schedule.at(s.densify_until)
-    besides = schedule.at(s.rule.densify_from) if s.rule.reset_on_white and on_white and resets else 0
+    besides = schedule.at(DENSIFY_FROM) if s.rule.reset_on_white and on_white and resets else 0
     return Resets(schedule, s.opacity_reset_every, s.densify_until, besides=besides)

@@ -44,7 +44,7 @@ DIFFERENCES = {
     "3dgs_tuned": TUNED,
     "3igs_tuned": TUNED | {"sh_degree": 0},
     "gaussian_shader_tuned": TUNED | {"rotation_lr_final": 3e-4, "mono_weight": 0.05},
-    "ref_dgs": {"recipe": "ref_dgs", "near_count": 50_000, "densify_until": 10_000, "rules": {"densify_from": 500}},
+    "ref_dgs": {"recipe": "ref_dgs", "near_count": 50_000, "densify_until": 10_000},
     "ref_gs_tuned": MIRRORED | COLORS,
     "ref_dgs_tuned": MIRRORED | COLORS | {"near_count": 20_000},
     "rt_splatting_tuned": MIRRORED | {"sh_lr": 2.5e-3, "perceptual_weight": 0.0, "warm_up": 0},

@@ -197,7 +197,7 @@ def test_a_size_limit_is_asked_for(growth: str) -> None:
 def test_methods_that_grow_so_conform(kind: str, steps: int, growth: str) -> None:
     """Of 120 steps growths lie in either half, so that an interrupted training has to draw the same numbers."""
     own = {"env_grid": 2} if kind == "envgs" else {}
-    rules = {"growth": growth, "densify_from": 0, "average_from": 0}
+    rules = {"growth": growth, "average_from": 0}
     check_method(kind, {**SETTINGS, **own, "rules": rules}, steps=steps)
 
 

@@ -239,7 +239,7 @@ def test_cameras_at_one_place_still_have_a_scale(scene):
 @pytest.mark.parametrize(("share", "most", "expected"), [(1.25, 1000, 540), (1.25, 300, 300), (0.1, 1000, 250)])
 def test_the_base_set_has_so_many_primitives_for_each_pixel_of_a_view(scene, share, most, expected):
     """Training views of 24×18 pixels; never fewer than the 250 points that it starts from."""
-    growth = {"primitives_per_pixel": share, "max_primitives": most, "densify_from": 0}
+    growth = {"primitives_per_pixel": share, "max_primitives": most}
     method = make_method("envmap", **growth)
     method.initialize(scene, STEPS)
     counts = []

@@ -141,7 +141,7 @@ STILL = {"densify_until": 0}  # or pruning ends the run before it is looked at
 BY_GRADIENT = {"growth": "gradient"}  # guided growth neither empties nor doubles a set, and holds scales by a loss
 GREEDY = with_rules(
     growth="gradient",
-    **{"densify_threshold": 1e-9, "densify_from": 0, "min_coverage": 0.0, "min_views": 0.0},
+    **{"densify_threshold": 1e-9, "min_coverage": 0.0, "min_views": 0.0},
     primitives_per_pixel=0.0,
 )
 UNBOUNDED = {"rules": GREEDY["rules"] | {"max_growth": 0.0}}
@@ -155,9 +155,7 @@ CASES = {
     "one primitive's gradient is not finite, once": Case(150, apply_all_steps, breaks=break_gradient(1)),
     "a whole gradient is not finite, once": Case(150, apply_all_steps, breaks=break_gradient(10**9)),
     "no view is finite": Case(150, never_end, spoils=spoil(99)),
-    "a densification prunes all": Case(
-        150, never_count, settings={"min_opacity": 1.1, "rules": {"densify_from": 0} | BY_GRADIENT}
-    ),
+    "a densification prunes all": Case(150, never_count, settings={"min_opacity": 1.1, "rules": BY_GRADIENT}),
     "all learning rates × 30": Case(6000, never_look, width=16, settings=FAST),
     "all learning rates × 30, growth by gradients": Case(
         6000, never_look, width=16, settings=FAST | {"rules": BY_GRADIENT}

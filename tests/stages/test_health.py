@@ -119,7 +119,7 @@ def test_growth_as_densification_allows_it_and_small_sets_are_no_news(tmp_path: 
 
 
 def test_a_run_without_any_primitive_left_ends_and_says_when(room: Scene, tmp_path: Path) -> None:
-    method = create_method("2dgs", {"min_opacity": 1.1, "rules": {"densify_from": 0}})  # every densification prunes all
+    method = create_method("2dgs", {"min_opacity": 1.1})  # every densification prunes all
     training = Training(method, room, 300, seed=0)
     with pytest.raises(Diverged, match="no primitive of the base set is left after step 30"):
         training.run(tmp_path / "curve.csv", lambda event: None)
