@@ -84,7 +84,6 @@ class Rules:
     occupancy_of: Literal["all", "in_view"] = "all"  # surfels whose mean occupancy is minimized
     glass_alike: Amount = 0.0  # weight of what tells a view's transparent pixels apart: Σ (τ − mean)², and of colors
     hidden_layers: Count = 2  # of the network that makes light of features
-    near_start: Literal["box", "points"] = "box"  # the set of what is mirrored nearby: at random, or at all the points
     map_start: Literal["gray", "random"] = "gray"  # texels of a cube map, at first
     map_texels: Literal["logits", "colors"] = "logits"  # what a cube map's texels learn; colors are cut to [0, 1]
 
@@ -191,9 +190,7 @@ RECIPES: dict[RecipeName, Rules] = {
     ),
     "ref_gs": Rules(**OF_REF_GS),  # its released code, as it trains on captures
     "ref_dgs": Rules(  # as Ref-GS
-        **OF_REF_GS
-        | {"reference_steps": 25_000, "longest_run": 25_000}
-        | {"plain_share": "rest", "hidden_layers": 3, "near_start": "points"}
+        **OF_REF_GS | {"reference_steps": 25_000, "longest_run": 25_000} | {"plain_share": "rest", "hidden_layers": 3}
     ),
     "rt_splatting": Rules(  # RT-Splatting's released code
         **OF_2DGS

@@ -19,7 +19,6 @@ from torch.nn import functional
 from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, View
 from envgs_bench.parts import BASE, ENV, REFLECTION, MethodCard
 
-from .envgs import environment_box
 from .gaussian_method import GaussianMethod
 from .gaussians.frustum import in_view
 from .gaussians.model import GaussianModel
@@ -41,7 +40,7 @@ FEATURE = {"feature_logits": FEATURES}  # of Ref-GS's surfels, and of the near s
 
 
 class RefGS(GaussianMethod):
-    """Ref-GS (Zhang et al., CVPR 2025), and with `near_count` Ref-DGS (SIGGRAPH 2026)."""
+    """Ref-GS (Zhang et al., CVPR 2025), and with `near_set` Ref-DGS (SIGGRAPH 2026)."""
 
     card = MethodCard("ref_gs", "Ref-GS", 100, "#889999")
     Settings: ClassVar[type] = RefGSSettings
@@ -51,20 +50,20 @@ class RefGS(GaussianMethod):
 
     def __init__(self, settings: RefGSSettings, device: torch.device | str = "cpu", seed: int = 0) -> None:
         super().__init__(settings, device, seed)
-        self.light = FeatureLight(self.model, settings, crossed=settings.near_count == 0)
+        self.light = FeatureLight(self.model, settings, crossed=not settings.near_set)
         self.surfaces = Surfaces(self.model, settings)
         self.model.shade = self.surfaces.shaded
         self.parts = {"light": self.light, "surfaces": self.surfaces}
 
     def policies(self, schedule: Schedule, scene: Scene | None) -> dict[str, SetPolicy]:
         s, scale = self.settings, schedule.rate_scale
-        columns = SURFACE if s.near_count else SURFACE | FEATURE
+        columns = SURFACE if s.near_set else SURFACE | FEATURE
         rates = {"albedo_logs": s.albedo_lr * scale, "roughness_logits": s.feature_lr * scale}
         rates |= {"feature_logits": s.feature_lr * scale}
         base = super().policies(schedule, scene)[BASE]
         base = base.with_materials(partial(zeros, columns), columns, rates)
         base = replace(base, sh_degree=base.sh_degree if s.scope_radius else 0)
-        return {BASE: base} | ({ENV: self._near_policy(base, scene)} if s.near_count else {})
+        return {BASE: base} | ({ENV: self._near_policy(base, scene)} if s.near_set else {})
 
     def _near_policy(self, base: SetPolicy, scene: Scene | None) -> SetPolicy:
         """The base's, but for what starts it and makes it grow: as soon as the base, by the published rules."""
@@ -129,18 +128,14 @@ class Surfaces(Part):
 
     @torch.no_grad()
     def start(self, scene: Scene) -> None:
-        """Albedos begin dark, or as the points' colors; the near set at the points, or anywhere in the scene's box."""
+        """Albedos begin dark, or as the points' colors; the near set lies at the points, too."""
         s, parameters = self._settings, self._model.sets[BASE].parameters
         colors = 0.5 + SH_DC * parameters.tensors["sh_dc"].detach()[:, 0]
         logs = (ALBEDO_UNIT * to_linear(colors)).clamp_min(1e-3).log()
         parameters.replace("albedo_logs", torch.full_like(logs, DARK) if s.rule.shown_first == "sh" else logs)
         self.scope.start(scene)
-        if s.near_count:
-            points = scene.points
-            if s.rule.near_start == "box":
-                low, high = environment_box(scene)
-                points = low + torch.rand(s.near_count, 3, generator=self._model.generator) * (high - low)
-            self._model.sets[ENV] = self._model.new_set(ENV, points, torch.full_like(points, 0.5))
+        if s.near_set:
+            self._model.sets[ENV] = self._model.new_set(ENV, scene.points, torch.full_like(scene.points, 0.5))
 
     def entropy(self, camera: Camera) -> Tensor:
         """Mean entropy of the opacities that a camera has in view, in nats, scalar."""

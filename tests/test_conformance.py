@@ -27,7 +27,7 @@ def test_a_method_that_conforms_passes() -> None:
         ("ref_gaussian", {"envmap_size": 16}),
         ("gaussian_shader", {"envmap_size": 16}),
         ("ref_gs", {"map_levels": 4}),
-        ("ref_gs", {"map_levels": 4, "near_count": 60, "scope_radius": 0.5}),
+        ("ref_gs", {"map_levels": 4, "near_set": True, "scope_radius": 0.5}),
         ("rt_splatting", {"map_levels": 4, "perceptual_weight": 0.0}),
         ("3igs", {"field_size": 8}),
     ],

@@ -196,7 +196,7 @@ class RefGSSettings(FeatureMapSettings):
     normal_from: Steps = 700
     perceptual_weight: Amount = 0.0
     warm_up: Steps = 700
-    near_count: Limit = 0  # surfels at first of what is mirrored nearby (Ref-DGS); 0: none, and surfaces have features
+    near_set: bool = False  # a set of what is mirrored nearby has the features (Ref-DGS), and not the surfaces
     albedo_lr: Rate = 5e-4  # learning rate of the albedos' logarithms
 
 

@@ -12,7 +12,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "envgs_single_set": {},
     "3dgs_dr": {"envmap_size": 8},
     "ref_gaussian": {"envmap_size": 8, "shade_until": 9_000, "indirect_from": 15_000},
-    "ref_gs": {"map_levels": 3, "near_count": 50, "warm_up": 12_000},
+    "ref_gs": {"map_levels": 3, "near_set": True, "warm_up": 12_000},
     "gaussian_shader": {"envmap_size": 8},
     "3igs": {"field_size": 8},
 }
