@@ -20,7 +20,6 @@ from envgs_bench.core import Camera, GaussianSet, Rendering, Scene, Statistics, 
 from envgs_bench.parts import BASE, ENV, REFLECTION, MethodCard
 
 from .gaussian_method import GaussianMethod
-from .gaussians.frustum import in_view
 from .gaussians.model import GaussianModel
 from .gaussians.parameters import SH_DC
 from .gaussians.policy import INITIAL_OPACITY, SetPolicy, Start, opacity_resets, zeros
@@ -139,12 +138,9 @@ class Surfaces(Part):
 
     def entropy(self, camera: Camera) -> Tensor:
         """Mean entropy of the opacities that a camera has in view, in nats, scalar."""
-        tensors = self._model.sets[BASE].parameters.tensors
-        shape = tensors["means"], tensors["quaternions"], tensors["log_scales"].exp()
-        seen = in_view(*shape, camera, self._model.near)
-        logits = tensors["opacity_logits"]
+        logits = self._model.sets[BASE].parameters.tensors["opacity_logits"]
         entropies = functional.softplus(logits) - logits * logits.sigmoid()
-        return (entropies * seen).sum() / seen.sum().clamp_min(1)
+        return self._model.mean_in_view(entropies, camera)
 
     def shaded(self, gaussians: GaussianSet, camera: Camera, step: int | None) -> GaussianSet:
         """With roughness, albedo and, in Ref-GS, features as extras, [N, 4] or [N, 8]."""

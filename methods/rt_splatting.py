@@ -24,7 +24,6 @@ from envgs_bench.core.torch.rotation import rotation_matrices
 from envgs_bench.parts import BASE, REFLECTION, TRANSMISSIVE, MethodCard
 
 from .gaussian_method import GaussianMethod
-from .gaussians.frustum import in_view
 from .gaussians.policy import SetPolicy, zeros
 from .gaussians.regions import Scope
 from .gaussians.trained_set import RESET_OPACITY
@@ -188,11 +187,8 @@ class Panes(Part):
     def _mean_occupancy(self, camera: Camera) -> Tensor:
         """Of all surfels, or by the rules of those that a camera has in view, scalar."""
         shares = self._tensors["opacity_logits"].sigmoid()
-        if self._settings.rule.occupancy_of == "all":
-            return shares.mean()
-        means, quaternions, scales = (self._tensors[name] for name in ("means", "quaternions", "log_scales"))
-        seen = in_view(means, quaternions, scales.exp(), camera, self._model.near)
-        return (shares * seen).sum() / seen.sum().clamp_min(1)
+        of_all = self._settings.rule.occupancy_of == "all"
+        return shares.mean() if of_all else self._model.mean_in_view(shares, camera)
 
     # Its resets
 

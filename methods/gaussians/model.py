@@ -231,6 +231,16 @@ class GaussianModel:
             "scale": SCALE_WEIGHT / self.radius / scales.numel() * scales.sum(),
         }
 
+    def in_view(self, name: str, camera: Camera) -> Tensor:
+        """[N] whether a camera has each primitive of a set in view, hidden or not."""
+        tensors = self.sets[name].parameters.tensors
+        return in_view(tensors["means"], tensors["quaternions"], tensors["log_scales"].exp(), camera, self.near)
+
+    def mean_in_view(self, values: Tensor, camera: Camera) -> Tensor:
+        """The mean of values [N] of the base set over what a camera has in view, scalar."""
+        seen = self.in_view(BASE, camera)
+        return (values * seen).sum() / seen.sum().clamp_min(1)
+
     def record(
         self, rendering: Rendering, statistics: Mapping[str, Statistics], camera: Camera, step: int, counts: Tensor
     ) -> None:
@@ -245,9 +255,7 @@ class GaussianModel:
             learned = [self.policies[name].criterion(seen, camera, means), seen.weights]
             rasterized = self.policies[name].criterion is screen_criterion
             if rasterized and self.settings.rule.mean_gradient_over == "in_view":
-                tensors = self.sets[name].parameters.tensors
-                shape = means, tensors["quaternions"], tensors["log_scales"].exp()
-                learned.append(in_view(*shape, camera, self.near))
+                learned.append(self.in_view(name, camera))
             self.sets[name].record.add(*(torch.where(counts, values, self.nothing) for values in learned))
         if self.budget is not None:
             given = self.contributions(rendering, step)
